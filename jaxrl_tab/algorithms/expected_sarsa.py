@@ -1,0 +1,22 @@
+"""Expected Sarsa: Sarsa without the noise of A' (book, section 6.6; van Seijen et al. 2009)."""
+
+from jaxrl_tab import tables
+from jaxrl_tab.algorithms.td import TDControl, TDState
+from jaxrl_tab.types import Transition, pytree
+
+
+@pytree
+class ExpectedSarsa(TDControl):
+    """On-policy control that learns from the mean over A': R + gamma sum_a pi(a | S') Q(S', a).
+
+    Q(S, A) <- Q(S, A) + alpha [R + gamma sum_a pi(a | S') Q(S', a) - Q(S, A)]      (book, equation 6.9)
+
+    A' is drawn from the behaviour policy after the update.
+    """
+
+    def update(self, key, state: TDState, t: Transition):
+        state = self.begin(state, t)
+        q_next = self.probs(state, t.s_next) @ tables.row(state.q, t.s_next)
+        delta = t.r + t.discount * q_next - tables.row(state.q, t.s)[t.a]
+        state = self.learn(state, t, delta)
+        return state, self.policy(key, state, t.s_next)

@@ -1,0 +1,22 @@
+"""Q-learning: off-policy one-step control (book, section 6.5; Watkins 1989)."""
+
+from jaxrl_tab import tables
+from jaxrl_tab.algorithms.td import TDControl, TDState
+from jaxrl_tab.types import Transition, pytree
+
+
+@pytree
+class QLearning(TDControl):
+    """Off-policy control that learns about the greedy policy while exploring: R + gamma max_a Q(S', a).
+
+    Q(S, A) <- Q(S, A) + alpha [R + gamma max_a Q(S', a) - Q(S, A)]      (book, equation 6.8)
+
+    A' is drawn from the behaviour policy after the update.
+    """
+
+    def update(self, key, state: TDState, t: Transition):
+        state = self.begin(state, t)
+        q_next = tables.row(state.q, t.s_next).max()
+        delta = t.r + t.discount * q_next - tables.row(state.q, t.s)[t.a]
+        state = self.learn(state, t, delta)
+        return state, self.policy(key, state, t.s_next)

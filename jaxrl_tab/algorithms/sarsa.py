@@ -1,0 +1,22 @@
+"""Sarsa: on-policy one-step control (book, section 6.4; Silver, lecture 5)."""
+
+from jaxrl_tab import tables
+from jaxrl_tab.algorithms.td import TDControl, TDState
+from jaxrl_tab.types import Transition, pytree
+
+
+@pytree
+class Sarsa(TDControl):
+    """On-policy control that learns from the action that it will take: R + gamma Q(S', A').
+
+    Q(S, A) <- Q(S, A) + alpha [R + gamma Q(S', A') - Q(S, A)]      (book, equation 6.7)
+
+    A' is drawn from the behaviour policy before the update, and is the action that is then taken.
+    """
+
+    def update(self, key, state: TDState, t: Transition):
+        state = self.begin(state, t)
+        a_next = self.policy(key, state, t.s_next)
+        q_next = tables.row(state.q, t.s_next)[a_next]
+        delta = t.r + t.discount * q_next - tables.row(state.q, t.s)[t.a]
+        return self.learn(state, t, delta), a_next

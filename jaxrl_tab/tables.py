@@ -1,0 +1,62 @@
+"""The two operations on a table of values: read a row, add to an entry. And how lanes batch them.
+
+`q.at[s, a].add(x)` under `vmap` is a scatter, and XLA's CPU backend neither fuses a scatter nor keeps it in
+the one kernel that a whole loop of steps is compiled to. A loop over the lanes that writes one entry each
+stays in that kernel: it is what a person would write in C. Both operations therefore bring their own
+batching rule; outside `vmap` they are the plain indexing that they look like.
+"""
+
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Int, Num
+
+
+def row(table: Num[Array, "S A"], s: Int[Array, ""]) -> Num[Array, " A"]:
+    """`table[s]`, [A]. `s` must be a state: it is not checked."""
+    return lax.dynamic_index_in_dim(table, s, keepdims=False)
+
+
+def add(
+    table: Num[Array, "S A"], s: Int[Array, ""], a: Int[Array, ""], x: Num[Array, ""]
+) -> Num[Array, "S A"]:
+    """`table` with `x` added to entry (s, a). Both must be in range: they are not checked."""
+    entry = table.at[s, a].get(mode="promise_in_bounds") + x.astype(table.dtype)
+    return put(table, jnp.stack([s, a]), entry[None, None])
+
+
+@custom_vmap
+def put(table: Num[Array, "..."], index: Int[Array, " n"], block: Num[Array, "..."]) -> Num[Array, "..."]:
+    """`table` with `block` (n axes, each no longer than the table's) written at the corner `index`, int32 [n]."""
+    return lax.dynamic_update_slice(table, block, tuple(index))
+
+
+@custom_vmap
+def _put_lanes(table: Array, index: Array, block: Array) -> Array:
+    """`put` for a leading axis of lanes, one after another."""
+
+    def write(lane, table):
+        one = lax.dynamic_index_in_dim(block, lane)
+        return lax.dynamic_update_slice(table, one, (lane, *index[lane]))
+
+    return lax.fori_loop(0, table.shape[0], write, table)
+
+
+def _with_lanes(axis_size: int, batched: list[bool], *args: Array) -> list[Array]:
+    return [
+        x if has_lanes else jnp.broadcast_to(x, (axis_size, *x.shape))
+        for x, has_lanes in zip(args, batched, strict=True)
+    ]
+
+
+@put.def_vmap
+def _(axis_size, batched, *args):
+    return _put_lanes(*_with_lanes(axis_size, batched, *args)), True
+
+
+@_put_lanes.def_vmap
+def _(axis_size, batched, *args):
+    """A second `vmap` only makes more lanes."""
+    args = _with_lanes(axis_size, batched, *args)
+    merged = _put_lanes(*(x.reshape(-1, *x.shape[2:]) for x in args))
+    return merged.reshape(args[0].shape), True

@@ -1,0 +1,276 @@
+"""The loop of one run: an agent, an environment, and a log of sums.
+
+`train` is a pure function of a key: `jit` and `vmap` work on it, and `sweep` is nothing but that. Inside,
+steps are grouped in chunks whose random words are drawn in one call (`rng`), but the word of a step depends
+on the step's number alone, so the learner's path depends neither on the chunks nor on `log_every`.
+"""
+
+from collections.abc import Callable
+from numbers import Integral
+from typing import NamedTuple, TypeAlias, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int, Key, UInt32
+
+from jaxrl_tab import planning, rng, tables
+from jaxrl_tab.types import Algorithm, Environment, InputError, Transition
+
+L = TypeVar("L")
+
+CHUNK = 256  # so many steps, at most, draw their random words together; those of 64 lanes fit in the cache
+
+
+class Log(NamedTuple):
+    """What happened, in rows: sums over so many steps (`num_steps`) or episodes (`num_episodes`).
+
+    Attributes:
+        steps: steps taken, int32 [rows].
+        episodes: episodes that ended in the row, int32 [rows].
+        returns: sum of their returns G = sum_t gamma^t R_{t+1}, float [rows].
+        lengths: sum of their lengths in steps, int32 [rows].
+        rewards: sum of the rewards of all steps, float [rows].
+        greedy_value: exact value, from the start distribution, of the policy that is greedy to Q at the end
+            of the row; -inf where it may go round for ever at a cost; float [rows]. None unless recorded.
+        q_error: the largest |Q - Q*| over non-terminal states at the end of the row, float [rows]. None
+            unless recorded.
+    """
+
+    steps: Int[Array, "*rows"]
+    episodes: Int[Array, "*rows"]
+    returns: Float[Array, "*rows"]
+    lengths: Int[Array, "*rows"]
+    rewards: Float[Array, "*rows"]
+    greedy_value: Float[Array, "*rows"] | None = None
+    q_error: Float[Array, "*rows"] | None = None
+
+
+class _Run(NamedTuple):
+    """What one run carries from step to step."""
+
+    learner: object
+    t: Int[Array, ""]  # steps taken
+    s: Int[Array, ""]
+    a: Int[Array, ""]
+    length: Int[Array, ""]  # steps of this episode so far
+    g: Float[Array, ""]  # its return so far
+    discount: Float[Array, ""]  # gamma^length
+
+
+class _Words(NamedTuple):
+    """The random words of a step, one for each decision."""
+
+    update: UInt32[Array, "*n"]
+    start: UInt32[Array, "*n"]
+    step: UInt32[Array, "*n"]
+    reset: UInt32[Array, "*n"]
+
+
+Step: TypeAlias = Callable[[_Run, _Words], tuple[_Run, Log]]
+Draw: TypeAlias = Callable[[Int[Array, " n"]], _Words]
+Measure: TypeAlias = Callable[[Float[Array, "S A"]], tuple[Float[Array, ""], Float[Array, ""]]]
+
+
+def train(
+    key: Key[Array, ""],
+    algorithm: Algorithm[L],
+    env: Environment,
+    *,
+    num_steps: int | None = None,
+    num_episodes: int | None = None,
+    log_every: int | None = None,
+    exact: bool = False,
+) -> tuple[L, Log]:
+    """Runs `algorithm` in `env` and returns what it learned and what happened.
+
+    Args:
+        key: a JAX key; the run is a function of it and of the hyperparameters.
+        algorithm: the method with its hyperparameters.
+        env: the environment.
+        num_steps: how many steps to take. Give this or `num_episodes`.
+        num_episodes: how many episodes to finish.
+        log_every: steps in a row of the log (100), or episodes in a row (1). The last row may be shorter.
+        exact: also record `greedy_value` and `q_error` at the end of every row. This enumerates the
+            environment and solves one linear system of [S, S] a row: about S^3 / 3 multiply-adds.
+
+    Returns:
+        The state of the learner (`.q` is float [S, A]), and the Log.
+
+    Raises:
+        InputError: a number is out of range, or `exact` is asked of an environment without `outcomes`.
+    """
+    check_budget(num_steps, num_episodes, log_every)
+    measure = planning.measurer(env, algorithm.gamma) if exact else None
+    stream = rng.stream(key)
+
+    def draw(t: Int[Array, " n"]) -> _Words:
+        # A deterministic environment never looks at the second pair, and the compiler then drops its call.
+        return _Words(*rng.words(stream, t, 0), *rng.words(stream, t, 1))
+
+    step = _make_step(algorithm, env)
+    run = _start(rng.words(stream, jnp.zeros(1, jnp.int32), 2), algorithm, env)
+    if num_steps is not None:
+        run, log = _run_steps(step, draw, run, num_steps, log_every or 100, measure)
+    else:
+        assert num_episodes is not None
+        run, log = _run_episodes(step, draw, run, num_episodes, log_every or 1, measure)
+    return run.learner, log  # pyright: ignore[reportReturnType]
+
+
+def check_budget(num_steps: int | None, num_episodes: int | None, log_every: int | None) -> None:
+    """Raises InputError unless exactly one budget is given and all numbers are whole and at least 1."""
+    if (num_steps is None) == (num_episodes is None):
+        raise InputError("give either num_steps or num_episodes")
+    for name, value in (("num_steps", num_steps), ("num_episodes", num_episodes), ("log_every", log_every)):
+        if value is not None and (not isinstance(value, Integral) or value < 1):
+            raise InputError(f"{name} must be a whole number of at least 1, not {value!r}")
+
+
+# --- one step ----------------------------------------------------------------------------------------
+
+
+def _make_step(algorithm: Algorithm, env: Environment) -> Step:
+    """The step of the agent in its environment: (run, words) -> (run, the step's own Log)."""
+
+    def step(run: _Run, words: _Words) -> tuple[_Run, Log]:
+        key = jax.tree.map(rng.as_key, words)
+        outcome = env.step(key.step, run.s, run.a)
+        length = run.length + 1
+        last = outcome.terminal | (length >= env.max_steps)
+        gamma = jnp.asarray(algorithm.gamma, run.g.dtype)
+        discount = jnp.where(outcome.terminal, 0, gamma)  # a time limit ends the episode and bootstraps
+        t = Transition(run.s, run.a, outcome.reward, outcome.s_next, discount, last)
+        learner, a_next = algorithm.update(key.update, run.learner, t)
+
+        s_start = env.reset(key.reset)
+        a_start = algorithm.policy(key.start, learner, s_start)
+        g = run.g + run.discount * outcome.reward
+        log = Log(
+            steps=jnp.int32(1),
+            episodes=last.astype(jnp.int32),
+            returns=jnp.where(last, g, 0),
+            lengths=jnp.where(last, length, 0),
+            rewards=outcome.reward,
+        )
+        run = _Run(
+            learner,
+            t=run.t + 1,
+            s=jnp.where(last, s_start, outcome.s_next),
+            a=jnp.where(last, a_start, a_next),
+            length=jnp.where(last, 0, length),
+            g=jnp.where(last, 0, g),
+            discount=jnp.where(last, 1, run.discount * gamma),
+        )
+        return run, log
+
+    return step
+
+
+def _start(words: tuple[Array, Array], algorithm: Algorithm, env: Environment) -> _Run:
+    """The run at time 0, in a start state with its first action chosen."""
+    reset_key, action_key = (rng.as_key(w[0]) for w in words)
+    learner = algorithm.init(env.num_states, env.num_actions)
+    s = env.reset(reset_key)
+    a = algorithm.policy(action_key, learner, s)
+    zero = jnp.zeros((), learner.q.dtype)
+    return _Run(learner, t=jnp.int32(0), s=s, a=a, length=jnp.int32(0), g=zero, discount=zero + 1)
+
+
+# --- many steps --------------------------------------------------------------------------------------
+
+
+def _run_steps(
+    step: Step, draw: Draw, run: _Run, num_steps: int, log_every: int, measure: Measure | None
+) -> tuple[_Run, Log]:
+    """`num_steps` steps, with a row of the log after each `log_every` and after the last."""
+
+    def row(run: _Run, size: int) -> tuple[_Run, Log]:
+        run, log = _run_chunks(step, draw, run, size)
+        return run, _measured(log, run, measure)
+
+    run, log = lax.scan(lambda run, _: row(run, log_every), run, length=num_steps // log_every)
+    if rest := num_steps % log_every:
+        run, last_row = row(run, rest)
+        log = jax.tree.map(lambda rows, x: jnp.append(rows, x), log, last_row)
+    return run, log
+
+
+def _run_chunks(step: Step, draw: Draw, run: _Run, size: int) -> tuple[_Run, Log]:
+    """`size` steps in chunks as equal as can be, and the sum of their logs."""
+
+    def one(carry, words):
+        run, total = carry
+        run, log = step(run, words)
+        return (run, jax.tree.map(jnp.add, total, log)), None
+
+    def chunk(carry, length):
+        return lax.scan(one, carry, draw(carry[0].t + jnp.arange(length)))[0]
+
+    length = -(-size // -(-size // CHUNK))
+    carry = run, _zero_log(run)
+    carry, _ = lax.scan(lambda c, _: (chunk(c, length), None), carry, length=size // length)
+    return chunk(carry, size % length) if size % length else carry
+
+
+def _run_episodes(
+    step: Step, draw: Draw, run: _Run, num_episodes: int, log_every: int, measure: Measure | None
+) -> tuple[_Run, Log]:
+    """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
+    rows = -(-num_episodes // log_every)
+    log = jax.tree.map(lambda x: jnp.zeros((rows, 1), x.dtype), _zero_log(run))
+    carry = run, log, jnp.int32(0)
+    if measure is None:
+        run, log, _ = _run_until(step, draw, carry, num_episodes, log_every)
+        return run, jax.tree.map(lambda x: x[:, 0], log)
+
+    def row(carry, target):
+        carry = _run_until(step, draw, carry, target, log_every)
+        return carry, measure(carry[0].learner.q)
+
+    targets = jnp.minimum(log_every * jnp.arange(1, rows + 1), num_episodes)
+    (run, log, _), (value, error) = lax.scan(row, carry, targets)
+    log = jax.tree.map(lambda x: x[:, 0], log)
+    return run, log._replace(greedy_value=value, q_error=error)
+
+
+def _run_until(step: Step, draw: Draw, carry, target: int | Int[Array, ""], log_every: int):
+    """Runs on until `target` episodes are over. `carry` is (run, log [rows, 1], episodes).
+
+    Under `vmap` a loop whose length differs from lane to lane keeps the lanes that are done by selecting
+    their whole state anew in every iteration. So whole chunks are run first, as long as the target is not
+    reached in one; the chunk in which it is, is run again step by step.
+    """
+
+    def one(carry, words):
+        run, log, episodes = carry
+        run, now = step(run, words)
+        row = episodes // log_every
+        log = jax.tree.map(lambda table, x: tables.add(table, row, jnp.int32(0), x), log, now)
+        return (run, log, episodes + now.episodes), None
+
+    def chunk(state):
+        carry, _ = state
+        after, _ = lax.scan(one, carry, draw(carry[0].t + jnp.arange(CHUNK)))
+        reached = after[-1] >= target
+        return jax.tree.map(lambda old, new: jnp.where(reached, old, new), carry, after), reached
+
+    carry, _ = lax.while_loop(lambda state: ~state[1], chunk, (carry, carry[-1] >= target))
+
+    def single(carry):
+        words = jax.tree.map(lambda w: w[0], draw(carry[0].t[None]))
+        return one(carry, words)[0]
+
+    return lax.while_loop(lambda carry: carry[-1] < target, single, carry)
+
+
+def _zero_log(run: _Run) -> Log:
+    count, real = jnp.int32(0), jnp.zeros_like(run.g)
+    return Log(steps=count, episodes=count, returns=real, lengths=count, rewards=real)
+
+
+def _measured(log: Log, run: _Run, measure: Measure | None) -> Log:
+    if measure is None:
+        return log
+    greedy_value, q_error = measure(run.learner.q)  # pyright: ignore[reportAttributeAccessIssue]
+    return log._replace(greedy_value=greedy_value, q_error=q_error)

@@ -1,0 +1,173 @@
+"""The vocabulary of the package: what an environment answers, what a method learns from.
+
+Everything here is written for **one** transition; `jax.vmap` makes the batches. Symbols follow
+Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
+"""
+
+import dataclasses
+import difflib
+from collections.abc import Iterable
+from typing import Any, NamedTuple, Protocol, TypeVar, dataclass_transform, runtime_checkable
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+T = TypeVar("T")
+L = TypeVar("L")
+
+
+class InputError(ValueError):
+    """Something that the user gave is wrong; the message is one line that says what would be right."""
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """Returns " Did you mean 'x'?" for the name most like `name`, or the list of `names`."""
+    names = list(names)
+    close = difflib.get_close_matches(name.lower().replace("_", "-"), names, n=1, cutoff=0.5)
+    return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
+
+
+# --- frozen dataclasses that are pytrees -------------------------------------------------------------
+
+
+def static(default: Any = dataclasses.MISSING, **kwargs: Any) -> Any:
+    """A field of a `pytree` class that shapes the program (a size, a rule) and so is not a leaf."""
+    return dataclasses.field(default=default, metadata={"static": True}, **kwargs)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(static, dataclasses.field))
+def pytree(cls: type[T]) -> type[T]:
+    """Makes `cls` a frozen dataclass and a JAX pytree: its fields are leaves, but for the `static` ones.
+
+    JAX rebuilds an instance without calling `__init__`, so `__post_init__` sees only what a person wrote
+    and may check values there (`concrete` tells a number from a tracer).
+    """
+    cls = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
+    leaves = [f.name for f in fields if not f.metadata.get("static")]
+    statics = [f.name for f in fields if f.metadata.get("static")]
+
+    def flatten(obj):
+        children = [(jax.tree_util.GetAttrKey(n), getattr(obj, n)) for n in leaves]
+        return children, tuple(getattr(obj, n) for n in statics)
+
+    def unflatten(aux, children):
+        obj = object.__new__(cls)
+        for name, value in (*zip(statics, aux, strict=True), *zip(leaves, children, strict=True)):
+            object.__setattr__(obj, name, value)
+        return obj
+
+    jax.tree_util.register_pytree_with_keys(cls, flatten, unflatten)
+    return cls
+
+
+def concrete(x: Any) -> np.ndarray | None:
+    """The value of `x` as a NumPy array, or None where it is a tracer and has no value yet."""
+    return None if isinstance(x, jax.core.Tracer) else np.asarray(x)
+
+
+# --- what environments and methods exchange ----------------------------------------------------------
+
+
+class Outcome(NamedTuple):
+    """What an environment answers to an action.
+
+    Attributes:
+        s_next: the state S' that was entered, int32 []; terminal states are states too.
+        reward: R, float [].
+        terminal: whether S' is terminal, bool []. A time limit is not the environment's business here.
+    """
+
+    s_next: Int[Array, "*k"]
+    reward: Float[Array, "*k"]
+    terminal: Bool[Array, "*k"]
+
+
+class Transition(NamedTuple):
+    """What a method learns from: (S, A, R, S', gamma').
+
+    Attributes:
+        s: S, int32 [].
+        a: A, int32 [].
+        r: R, float [].
+        s_next: S', int32 []: the state before any reset.
+        discount: gamma', float []: gamma, and 0 only where S' is terminal. At a time limit it stays gamma,
+            so a method that multiplies its bootstrap with it does the right thing in both cases.
+        last: whether the episode ends here, by S' or by the time limit, bool [].
+    """
+
+    s: Int[Array, ""]
+    a: Int[Array, ""]
+    r: Float[Array, ""]
+    s_next: Int[Array, ""]
+    discount: Float[Array, ""]
+    last: Bool[Array, ""]
+
+
+@runtime_checkable
+class Environment(Protocol):
+    """A task: a frozen pytree whose numbers are leaves and whose sizes are static.
+
+    Attributes:
+        num_states: the number of states, terminal ones included.
+        num_actions: the number of actions, the same in every state.
+        max_steps: the time limit of an episode, in steps; reaching it truncates and does not terminate.
+    """
+
+    @property
+    def num_states(self) -> int: ...
+    @property
+    def num_actions(self) -> int: ...
+    @property
+    def max_steps(self) -> int: ...
+
+    def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
+        """Draws a start state, int32 []."""
+        ...
+
+    def step(self, key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
+        """Draws what follows action `a` in state `s`."""
+        ...
+
+
+@runtime_checkable
+class FiniteEnvironment(Environment, Protocol):
+    """An environment that states its dynamics, so that exact values exist."""
+
+    def initial(self) -> Float[Array, " S"]:
+        """The exact distribution of the start state, float [S]."""
+        ...
+
+    def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
+        """The K possible outcomes of `a` in `s`: their probabilities, float [K], and an Outcome of [K] each.
+
+        A terminal state leads to itself with reward 0.
+        """
+        ...
+
+
+class Algorithm(Protocol[L]):
+    """A control method: a frozen pytree. The instance *is* its hyperparameters, so `vmap` batches them.
+
+    Attributes:
+        gamma: the discount rate, in [0, 1].
+    """
+
+    @property
+    def gamma(self) -> Any: ...
+
+    def init(self, num_states: int, num_actions: int) -> L:
+        """The state of the learner before the first step. It has a field `q`, float [S, A]."""
+        ...
+
+    def policy(self, key: Key[Array, ""], state: L, s: Int[Array, ""]) -> Int[Array, ""]:
+        """Draws an action for `s` from the behaviour policy, int32 []."""
+        ...
+
+    def update(self, key: Key[Array, ""], state: L, t: Transition) -> tuple[L, Int[Array, ""]]:
+        """Learns from `t`, and gives A', the action to take in `t.s_next`, int32 [].
+
+        Where the episode ends (`t.last`) A' is not taken: the driver resets and asks `policy`.
+        """
+        ...
