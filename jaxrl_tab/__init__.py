@@ -1,5 +1,52 @@
-import os
-os.environ.setdefault("XLA_FLAGS","--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000")
-from jaxrl_tab.algorithms import *
+"""Tabular reinforcement-learning control in JAX: whole sweeps in one program, beside the exact optimum.
+
+    import jaxrl_tab as rl
+
+    env = rl.make("windy-gridworld")
+    result = rl.sweep(env, rl.Sarsa, {"alpha": [0.1, 0.5]}, num_seeds=200, num_steps=8000)
+    result.to_xarray()
+
+Importing the package asks XLA for faster loops, as long as JAX has not started: see `batch`.
+"""
+
+from jaxrl_tab import batch
+
+batch.set_flags()
+
+from jaxrl_tab import algorithms, envs, planning, policies, schedules
+from jaxrl_tab.algorithms import ALGORITHMS, ExpectedSarsa, QLearning, Sarsa
+from jaxrl_tab.batch import use_all_cores
 from jaxrl_tab.envs import *
-from jaxrl_tab.train import train
+from jaxrl_tab.results import SweepResult
+from jaxrl_tab.sweep import sweep
+from jaxrl_tab.train import Log, train
+from jaxrl_tab.types import InputError, Outcome, Transition
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "ALGORITHMS",
+    "ENVS",
+    "CliffWalking",
+    "ExpectedSarsa",
+    "FiniteMDP",
+    "InputError",
+    "Log",
+    "Outcome",
+    "QLearning",
+    "RandomWalk",
+    "Sarsa",
+    "SweepResult",
+    "Transition",
+    "WindyGridworld",
+    "algorithms",
+    "batch",
+    "envs",
+    "make",
+    "planning",
+    "policies",
+    "schedules",
+    "sweep",
+    "train",
+    "use_all_cores",
+]

@@ -101,7 +101,10 @@ def train(
         InputError: a number is out of range, or `exact` is asked of an environment without `outcomes`.
     """
     check_budget(num_steps, num_episodes, log_every)
+    if exact:
+        planning.check_finite(env)
     measure = planning.measurer(env, algorithm.gamma) if exact else None
+    log_every = log_every or default_log_every(num_steps)
     stream = rng.stream(key)
 
     def draw(t: Int[Array, " n"]) -> _Words:
@@ -111,11 +114,16 @@ def train(
     step = _make_step(algorithm, env)
     run = _start(rng.words(stream, jnp.zeros(1, jnp.int32), 2), algorithm, env)
     if num_steps is not None:
-        run, log = _run_steps(step, draw, run, num_steps, log_every or 100, measure)
+        run, log = _run_steps(step, draw, run, num_steps, log_every, measure)
     else:
         assert num_episodes is not None
-        run, log = _run_episodes(step, draw, run, num_episodes, log_every or 1, measure)
+        run, log = _run_episodes(step, draw, run, num_episodes, log_every, measure)
     return run.learner, log  # pyright: ignore[reportReturnType]
+
+
+def default_log_every(num_steps: int | None) -> int:
+    """A row of the log is 100 steps, or, where the budget is in episodes, one episode."""
+    return 1 if num_steps is None else 100
 
 
 def check_budget(num_steps: int | None, num_episodes: int | None, log_every: int | None) -> None:

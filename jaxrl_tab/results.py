@@ -1,0 +1,102 @@
+"""What a sweep gives: every number of every seed, with named axes."""
+
+import dataclasses
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxrl_tab.schedules import Schedule
+from jaxrl_tab.train import Log
+from jaxrl_tab.types import Environment
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepResult:
+    """The raw data of a sweep of one method: nothing is averaged.
+
+    Attributes:
+        environment, algorithm: names in the registries (of the class, where it is not registered).
+        env: the environment.
+        grid: swept hyperparameters in the order of the axes, each with its values.
+        fixed: the other hyperparameters.
+        log: what happened, NumPy [*grid, seeds, rows] each; see `train.Log`.
+        q: the final tables, float [*grid, seeds, S, A].
+        optimal_value: v* from the start distribution, float64 [gammas] where gamma is swept, else [];
+            NaN where the environment does not state its outcomes or has no finite optimum.
+        root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), i)`.
+        num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
+        seconds, compile_seconds: time spent running the compiled program, and compiling it.
+    """
+
+    environment: str
+    algorithm: str
+    env: Environment
+    grid: dict[str, tuple]
+    fixed: dict[str, Any]
+    log: Log
+    q: np.ndarray
+    optimal_value: np.ndarray
+    root_seed: int
+    num_steps: int | None
+    num_episodes: int | None
+    log_every: int
+    seconds: float
+    compile_seconds: float
+
+    @property
+    def steps_per_second(self) -> float:
+        """Environment steps with their updates, per second, compilation apart."""
+        return float(self.log.steps.sum(dtype=np.int64)) / self.seconds
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
+
+        The fields of the log are its variables, and `q` [*grid, seed, state, action]; what is the same for
+        all runs is in `attrs`.
+        """
+        import xarray as xr
+
+        axes = (*self.grid, "seed")
+        variables = {name: ((*axes, "row"), x) for name, x in self.log._asdict().items() if x is not None}
+        variables["q"] = ((*axes, "state", "action"), self.q)
+        if "gamma" in self.grid:
+            variables["optimum"] = (("gamma",), self.optimal_value)
+        coords = {name: [label(v) for v in values] for name, values in self.grid.items()}
+        coords["seed"] = np.arange(self.q.shape[len(self.grid)])
+        coords["row"] = np.arange(self.log.steps.shape[-1])
+        budget = {"num_steps": self.num_steps, "num_episodes": self.num_episodes}
+        attrs = {
+            "environment": self.environment,
+            "environment_parameters": json.dumps(describe(self.env)),
+            "algorithm": self.algorithm,
+            "fixed": json.dumps({name: label(v) for name, v in self.fixed.items()}),
+            **{name: value for name, value in budget.items() if value is not None},
+            "log_every": self.log_every,
+            "root_seed": self.root_seed,
+            "optimal_value": float(self.optimal_value) if self.optimal_value.ndim == 0 else float("nan"),
+            "seconds": self.seconds,
+            "compile_seconds": self.compile_seconds,
+            "steps_per_second": self.steps_per_second,
+        }
+        return xr.Dataset(variables, coords, attrs)
+
+
+def label(value: Any) -> Any:
+    """A hyperparameter as a coordinate: a number as it is, a schedule as text."""
+    return repr(value) if isinstance(value, Schedule) else value
+
+
+def describe(obj: Any) -> dict[str, Any]:
+    """The fields of a frozen dataclass in types that JSON knows; a large array by its shape."""
+
+    def plain(value):
+        if isinstance(value, (str, bool, int, float, type(None))):
+            return value
+        array = np.asarray(value)
+        return array.tolist() if array.size <= 64 else f"{array.dtype}{list(array.shape)}"
+
+    return {f.name: plain(getattr(obj, f.name)) for f in dataclasses.fields(obj)}

@@ -1,0 +1,164 @@
+"""A grid of hyperparameters times seeds, in one call."""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from numbers import Integral
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxrl_tab import batch, planning
+from jaxrl_tab.algorithms import ALGORITHMS
+from jaxrl_tab.envs import ENVS
+from jaxrl_tab.results import SweepResult, label
+from jaxrl_tab.train import Log, check_budget, default_log_every
+from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError, build, nearest
+
+
+def sweep(
+    env: Environment,
+    algorithm: type[Algorithm] | str,
+    grid: Mapping[str, Any] | None = None,
+    *,
+    num_seeds: int,
+    num_steps: int | None = None,
+    num_episodes: int | None = None,
+    log_every: int | None = None,
+    seed: int = 0,
+    exact: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> SweepResult:
+    """Runs a method with every combination of hyperparameters, each over the same seeds.
+
+    Seed i has the key `fold_in(key(seed), i)` in every configuration: common random numbers, which pair the
+    configurations. What a run gives depends on that key and on its hyperparameters alone, bitwise.
+
+    Args:
+        env: the environment.
+        algorithm: a class such as `Sarsa`, or its name in `ALGORITHMS`.
+        grid: for each hyperparameter a list of values (an axis of the result) or a single value. A value
+            is a number or a schedule. What is not named keeps its default.
+        num_seeds: how many seeds, at least 1.
+        num_steps, num_episodes, log_every, exact: as in `train`.
+        seed: which sequence of seeds, a whole number >= 0.
+        progress: is called with the number of runs finished and of all runs, as blocks of them finish.
+
+    Raises:
+        InputError: something given is wrong; nothing was compiled.
+    """
+    check_budget(num_steps, num_episodes, log_every)
+    for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0)):
+        if not isinstance(value, Integral) or value < least:
+            raise InputError(f"{name} must be a whole number of at least {least}, not {value!r}")
+    if not isinstance(env, Environment):
+        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {env!r}")
+    if exact:
+        planning.check_finite(env)
+    cls = _algorithm_class(algorithm)
+    axes, configs = _configurations(cls, grid or {})
+
+    root = jax.random.key(seed)
+    budget = batch.Budget(num_steps, num_episodes, log_every, exact)
+    total = len(configs) * num_seeds
+    q, logs = [None] * len(configs), [None] * len(configs)
+    done, seconds, compile_seconds = 0, 0.0, 0.0
+    for members in _same_program(configs):
+        stacked = jax.tree.map(lambda *x: np.repeat(np.stack(x), num_seeds, 0), *(_leaves_as_arrays(configs[i]) for i in members))
+        seeds = np.tile(np.arange(num_seeds), len(members))
+        out = batch.run(env, stacked, root, seeds, budget, lambda n, done=done: progress(done + n, total))
+        done += len(seeds)
+        seconds += out.seconds
+        compile_seconds += out.compile_seconds
+        for place, i in enumerate(members):
+            own = slice(place * num_seeds, (place + 1) * num_seeds)
+            q[i], logs[i] = out.q[own], jax.tree.map(lambda x, own=own: x[own], out.log)
+
+    shape = tuple(len(values) for values in axes.values())
+    stack = lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape)  # noqa: E731
+    log: Log = jax.tree.map(stack, *logs)
+    return SweepResult(
+        environment=_name_in(ENVS, type(env)),
+        algorithm=_name_in(ALGORITHMS, cls),
+        env=env,
+        grid=axes,
+        fixed={f.name: getattr(configs[0], f.name) for f in dataclasses.fields(cls) if f.name not in axes},
+        log=log,
+        q=stack(*q),
+        optimal_value=_optimal_value(env, axes.get("gamma", configs[0].gamma)),
+        root_seed=int(seed),
+        num_steps=num_steps,
+        num_episodes=num_episodes,
+        log_every=log_every or default_log_every(num_steps),
+        seconds=seconds,
+        compile_seconds=compile_seconds,
+    )
+
+
+def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
+    if isinstance(algorithm, str):
+        if algorithm not in ALGORITHMS:
+            raise InputError(f"no method is called {algorithm!r}; {nearest(algorithm, ALGORITHMS)}")
+        return ALGORITHMS[algorithm]
+    if not isinstance(algorithm, type):
+        raise InputError(
+            f"algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
+            f"(got {algorithm!r})"
+        )
+    return algorithm
+
+
+def _configurations(
+    cls: type[Algorithm], grid: Mapping[str, Any]
+) -> tuple[dict[str, tuple], list[Algorithm]]:
+    """The axes (name -> values), and an instance for every point of the grid, in C order."""
+    name = _name_in(ALGORITHMS, cls)
+    axes, single = {}, {}
+    for parameter, values in grid.items():
+        if isinstance(values, Sequence | np.ndarray) and not isinstance(values, str) and np.ndim(values) > 0:
+            axes[parameter] = tuple(v.item() if isinstance(v, np.generic) else v for v in values)
+        else:
+            single[parameter] = values
+    for parameter, values in axes.items():
+        labels = [label(v) for v in values]
+        repeated = [v for i, v in enumerate(labels) if v in labels[:i]]
+        if not values:
+            raise InputError(f"the grid of {parameter} is empty")
+        if repeated:
+            raise InputError(f"the grid of {parameter} holds {repeated[0]} more than once")
+    points = itertools.product(*axes.values())
+    return axes, [build(cls, name, single | dict(zip(axes, point, strict=True))) for point in points]
+
+
+def _leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
+    """Numbers in JAX's own float type: a Python float and an array would be two programs."""
+    dtype = jax.dtypes.canonicalize_dtype(float)
+    return jax.tree.map(lambda x: np.asarray(x, dtype), algorithm)
+
+
+def _same_program(configs: Sequence[Algorithm]) -> list[list[int]]:
+    """The configurations, as indices, grouped by what shapes the program: all but the leaves' values."""
+    groups: dict[Any, list[int]] = {}
+    for i, config in enumerate(configs):
+        leaves, treedef = jax.tree.flatten(config)
+        groups.setdefault((treedef, tuple(np.shape(x) for x in leaves)), []).append(i)
+    return list(groups.values())
+
+
+def _name_in(registry: Mapping[str, type], cls: type) -> str:
+    return next((name for name, value in registry.items() if value is cls), cls.__name__)
+
+
+def _optimal_value(env: Environment, gamma: Any) -> np.ndarray:
+    """v* from the start, float64, for one gamma or for each; NaN where there is no finite exact answer."""
+
+    def solve(gamma: float) -> float:
+        try:
+            return planning.start_value(env, planning.value_iteration(env, gamma)[0])
+        except InputError:
+            return np.nan
+
+    if not isinstance(env, FiniteEnvironment):
+        solve = lambda _: np.nan  # noqa: E731
+    return np.vectorize(solve, otypes=[float])(np.asarray(gamma, float))
