@@ -1,12 +1,20 @@
-"""The environments, one file each. To add one: write its file, and add its line to ENVS."""
+"""The environments, one file each. To add one: write its file, and add its line to ENVS.
+
+ENVS holds those that can be made from their name alone; `FiniteMDP` needs its arrays, and so is a class only.
+"""
 
 from typing import Any
 
+from jaxrl_tab.envs.cliff_walking import CliffWalking
+from jaxrl_tab.envs.finite_mdp import FiniteMDP
+from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
-from jaxrl_tab.types import InputError, nearest
+from jaxrl_tab.types import InputError, build, nearest
 
 ENVS = {
     "windy-gridworld": WindyGridworld,
+    "cliff-walking": CliffWalking,
+    "random-walk": RandomWalk,
 }
 
 
@@ -17,8 +25,8 @@ def make(name: str, **parameters: Any):
         InputError: the name, a parameter or a value is wrong.
     """
     if name not in ENVS:
-        raise InputError(f"no environment is called {name!r}; {nearest(name, ENVS)}")
+        raise InputError(f"no environment is called {name!r}; {nearest(str(name), ENVS)}")
     return build(ENVS[name], name, parameters)
 
 
-__all__ = ["ENVS", "WindyGridworld", "make"]
+__all__ = ["ENVS", "CliffWalking", "FiniteMDP", "RandomWalk", "WindyGridworld", "make"]

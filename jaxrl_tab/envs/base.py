@@ -1,18 +1,40 @@
 """What the built-in environments share: they state their outcomes, and sampling follows from that."""
 
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Iterable, Sequence
 from numbers import Integral
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import policies
-from jaxrl_tab.types import InputError, Outcome
+from jaxrl_tab.types import InputError, Outcome, concrete
+
+MAX_STEPS = 100_000  # long enough that no sensible run meets it: it is there so that every episode ends
+
+# (row, column) of each move, and how it is drawn. The first four are those of the book's grids.
+COMPASS = ((-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1), (0, 0))
+ARROWS = ("↑", "→", "↓", "←", "↗", "↘", "↙", "↖", "·")
 
 
 class Finite:
     """A finite MDP: `outcomes` and `initial` say everything, `step` and `reset` sample from them."""
+
+    @property
+    def num_states(self) -> int:
+        raise NotImplementedError
+
+    @property
+    def num_actions(self) -> int:
+        raise NotImplementedError
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """A short name of each action, for pictures."""
+        return tuple(str(a) for a in range(self.num_actions))
 
     def initial(self) -> Float[Array, " S"]:
         raise NotImplementedError
@@ -29,13 +51,26 @@ class Finite:
         return jax.tree.map(lambda x: x[k], outcome)
 
 
-class Grid(Finite):
+class FixedStart(Finite):
+    """A finite MDP whose episodes all start in the state `start_state`."""
+
+    @property
+    def start_state(self) -> int:
+        raise NotImplementedError
+
+    def initial(self) -> Float[Array, " S"]:
+        return jnp.zeros(self.num_states, dtype=float).at[self.start_state].set(1)
+
+    def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
+        return jnp.int32(self.start_state)
+
+
+class Grid(FixedStart):
     """A rectangle of cells, numbered row by row from the top left; one start, one goal that is terminal.
 
     Attributes:
         shape: (rows, columns).
         start, goal: cells, as (row, column).
-        action_names: a short name or an arrow for each action, for pictures.
     """
 
     shape: tuple[int, int]
@@ -46,40 +81,91 @@ class Grid(Finite):
     def num_states(self) -> int:
         return self.shape[0] * self.shape[1]
 
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        return ARROWS[: self.num_actions]
+
+    @property
+    def start_state(self) -> int:
+        return self.state(self.start)
+
     def state(self, cell: tuple[int, int]) -> int:
         """The number of the state at (row, column)."""
         return cell[0] * self.shape[1] + cell[1]
 
-    def initial(self) -> Float[Array, " S"]:
-        return jnp.zeros(self.num_states, dtype=float).at[self.state(self.start)].set(1)
+    def neighbour(self, s: Int[Array, ""], a: Int[Array, ""], lift: Any = 0) -> Int[Array, "..."]:
+        """The state that move `a` of COMPASS leads to from `s`, carried up by `lift` rows at the same time.
 
-    def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        return jnp.int32(self.state(self.start))
+        The edge of the grid stops the sum of both: against a lift of 1, a move down stays in the bottom row.
+        """
+        rows, columns = self.shape
+        s = jnp.asarray(s, jnp.int32)
+        move = jnp.asarray(COMPASS, jnp.int32)[a]
+        row = jnp.clip(s // columns + move[0] - lift, 0, rows - 1)
+        column = jnp.clip(s % columns + move[1], 0, columns - 1)
+        return row * columns + column
 
 
-def check_shape(name: str, shape: Sequence[int]) -> None:
-    """Raises InputError unless `shape` is two positive integers and has at least two cells."""
-    if len(shape) != 2 or not all(isinstance(n, Integral) and n > 0 for n in shape) or shape[0] * shape[1] < 2:
-        raise InputError(f"{name}: shape must be (rows, columns) with at least two cells, not {shape!r}")
+# --- checks of what a person gave, under the name by which they know the environment -----------------
 
 
-def check_cell(name: str, what: str, cell: Sequence[int], shape: Sequence[int]) -> None:
-    """Raises InputError unless `cell` is a (row, column) inside `shape`."""
-    if len(cell) != 2 or not all(isinstance(n, Integral) for n in cell):
-        raise InputError(f"{name}: {what} must be (row, column), not {cell!r}")
-    if not (0 <= cell[0] < shape[0] and 0 <= cell[1] < shape[1]):
+def assign(obj: Any, **values: Any) -> None:
+    """Sets fields of a frozen `obj`, while it is made."""
+    for field, value in values.items():
+        object.__setattr__(obj, field, value)
+
+
+def whole(name: str, what: str, value: Any, least: int = 1) -> int:
+    """`value` as an int. Raises InputError unless it is a whole number, `least` to 2**31 - 1."""
+    if not isinstance(value, Integral) or not least <= int(value) < 2**31:
+        raise InputError(f"{name}: {what} must be a whole number of at least {least}, not {value!r}")
+    return int(value)
+
+
+def numbers(name: str, what: str, value: Any) -> Any:
+    """`value` as a NumPy array; a tracer, which has no value to check yet, as it is.
+
+    Raises InputError unless it is numbers in a rectangular array.
+    """
+    try:
+        array = concrete(value)
+    except ValueError:  # rows of different lengths
+        array = np.empty(0, object)
+    if array is None:
+        return value
+    if array.dtype.kind not in "biuf":
         raise InputError(
-            f"{name}: {what} {tuple(cell)} is outside the grid of {shape[0]} rows and {shape[1]} columns"
+            f"{name}: {what} must be numbers, in rows of equal length, not {reprlib.repr(value)}"
         )
+    return array
 
 
-def check_max_steps(name: str, max_steps: int) -> None:
-    """Raises InputError unless the time limit is a positive integer."""
-    if not isinstance(max_steps, Integral) or max_steps < 1:
-        raise InputError(f"{name}: max_steps must be a whole number of at least 1, not {max_steps!r}")
+def check_shape(name: str, shape: Sequence[int], least: tuple[int, int] = (1, 2)) -> tuple[int, int]:
+    """`shape` as (rows, columns). Raises InputError unless both are whole numbers and large enough."""
+    pair = _pair(shape)
+    if pair is None or pair[0] < least[0] or pair[1] < least[1]:
+        raise InputError(
+            f"{name}: shape must be (rows, columns), at least {least[0]} x {least[1]}, not {shape!r}"
+        )
+    return pair
 
 
-# (row, column) of each move, and how it is drawn. "four" are the first four, the king also moves diagonally.
-COMPASS = ((-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1), (0, 0))
-ARROWS = ("↑", "→", "↓", "←", "↗", "↘", "↙", "↖", "·")
-MAX_STEPS = 100_000  # long enough that no sensible run meets it: it is there so that every episode ends
+def check_cell(name: str, what: str, cell: Sequence[int], shape: tuple[int, int]) -> tuple[int, int]:
+    """`cell` as (row, column). Raises InputError unless it is inside `shape`."""
+    pair = _pair(cell)
+    if pair is None:
+        raise InputError(f"{name}: {what} must be a cell (row, column), not {cell!r}")
+    if not (0 <= pair[0] < shape[0] and 0 <= pair[1] < shape[1]):
+        raise InputError(
+            f"{name}: {what} {pair} is outside the grid; rows are 0 to {shape[0] - 1}, "
+            f"columns 0 to {shape[1] - 1}"
+        )
+    return pair
+
+
+def _pair(value: Any) -> tuple[int, int] | None:
+    """`value` as two ints, or None where it is anything else."""
+    items = list(value) if isinstance(value, Iterable) else []
+    if len(items) != 2 or not all(isinstance(n, Integral) for n in items):
+        return None
+    return int(items[0]), int(items[1])

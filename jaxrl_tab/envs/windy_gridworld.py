@@ -6,17 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.envs.base import (
-    ARROWS,
-    COMPASS,
-    MAX_STEPS,
-    Grid,
-    check_cell,
-    check_max_steps,
-    check_shape,
-)
-from jaxrl_tab.types import InputError, Outcome, concrete, nearest, pytree, static
+from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_cell, check_shape, numbers, whole
+from jaxrl_tab.types import InputError, Outcome, nearest, pytree, static
 
+NAME = "windy-gridworld"
 MOVES = {"four": 4, "king": 8, "king+stay": 9}
 
 
@@ -24,68 +17,75 @@ MOVES = {"four": 4, "king": 8, "king+stay": 9}
 class WindyGridworld(Grid):
     """Reach the goal across columns in which the wind blows upwards; every step costs 1.
 
-    The wind of the column that is left moves the walker up by so many cells, in the same step; the edge of
-    the grid stops both the move and the wind. With `stochastic`, the wind of a column that has any is one
-    less, as told, or one more, a third each.
+    The wind of the column that is left carries the walker up by so many cells, in the same step; the edge of
+    the grid stops the sum of move and wind. With `stochastic`, the wind of a column that has any is one less,
+    as told, or one more, a third each. Actions are up, right, down, left; then, for a king, up-right,
+    down-right, down-left, up-left; then stay.
 
     Attributes:
-        wind: strength of each column, whole numbers [columns]; a leaf, so `vmap` can batch it.
+        wind: strength of each column, whole numbers [columns], below 0 downwards; a leaf, so `vmap` can
+            batch it.
         moves: "four", "king" (also diagonally) or "king+stay".
         stochastic: whether the wind varies.
         shape: (rows, columns).
-        start: the cell (row, column) in which episodes start, (3, 0); state 30.
-        goal: the terminal cell, (3, 7); state 37.
+        start: the cell (row, column) in which episodes start; (3, 0) is state 30.
+        goal: the terminal cell; (3, 7) is state 37.
         max_steps: time limit of an episode, in steps.
     """
 
     wind: Any = (0, 0, 0, 1, 1, 1, 2, 2, 1, 0)
-    moves: Literal["four", "king", "king+stay"] = static("four")
-    stochastic: bool = static(False)
-    shape: tuple[int, int] = static((7, 10))
-    start: tuple[int, int] = static((3, 0))
-    goal: tuple[int, int] = static((3, 7))
-    max_steps: int = static(MAX_STEPS)
+    moves: Literal["four", "king", "king+stay"] = static(default="four")
+    stochastic: bool = static(default=False)
+    shape: tuple[int, int] = static(default=(7, 10))
+    start: tuple[int, int] = static(default=(3, 0))
+    goal: tuple[int, int] = static(default=(3, 7))
+    max_steps: int = static(default=MAX_STEPS)
 
     def __post_init__(self):
-        name = "windy-gridworld"
-        if self.moves not in MOVES:
-            raise InputError(f"{name}: moves {self.moves!r} is unknown; {nearest(str(self.moves), MOVES)}")
-        check_shape(name, self.shape)
-        check_cell(name, "start", self.start, self.shape)
-        check_cell(name, "goal", self.goal, self.shape)
-        check_max_steps(name, self.max_steps)
-        if tuple(self.start) == tuple(self.goal):
-            raise InputError(f"{name}: start and goal are the same cell {tuple(self.start)}")
-        if jnp.shape(self.wind)[-1:] != (self.shape[1],):
+        if not isinstance(self.moves, str) or self.moves not in MOVES:
+            raise InputError(f"{NAME}: moves {self.moves!r} is unknown; {nearest(str(self.moves), MOVES)}")
+        if not isinstance(self.stochastic, bool | np.bool_):
+            raise InputError(f"{NAME}: stochastic must be True or False, not {self.stochastic!r}")
+        shape = check_shape(NAME, self.shape)
+        start = check_cell(NAME, "start", self.start, shape)
+        goal = check_cell(NAME, "goal", self.goal, shape)
+        if start == goal:
+            raise InputError(f"{NAME}: start and goal are the same cell {start}")
+        wind = _whole_cells(self.wind)
+        if wind.shape[-1:] != (shape[1],):
             raise InputError(
-                f"{name}: wind must have one strength for each of the {self.shape[1]} columns, "
-                f"not shape {jnp.shape(self.wind)}"
+                f"{NAME}: wind must have one strength for each of the {shape[1]} columns, "
+                f"not shape {wind.shape}"
             )
-        wind = concrete(self.wind)
-        if wind is not None:
-            if not np.array_equal(wind, np.round(wind)):
-                raise InputError(f"{name}: wind strengths must be whole numbers of cells, not {self.wind!r}")
-            object.__setattr__(self, "wind", wind.astype(np.int32))
+        max_steps = whole(NAME, "max_steps", self.max_steps)
+        assign(self, wind=wind, stochastic=bool(self.stochastic), max_steps=max_steps)
+        assign(self, shape=shape, start=start, goal=goal)
 
     @property
     def num_actions(self) -> int:
         return MOVES[self.moves]
 
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        return ARROWS[: self.num_actions]
-
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
-        rows, columns = self.shape
-        row, column = s // columns, s % columns
-        move = jnp.asarray(COMPASS)[a]
-        wind = jnp.asarray(self.wind, jnp.int32)[column]
-        prob, gusts = jnp.ones(1), jnp.zeros(1, jnp.int32)
+        wind = jnp.asarray(self.wind, jnp.int32)
+        if wind.ndim != 1:
+            raise InputError(f"{NAME}: wind of shape {wind.shape} is a batch; vmap over the environment")
+        lift, prob = wind[s % self.shape[1]], jnp.ones(1)
         if self.stochastic:
-            prob, gusts = jnp.full(3, 1 / 3), jnp.where(wind != 0, jnp.array([-1, 0, 1]), 0)
-        row = jnp.clip(row + move[0] - (wind + gusts), 0, rows - 1)
-        column = jnp.clip(column + move[1], 0, columns - 1)
-        goal = self.state(self.goal)
-        s_next = jnp.where(s == goal, s, row * columns + column)
+            gust = jnp.array([-1, 0, 1], jnp.int32)
+            lift, prob = jnp.where(lift != 0, lift + gust, lift), jnp.full(3, 1 / 3)
+        goal = jnp.int32(self.state(self.goal))
+        s_next = jnp.where(s == goal, goal, self.neighbour(s, a, lift)).reshape(prob.shape)
         reward = jnp.where(s == goal, 0.0, jnp.full_like(prob, -1.0))
         return prob, Outcome(s_next, reward, s_next == goal)
+
+
+def _whole_cells(wind: Any) -> Any:
+    """`wind` as int32; a tracer as it is. Raises InputError unless it is whole numbers."""
+    strengths = numbers(NAME, "wind", wind)
+    if not isinstance(strengths, np.ndarray):
+        return strengths
+    with np.errstate(invalid="ignore"):  # NaN and infinity become some other number
+        cells = strengths.astype(np.int32)
+    if (wrong := cells != strengths).any():
+        raise InputError(f"{NAME}: wind must be whole numbers of cells, not {strengths[wrong][0]}")
+    return cells

@@ -1,0 +1,50 @@
+"""Cliff walking (book, example 6.6)."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_shape, whole
+from jaxrl_tab.types import Outcome, pytree, static
+
+NAME = "cliff-walking"
+
+
+@pytree
+class CliffWalking(Grid):
+    """Walk along a cliff from one bottom corner to the other; a fall costs 100 and leads back to the start.
+
+    The cliff is the bottom row between its two ends. A step onto it costs 100, and the walker is back at the
+    start in the same step; the episode goes on. Every other step costs 1, the one onto the goal as well.
+    Actions are up, right, down, left. The cells of the cliff are states that no walker is ever in.
+
+    Attributes:
+        shape: (rows, columns), at least 2 x 3. Of the book's 4 x 12, the start is state 36, the goal 47.
+        max_steps: time limit of an episode, in steps.
+    """
+
+    shape: tuple[int, int] = static(default=(4, 12))
+    max_steps: int = static(default=MAX_STEPS)
+
+    def __post_init__(self):
+        shape = check_shape(NAME, self.shape, least=(2, 3))
+        assign(self, shape=shape, max_steps=whole(NAME, "max_steps", self.max_steps))
+
+    @property
+    def start(self) -> tuple[int, int]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.shape[0] - 1, 0
+
+    @property
+    def goal(self) -> tuple[int, int]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.shape[0] - 1, self.shape[1] - 1
+
+    @property
+    def num_actions(self) -> int:
+        return 4
+
+    def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
+        start, goal = jnp.int32(self.start_state), jnp.int32(self.state(self.goal))
+        entered = self.neighbour(s, a)
+        fall = (start < entered) & (entered < goal)
+        s_next = jnp.where(s == goal, goal, jnp.where(fall, start, entered))
+        reward = jnp.where(s == goal, 0.0, jnp.where(fall, -100.0, -1.0)).astype(float)
+        return jnp.ones(1), Outcome(s_next[None], reward[None], (s_next == goal)[None])

@@ -1,0 +1,69 @@
+"""The random walk (book, examples 6.2 and 7.1)."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxrl_tab.envs.base import MAX_STEPS, FixedStart, assign, numbers, whole
+from jaxrl_tab.types import InputError, Outcome, pytree, static
+
+NAME = "random-walk"
+
+
+@pytree
+class RandomWalk(FixedStart):
+    """Step left or right by the toss of a coin, from the middle until either end; there is nothing to choose.
+
+    The states in a row: 0 is the left end, 1 to `states` are between, `states` + 1 is the right end. Both
+    ends are terminal. Entering the right one gives 1, entering the left one `left_reward`, all else 0. There
+    is one action. With gamma 1 the value of state i is left_reward + (1 - left_reward) i / (states + 1).
+
+    Attributes:
+        states: number of states between the ends, odd; 19 in example 7.1, 5 in example 6.2.
+        left_reward: reward at the left end; -1 in example 7.1, 0 in example 6.2; a leaf.
+        max_steps: time limit of an episode, in steps.
+    """
+
+    states: int = static(default=19)
+    left_reward: Any = -1.0
+    max_steps: int = static(default=MAX_STEPS)
+
+    def __post_init__(self):
+        states = whole(NAME, "states", self.states)
+        if states % 2 == 0:
+            raise InputError(
+                f"{NAME}: states must be odd, so that there is a middle to start in, not {states}"
+            )
+        left_reward = numbers(NAME, "left_reward", self.left_reward).astype(float)
+        if isinstance(left_reward, np.ndarray) and not np.isfinite(left_reward).all():
+            raise InputError(f"{NAME}: left_reward must be a finite number, not {self.left_reward!r}")
+        max_steps = whole(NAME, "max_steps", self.max_steps)
+        assign(self, states=states, left_reward=left_reward, max_steps=max_steps)
+
+    @property
+    def num_states(self) -> int:
+        return self.states + 2
+
+    @property
+    def num_actions(self) -> int:
+        return 1
+
+    @property
+    def start_state(self) -> int:
+        return (self.states + 1) // 2
+
+    def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
+        left_reward = jnp.asarray(self.left_reward, float)
+        if left_reward.ndim:
+            raise InputError(
+                f"{NAME}: left_reward of shape {left_reward.shape} is a batch; vmap over the environment"
+            )
+        left, right = 0, self.states + 1
+        s = jnp.asarray(s, jnp.int32)
+        over = (s == left) | (s == right)
+        s_next = jnp.where(over, s, s + jnp.array([-1, 1], jnp.int32))
+        reward = jnp.where(s_next == left, left_reward, jnp.where(s_next == right, 1.0, 0.0))
+        terminal = (s_next == left) | (s_next == right)
+        return jnp.full(2, 0.5), Outcome(s_next, jnp.where(over, 0.0, reward), terminal)
