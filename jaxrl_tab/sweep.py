@@ -57,7 +57,7 @@ def sweep(
     if exact:
         planning.check_finite(env)
     cls = _algorithm_class(algorithm)
-    axes, configs = _configurations(cls, grid or {})
+    axes, configs = configurations(cls, grid or {})
 
     root = jax.random.key(seed)
     budget = batch.Budget(num_steps, num_episodes, log_every, exact)
@@ -109,7 +109,7 @@ def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
     return algorithm
 
 
-def _configurations(
+def configurations(
     cls: type[Algorithm], grid: Mapping[str, Any]
 ) -> tuple[dict[str, tuple], list[Algorithm]]:
     """The axes (name -> values), and an instance for every point of the grid, in C order."""
