@@ -23,6 +23,8 @@ ARROWS = ("↑", "→", "↓", "←", "↗", "↘", "↙", "↖", "·")
 class Finite:
     """A finite MDP: `outcomes` and `initial` say everything, `step` and `reset` sample from them."""
 
+    max_steps: int
+
     @property
     def num_states(self) -> int:
         raise NotImplementedError
