@@ -1,0 +1,602 @@
+"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, sweep, figure.
+
+Options for environments and methods are made from the registries: a new entry's parameters are options with
+no edit here. All that a person can get wrong is refused before anything is compiled, with exit code 2 and
+one line. Tables and JSON go to stdout, progress and errors to stderr.
+"""
+
+import contextlib
+import dataclasses
+import json as jsonlib
+import os
+import shlex
+import sys
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.table import Table
+from tyro.conf import FlagCreatePairsOff, Positional, arg
+
+import jaxrl_tab
+from jaxrl_tab import batch, describe, planning
+from jaxrl_tab.algorithms import ALGORITHMS
+from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs.base import Grid
+from jaxrl_tab.figures import FIGURES
+from jaxrl_tab.options import Group, option_of, parse, real, values, whole, words
+from jaxrl_tab.sweep import configurations, sweep
+from jaxrl_tab.types import FiniteEnvironment, InputError, build, nearest
+
+if TYPE_CHECKING:  # these take their time to import, and only some commands need them
+    import pandas as pd
+    import xarray as xr
+
+Switch = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
+
+PROG = "jaxrl-tab"
+HELP = f"""\
+usage: {PROG} COMMAND ...
+
+How tabular control methods really behave: over many seeds, over a grid of hyperparameters, beside the exact
+optimum.
+
+commands:
+  list      the environments and the methods, with their parameters
+  solve     the exact values and an optimal policy of an environment
+  sweep     methods x hyperparameters x seeds: a table, the data, and pictures
+  figure    make a published figure again, and check its numbers
+
+examples:
+  {PROG} list
+  {PROG} solve windy-gridworld --moves king
+  {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
+  {PROG} figure cliff-walking --out runs/cliff
+
+`{PROG} COMMAND --help` says more about each. `{PROG} --version` prints the version.
+"""
+
+ALPHAS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # the step sizes of a sweep that names none
+STEPS = 8000
+DATA = "results.nc"
+ENVIRONMENT = Group(ENVS, "Parameters of the environment.")
+HYPERPARAMETERS = Group(
+    ALGORITHMS, "Of the methods; several values make a grid.", grids=True, defaults={"alpha": ALPHAS}
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command and returns its exit code: 0, 1 (a figure is off), 2 (wrong input) or 130 (Ctrl-C)."""
+    argv = sys.argv[1:] if argv is None else list(argv)
+    try:
+        return _dispatch(argv)
+    except InputError as error:
+        print(f"{PROG}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt as stop:
+        print("; ".join([f"{PROG}: interrupted", *map(str, stop.args)]), file=sys.stderr)
+        return 130
+
+
+def _dispatch(argv: list[str]) -> int:
+    commands = {"list": _list, "solve": _solve, "sweep": _sweep, "figure": _figure}
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(HELP, end="")
+        return 0
+    if argv[0] == "--version":
+        print(f"{PROG} {jaxrl_tab.__version__}")
+        return 0
+    return commands[_known("a command", argv[0], commands)](argv[1:])
+
+
+# --- list --------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass
+class List:
+    """The environments and the methods, with their parameters, defaults, and one line each; the figures.
+
+    Examples:
+      jaxrl-tab list
+      jaxrl-tab list --json
+    """
+
+    json: Switch = False
+    """Print JSON."""
+
+
+def _list(argv: list[str]) -> int:
+    options = parse(f"{PROG} list", List, argv)
+    registries = {"environments": ENVS, "methods": ALGORITHMS}
+    figures = {name: f"{figure.title} ({figure.source})" for name, figure in FIGURES.items()}
+    if options.json:
+        facts = {kind: {name: _facts(cls) for name, cls in r.items()} for kind, r in registries.items()}
+        _print_json(facts | {"figures": {name: {"summary": text} for name, text in figures.items()}})
+        return 0
+    out = _console()
+    for kind, registry in registries.items():
+        out.print(f"[bold]{kind}[/]")
+        for name, cls in registry.items():
+            out.print(f"\n  [bold cyan]{name}[/]  {escape(describe.summary(cls))}")
+            table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+            for p in describe.parameters(cls):
+                table.add_row(f"    [green]{option_of(p)}[/]", escape(words(p.default)), escape(p.help))
+            out.print(table)
+        out.print()
+    out.print("[bold]figures[/]\n")
+    for name, text in figures.items():
+        out.print(f"  [bold cyan]{name}[/]  {escape(text)}")
+    return 0
+
+
+def _facts(cls: type) -> dict[str, Any]:
+    parameters = {p.name: {"default": p.default, "help": p.help} for p in describe.parameters(cls)}
+    return {"summary": describe.summary(cls), "parameters": parameters}
+
+
+# --- solve -------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass
+class Solve:
+    """The exact values of an environment and its optimal actions.
+
+    Examples:
+      jaxrl-tab solve windy-gridworld
+      jaxrl-tab solve windy-gridworld --moves king --epsilon 0.1 --out runs/king
+      jaxrl-tab solve random-walk --states 5 --left-reward 0 --json
+    """
+
+    env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
+    """Name of the environment; see `jaxrl-tab list`."""
+    gamma: Annotated[float, real(0, 1)] = 1.0
+    """Discount rate, in [0, 1]."""
+    epsilon: Annotated[float | None, real(0, 1), arg(help_behavior_hint="")] = None
+    """Also find the best policy among those that take a random action with this probability."""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """New folder for a picture (PNG)."""
+    json: Switch = False
+    """Print JSON: for each policy the value from the start, v [S], q [S][A], and the policy's
+    probabilities [S][A]."""
+
+
+def _solve(argv: list[str]) -> int:
+    options = parse(f"{PROG} solve", Solve, argv, environment=ENVIRONMENT)
+    env = _environment(options.env, options.environment)
+    with _folder(options.out) as folder:
+        solutions = {"optimal": planning.policy_iteration(env, options.gamma)}
+        if options.epsilon is not None:
+            soft = f"best epsilon-soft, epsilon {words(options.epsilon)}"
+            solutions[soft] = planning.epsilon_soft(env, options.epsilon, options.gamma)
+        if folder:
+            _draw_solutions(env, solutions, folder)
+    if options.json:
+        keys = ("optimal", "epsilon_soft")
+        found = {
+            key: {
+                "start_value": planning.start_value(env, v),
+                "v": v.tolist(),
+                "q": q.tolist(),
+                "policy": policy.tolist(),
+            }
+            for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
+        }
+        _print_json({"environment": options.env, "gamma": options.gamma, "epsilon": options.epsilon} | found)
+        return 0
+    out = _console()
+    for title, (_, v, q) in solutions.items():
+        out.print(
+            f"[bold]{options.env}[/], gamma {words(options.gamma)}, {title}: "
+            f"value from the start [bold]{_number(planning.start_value(env, v))}[/]"
+        )
+        out.print(_picture(env, v, q))
+    if options.out:
+        _say_where(options.out)
+    return 0
+
+
+def _picture(env: Any, v: np.ndarray, q: np.ndarray) -> Table:
+    """Values and best actions: in their places on a grid, else as a list of states."""
+    between = "" if isinstance(env, Grid) else " "
+    best = [between.join(env.action_names[a] for a in _best_actions(row)) for row in q]
+    if not isinstance(env, Grid):
+        table = Table("state", "value", "best actions")
+        for s, value in enumerate(v):
+            table.add_row(str(s), _number(value), best[s])
+        return table
+    rows, columns = env.shape
+    visited = _visited(env)
+    marks = {env.start_state: "[bold reverse]S[/] "}
+    cells = [
+        f"{_short(v[s])}\n{marks.get(s, '')}[cyan]{best[s]}[/]" if visited[s] else ""
+        for s in range(env.num_states)
+    ]
+    cells[env.state(env.goal)] = "[bold green]G[/]"
+    wind = getattr(env, "wind", None)
+    table = Table("", *map(str, range(columns)), show_lines=True, padding=0, show_footer=wind is not None)
+    footers = ["wind", *([""] * columns if wind is None else wind)]
+    for column, footer in zip(table.columns, footers, strict=True):
+        column.footer, column.justify, column.no_wrap, column.min_width = str(footer), "center", True, 5
+    table.columns[0].min_width = None
+    for row in range(rows):
+        table.add_row(str(row), *cells[row * columns : (row + 1) * columns])
+    if not visited.all():
+        table.caption = "empty: out of reach from the start"
+    return table
+
+
+def _visited(env: Any) -> np.ndarray:
+    """Which states can be met in an episode, bool [S]."""
+    model = planning.exact_model(env)
+    visited = model.start > 0
+    for _ in visited:
+        visited[model.s_next[visited][model.prob[visited] > 0]] = True
+    return visited
+
+
+def _best_actions(q: np.ndarray) -> np.ndarray:
+    """The actions whose values are maximal but for rounding, int [n], from values [A]."""
+    return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q).max()))
+
+
+def _draw_solutions(
+    env: FiniteEnvironment, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path
+) -> None:
+    from matplotlib.figure import Figure
+
+    from jaxrl_tab import plot
+
+    height = 1.6 + 7 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 4
+    figure = Figure(figsize=(8, height * len(solutions)), dpi=plot.DPI, layout="constrained")
+    axes = np.ravel(figure.subplots(len(solutions)))
+    for ax, (title, (_, v, q)) in zip(axes, solutions.items(), strict=True):
+        if isinstance(env, Grid):
+            plot.values(ax, env, v, q)
+        else:
+            ax.plot(v, "o-")
+            ax.set_xlabel("state")
+            ax.set_ylabel("value")
+        ax.set_title(f"{title}; value from the start {_number(planning.start_value(env, v))}")
+    figure.savefig(folder / "values.png")
+
+
+# --- sweep -------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass
+class Sweep:
+    """Every method with every combination of hyperparameters, each over the same seeds.
+
+    Prints a summary table. With --out, leaves a folder: results.nc (netCDF: the numbers of every seed, a
+    group for each method), summary.csv, and pictures.
+
+    Examples:
+      jaxrl-tab sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
+      jaxrl-tab sweep windy-gridworld sarsa --moves king --alpha 0.1 0.3 0.5 --epsilon 0.05 0.1
+      jaxrl-tab sweep cliff-walking sarsa q-learning --alpha 0.5 --epsilon glie --episodes 500
+    """
+
+    env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
+    """Name of the environment; see `jaxrl-tab list`."""
+    methods: Annotated[Positional[tuple[str, ...]], arg(metavar="METHOD ...", help_behavior_hint="")] = ()
+    """Names of one or more methods; see `jaxrl-tab list`."""
+    seeds: Annotated[int, whole(1)] = 100
+    """How many seeds."""
+    steps: Annotated[int | None, whole(1), arg(help_behavior_hint=f"(default: {STEPS})")] = None
+    """How many steps each run takes."""
+    episodes: Annotated[int | None, whole(1), arg(help_behavior_hint="")] = None
+    """How many episodes each run finishes, instead of --steps."""
+    log_every: Annotated[int | None, whole(1), arg(help_behavior_hint="(default: 100, or 1)")] = None
+    """Steps, or episodes, in a row of the log."""
+    seed: Annotated[int, whole(0)] = 0
+    """Which sequence of seeds."""
+    exact: Switch = False
+    """Also record the exact value of the greedy policy and the largest |Q - Q*| in every row. That solves a
+    linear system of the size of the environment for each row."""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """New folder for the data and the pictures."""
+    json: Switch = False
+    """Print the summary as JSON."""
+    quiet: Switch = False
+    """Show no progress and print nothing."""
+
+
+def _sweep(argv: list[str]) -> int:
+    batch.use_all_cores()
+    options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
+    env = _environment(options.env, options.environment)
+    grids = {name: _grid(name, options.hyperparameters) for name in _methods(options.methods)}
+    if options.steps is not None and options.episodes is not None:
+        raise InputError("give --steps or --episodes, not both")
+    budget = {
+        "num_seeds": options.seeds,
+        "num_steps": options.steps or (None if options.episodes else STEPS),
+        "num_episodes": options.episodes,
+        "log_every": options.log_every,
+        "seed": options.seed,
+        "exact": options.exact,
+    }
+
+    with _folder(options.out) as folder:
+        datasets = _run(env, grids, budget, folder, ["sweep", *argv], options.quiet)
+        from jaxrl_tab import stats
+
+        table = stats.summary(datasets)
+        if not (options.json or options.quiet):
+            _console().print(_summary_table(options.env, table, datasets))
+        if folder:
+            from jaxrl_tab import plot
+
+            table.to_csv(folder / "summary.csv", index=False)
+            plot.save_all(datasets, env, folder)
+
+    if options.json:
+        records = jsonlib.loads(str(table.to_json(orient="records")))
+        _print_json({"folder": options.out and str(options.out), "summary": records})
+    elif options.out and not options.quiet:
+        _say_where(options.out, datasets)
+    return 0
+
+
+def _methods(names: Sequence[str]) -> Sequence[str]:
+    for i, name in enumerate(names or [""]):
+        if _known("a method", name, ALGORITHMS) in names[:i]:
+            raise InputError(f"the method {name} is named more than once")
+    return names
+
+
+def _grid(name: str, given: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+    """The grid of one method, checked: a list of values is swept, a single value is not."""
+    grid = values(name, given, HYPERPARAMETERS)
+    for parameter, tried in grid.items():
+        if len(tried) > 1 and not all(isinstance(value, int | float | str) for value in tried):
+            raise InputError(f"{parameter}: a schedule must stand alone, not in a grid with others")
+    single = {parameter: tried[0] if len(tried) == 1 else tried for parameter, tried in grid.items()}
+    configurations(ALGORITHMS[name], single)
+    return single
+
+
+def _run(
+    env: Any,
+    grids: Mapping[str, Mapping[str, Any]],
+    budget: Mapping[str, Any],
+    folder: Path | None,
+    command: Sequence[str],
+    quiet: bool,
+) -> "dict[str, xr.Dataset]":
+    """Sweeps one method after another, with a bar for each, and saves the data of each when it is done."""
+    datasets = {}
+    columns = (
+        SpinnerColumn(finished_text="✓"),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("runs"),
+        TimeElapsedColumn(),
+    )
+    stderr = Console(stderr=True)
+    with Progress(*columns, console=stderr, disable=quiet or not stderr.is_terminal) as bars:
+        for name, grid in grids.items():
+            bar = bars.add_task(name, total=None)
+
+            def progress(done: int, total: int, bar=bar) -> None:
+                bars.update(bar, completed=done, total=total)
+
+            datasets[name] = sweep(env, name, grid, **budget, progress=progress).to_xarray()
+            if folder:
+                _save(datasets[name], name, folder / DATA, command)
+    return datasets
+
+
+def _save(ds: "xr.Dataset", method: str, file: Path, command: Sequence[str]) -> None:
+    """Adds the data of one method to the netCDF file, as a group; the command is in the attributes above."""
+    import xarray as xr
+
+    if not file.exists():
+        about = {"command": shlex.join([PROG, *command]), "version": jaxrl_tab.__version__}
+        xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
+    ds.to_netcdf(file, mode="a", group=method, engine="h5netcdf")
+
+
+def _summary_table(environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]") -> Table:
+    """The summary for people: what all rows share goes into the title."""
+    from jaxrl_tab import stats
+
+    ds = next(iter(datasets.values()))
+    columns = list(table.columns)
+    hyperparameters = columns[1 : columns.index("episodes")]
+    shared = [h for h in hyperparameters if len(table[h].drop_duplicates()) == 1]
+    varied = [h for h in hyperparameters if h not in shared]
+    length = (
+        f"{ds.attrs['num_steps']} steps"
+        if "num_steps" in ds.attrs
+        else f"{ds.attrs['num_episodes']} episodes"
+    )
+    setting = [f"{h} {words(table[h][0])}" for h in shared]
+    view = Table(
+        "method",
+        *varied,
+        "episodes",
+        "mean return,\nlast tenth",
+        "95% interval",
+        "seeds",
+        "million\nsteps/s",
+        "exact\noptimum",
+        title=", ".join([environment, *setting, f"{ds.sizes['seed']} seeds, {length} each"]),
+        caption="* the best of its method on these seeds: chosen for its mean, which therefore flatters it",
+    )
+    for column in view.columns[1:]:
+        column.justify = "right"
+    for method, rows in table.groupby("method", sort=False):
+        best = stats.best(datasets[str(method)])
+        for row in rows.to_dict("records"):
+            low, high = row["last_tenth_low"], row["last_tenth_high"]
+            star = bool(best) and all(row[name] == value for name, value in best.items())
+            view.add_row(
+                f"{method} *" if star else str(method),
+                *(_cell(row[h], words) for h in varied),
+                _cell(row["episodes"], "{:.1f}".format),
+                _cell(row["last_tenth_return"], "{:.2f}".format),
+                _cell(low, lambda low, high=high: f"{low:.2f} to {high:.2f}"),
+                str(row["seeds"]),
+                _cell(row["steps_per_second"] / 1e6, "{:.1f}".format),
+                _cell(row["optimum"], _number),
+                style="bold" if star else None,
+            )
+        view.add_section()
+    return view
+
+
+def _cell(value: Any, write: Any) -> str:
+    """`write(value)`, or a dash where there is no value."""
+    return "–" if value != value else write(value)
+
+
+# --- figure ------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass
+class Figure:
+    """Makes a published figure again and checks its numbers.
+
+    Prints what was got beside what is expected. The exit code is 1 if any number is off by more than four
+    standard errors.
+
+    Examples:
+      jaxrl-tab figure windy-gridworld --out runs/windy-figure
+      jaxrl-tab figure cliff-walking --json
+    """
+
+    name: Annotated[Positional[str], arg(metavar="NAME", help_behavior_hint="")] = ""
+    """Name of the figure; see `jaxrl-tab list`."""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """New folder for the picture and the data."""
+    json: Switch = False
+    """Print the numbers as JSON."""
+    quiet: Switch = False
+    """Show no progress."""
+
+
+def _figure(argv: list[str]) -> int:
+    batch.use_all_cores()
+    options = parse(f"{PROG} figure", Figure, argv)
+    figure = FIGURES[_known("a figure", options.name, FIGURES)]
+    env = build(ENVS[figure.environment], figure.environment, figure.parameters)
+    grids = dict.fromkeys(figure.methods, figure.hyperparameters)
+    with _folder(options.out) as folder:
+        datasets = _run(env, grids, figure.budget, folder, ["figure", *argv], options.quiet)
+        checks = [number.check(env, datasets) for number in figure.numbers]
+        if folder:
+            figure.draw(datasets, env).savefig(folder / f"{options.name}.png")
+
+    if options.json:
+        _print_json({"figure": options.name, "numbers": [c._asdict() | {"ok": c.ok} for c in checks]})
+    else:
+        table = Table(
+            "number",
+            "got",
+            "± SE",
+            "expected",
+            "± SE",
+            "SEs apart",
+            title=f"{figure.title} ({figure.source})",
+        )
+        for c in checks:
+            numbers = (c.got, c.standard_error, c.expected, c.expected_standard_error, c.apart)
+            verdict = "" if c.ok else " [bold red]OFF[/]"
+            table.add_row(c.what, *(f"{x:.6g}" for x in numbers[:-1]), f"{c.apart:.2f}{verdict}")
+        _console().print(table)
+        if options.out:
+            _say_where(options.out, datasets)
+    return 0 if all(c.ok for c in checks) else 1
+
+
+# --- shared ------------------------------------------------------------------------------------------
+
+
+def _known(kind: str, name: str, names: Collection[str]) -> str:
+    """`name`, which must be one of `names`."""
+    if not name:
+        raise InputError(f"name {kind}: {', '.join(names)}")
+    if name not in names:
+        raise InputError(f"{name!r} is not {kind}; {nearest(name, names)}")
+    return name
+
+
+def _environment(name: str, given: Mapping[str, tuple[str, ...]]) -> Any:
+    _known("an environment", name, ENVS)
+    typed = values(name, given, ENVIRONMENT)
+    defaults = {p.name: p.default for p in describe.parameters(ENVS[name])}
+    single = {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in typed.items()}
+    return build(ENVS[name], name, single)
+
+
+@contextlib.contextmanager
+def _folder(path: Path | None) -> Iterator[Path | None]:
+    """A new folder to write into, which gets the name `path` when all is written.
+
+    Until then, and if anything fails, it stands beside as `path.unfinished-...`, and keeps what was finished.
+    """
+    if path is None:
+        yield None
+        return
+    unfinished = path.with_name(f"{path.name}.unfinished-{os.getpid()}")
+    try:
+        if path.exists() or path.is_symlink():
+            raise InputError(f"--out: {path} exists already; name a new folder")
+        unfinished.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"--out: {path} cannot be made: {error.strerror}") from None
+    try:
+        yield unfinished
+        unfinished.rename(path)
+    except BaseException as error:
+        if not any(unfinished.iterdir()):
+            unfinished.rmdir()
+            raise
+        kept = f"what was finished is in {unfinished}"
+        if isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt(kept) from None
+        error.add_note(kept)
+        raise
+
+
+def _say_where(folder: Path, datasets: "Mapping[str, xr.Dataset] | None" = None) -> None:
+    out = _console()
+    files = ", ".join(sorted(file.name for file in folder.iterdir()))
+    out.print(f"[bold]{escape(str(folder))}[/]: {files}", soft_wrap=True)
+    if datasets:
+        method = next(iter(datasets))
+        out.print(
+            f'The data: xarray.open_datatree("{folder / DATA}")["{method}"]', markup=False, soft_wrap=True
+        )
+
+
+def _number(x: float) -> str:
+    """`x` with six significant digits; what is rounding around 0 is 0."""
+    return f"{round(x, 9) + 0:.6g}"
+
+
+def _short(x: float) -> str:
+    """`x` in a narrow cell: three significant digits, or all that are before the point."""
+    return f"{x:.0f}" if abs(x) >= 100 else f"{round(x, 9) + 0:.3g}"
+
+
+def _console() -> Console:
+    """Where tables are printed; a pipe or a file is wide enough for all of them."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+
+
+def _print_json(value: Any) -> None:
+    print(jsonlib.dumps(value, ensure_ascii=False, indent=1))

@@ -1,0 +1,65 @@
+"""Sarsa and Q-learning on the cliff (book, example 6.6)."""
+
+from jaxrl_tab import planning
+from jaxrl_tab.figures.figure import Figure, Number
+
+ALPHA = 0.5
+EPSILON = 0.1
+
+
+def _late_return(method):
+    def measure(env, datasets):
+        return datasets[method].returns.isel(row=slice(400, 500)).mean("row")
+
+    return measure
+
+
+def _optimum(env, datasets):
+    return planning.start_value(env, planning.value_iteration(env)[0])
+
+
+def _best_soft(env, datasets):
+    _, v, _ = planning.epsilon_soft(env, EPSILON)
+    return planning.start_value(env, v)
+
+
+def _draw(datasets, env):
+    from matplotlib.figure import Figure as Canvas
+
+    from jaxrl_tab import plot, stats
+
+    canvas = Canvas(figsize=(7.5, 5), dpi=plot.DPI, layout="constrained")
+    ax = canvas.subplots()
+    for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
+        mean, low, high, _ = stats.mean_interval(ds.rewards)
+        episode = ds.row + 1
+        ax.plot(episode, mean, color=color, lw=1.3, label=method)
+        ax.fill_between(episode, low, high, color=color, alpha=0.25, lw=0)
+    lines = {"optimal policy": (_optimum, "--"), f"best ε-soft policy, ε = {EPSILON}": (_best_soft, ":")}
+    for name, (measure, style) in lines.items():
+        value = measure(env, datasets)
+        ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=f"{name}: {value:.6g}")
+    ax.set(xlabel="episodes", ylabel="sum of rewards in the episode", ylim=(-100, 0), xlim=(0, 500))
+    seeds = datasets["sarsa"].sizes["seed"]
+    ax.set_title(f"cliff-walking, α = {ALPHA}, ε = {EPSILON}: mean and 95% interval over {seeds} seeds")
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.legend(loc="lower right", frameon=False)
+    return canvas
+
+
+FIGURE = Figure(
+    title="Sarsa and Q-learning on the cliff",
+    source="Sutton and Barto 2018, example 6.6",
+    environment="cliff-walking",
+    methods=("sarsa", "q-learning"),
+    hyperparameters={"alpha": ALPHA, "epsilon": EPSILON},
+    budget={"num_seeds": 500, "num_episodes": 500},
+    numbers=(
+        # From long simulations with plain loops, and by enumeration.
+        Number("Sarsa: mean return of episodes 401 to 500", -26.79, 0.10, _late_return("sarsa")),
+        Number("Q-learning: mean return of episodes 401 to 500", -49.94, 0.11, _late_return("q-learning")),
+        Number("optimal value from the start", -13, 1e-6, _optimum),
+        Number("best epsilon-soft policy's value from the start", -20.7077, 5e-5, _best_soft),
+    ),
+    draw=_draw,
+)

@@ -1,0 +1,227 @@
+"""From the parameters of registered classes to command-line options, and from what was typed back to values.
+
+A parameter `max_steps` is the option `--max-steps`, a switch `stochastic` is `--stochastic`, and one that is
+on by default is `--no-...`. Options of all entries of a registry stand side by side in one parser; which of
+them the chosen entry has is checked afterwards, so the error can say who has what.
+"""
+
+import contextlib
+import dataclasses
+import inspect
+import io
+import re
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
+from tyro.constructors import PrimitiveConstructorSpec
+
+from jaxrl_tab import describe, schedules
+from jaxrl_tab.types import InputError, nearest
+
+SCHEDULES = {"glie": schedules.glie, "sample-average": schedules.sample_average}
+
+
+class Group(NamedTuple):
+    """Options for the parameters of the classes of a registry.
+
+    Attributes:
+        registry: name -> class.
+        help: what they are, one line.
+        grids: whether every option takes any number of values, to be tried one by one.
+        defaults: parameter -> values, where they are not those of the classes.
+    """
+
+    registry: Mapping[str, type]
+    help: str
+    grids: bool = False
+    defaults: Mapping[str, tuple[Any, ...]] = MappingProxyType({})
+
+
+def whole(least: int) -> Any:
+    """An annotation of an option that takes a whole number, from `least` to 2**31 - 1."""
+    return _number(int, lambda x: least <= x < 2**31, "N", f"a whole number of at least {least}")
+
+
+def real(low: float, high: float) -> Any:
+    """An annotation of an option that takes a number between `low` and `high`."""
+    return _number(float, lambda x: low <= x <= high, "X", f"a number between {low} and {high}")
+
+
+def _number(kind: type, fits: Callable[[Any], bool], metavar: str, wanted: str) -> Any:
+    def read(tokens: list[str]) -> Any:
+        with contextlib.suppress(ValueError):
+            if fits(value := kind(tokens[0])):
+                return value
+        raise ValueError(f"must be {wanted}, not {tokens[0]!r}")
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=read,
+        is_instance=lambda x: isinstance(x, kind),
+        str_from_instance=lambda x: [str(x)],
+    )
+
+
+def parse(prog: str, command: type, argv: Sequence[str], **groups: Group) -> Any:
+    """An instance of the dataclass `command` from `argv`, with a dict of what was typed for each group.
+
+    The dict has the options given, each with its tokens (an empty tuple for a switch).
+
+    Raises:
+        InputError: `argv` cannot be understood.
+        SystemExit: help was asked for, and printed.
+    """
+    types = {name: _options(name, group) for name, group in groups.items()}
+    whole = dataclasses.make_dataclass(
+        command.__name__,
+        [
+            (name, Annotated[cls, arg(help=groups[name].help)], dataclasses.field(default_factory=cls))
+            for name, cls in types.items()
+        ],
+        bases=(command,),
+    )
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            parsed, unknown = tyro.cli(
+                whole,
+                prog=prog,
+                description=inspect.cleandoc(command.__doc__ or ""),
+                args=argv,
+                return_unknown_args=True,
+                config=(OmitArgPrefixes,),
+            )
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        raise InputError(f"{_plain(complaint.getvalue())} (see `{prog} --help`)") from None
+    for token in unknown:
+        if not token.startswith("-"):
+            raise InputError(f"{token!r} is one word too many")
+        hints = [typing.get_type_hints(cls, include_extras=True) for cls in (command, *types.values())]
+        known = [_spell(f) for h in hints for f, kind in h.items() if Positional not in _notes(kind)]
+        raise InputError(f"there is no option {token}; {nearest(token.partition('=')[0], known)}")
+    for name, cls in types.items():
+        values = {_spell(f.name): getattr(getattr(parsed, name), f.name) for f in dataclasses.fields(cls)}
+        given = {option: value for option, value in values.items() if value not in (None, False)}
+        setattr(parsed, name, {option: () if v is True else v for option, v in given.items()})
+    return parsed
+
+
+def values(name: str, given: Mapping[str, tuple[str, ...]], group: Group) -> dict[str, list[Any]]:
+    """The parameters of the entry `name` of a registry that are not left as they are, each with its values.
+
+    Raises:
+        InputError: the entry has no such parameter, or what was typed is of the wrong kind.
+    """
+    known = {option_of(p): p for p in describe.parameters(group.registry[name])}
+    found = {p.name: list(group.defaults[p.name]) for p in known.values() if p.name in group.defaults}
+    for option, tokens in given.items():
+        if option not in known:
+            owners = [other for other, cls in group.registry.items() if option in _spelled(cls)]
+            raise InputError(
+                f"{name} has no {option}, which is of {', '.join(owners)}; {name} has {', '.join(known)}"
+            )
+        parameter = known[option]
+        if isinstance(parameter.default, bool):
+            found[parameter.name] = [not parameter.default]
+        elif not tokens:
+            raise InputError(f"{option} needs a value")
+        else:
+            found[parameter.name] = [_value(option, token, parameter) for token in tokens]
+    return found
+
+
+def option_of(parameter: describe.Parameter) -> str:
+    """How a parameter is given on the command line."""
+    return _spell(_field(parameter))
+
+
+def words(value: Any) -> str:
+    """A value as it is typed."""
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, tuple):
+        return " ".join(words(x) for x in value)
+    for name, schedule in SCHEDULES.items():
+        if repr(value) == repr(schedule()) or value == repr(schedule()):
+            return name
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _options(name: str, group: Group) -> type:
+    """A dataclass with a field for each option of the group; None or False where it is not given."""
+    owners: dict[str, dict[str, describe.Parameter]] = {}
+    for entry, cls in group.registry.items():
+        for parameter in describe.parameters(cls):
+            owners.setdefault(_field(parameter), {})[entry] = parameter
+    fields = []
+    for field, owned in owners.items():
+        parameter = next(iter(owned.values()))
+        hint = _hint(owned, group)
+        if isinstance(parameter.default, bool):
+            note = arg(help=parameter.help, help_behavior_hint=hint)
+            fields.append((field, Annotated[bool, FlagCreatePairsOff, note], False))
+        else:
+            many = group.grids or isinstance(parameter.default, tuple)
+            note = arg(help=parameter.help, help_behavior_hint=hint, metavar="X ..." if many else "X")
+            kind = tuple[str, ...] if many else tuple[str]
+            fields.append((field, Annotated[kind | None, note], None))
+    return dataclasses.make_dataclass(name, fields)
+
+
+def _hint(owned: Mapping[str, describe.Parameter], group: Group) -> str:
+    """Whose parameter it is where not all have it, and its default."""
+    defaults = {entry: words(group.defaults.get(p.name, p.default)) for entry, p in owned.items()}
+    default = next(iter(defaults.values()))
+    if len(set(defaults.values())) > 1:
+        default = ", ".join(f"{default} for {entry}" for entry, default in defaults.items())
+    owners = "" if len(owned) == len(group.registry) else f"of {', '.join(owned)}; "
+    return f"({owners}default: {default})"
+
+
+def _value(option: str, token: str, parameter: describe.Parameter) -> Any:
+    """`token` as a value of the kind that the parameter's default is."""
+    takes_schedule = parameter.type == schedules.Rate
+    if takes_schedule and token in SCHEDULES:
+        return SCHEDULES[token]()
+    like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
+    kinds = (type(like),) if type(like) in (int, float, str) else (int, float, str)
+    for kind in kinds:
+        with contextlib.suppress(ValueError):
+            return kind(token)
+    wanted = "a whole number" if kinds == (int,) else "a number"
+    schedule = f" or a schedule ({', '.join(SCHEDULES)})" if takes_schedule else ""
+    raise InputError(f"{option} takes {wanted}{schedule}, not {token!r}")
+
+
+def _field(parameter: describe.Parameter) -> str:
+    return f"no_{parameter.name}" if parameter.default is True else parameter.name
+
+
+def _spell(field: str) -> str:
+    return "--" + field.replace("_", "-")
+
+
+def _spelled(cls: type) -> list[str]:
+    return [option_of(p) for p in describe.parameters(cls)]
+
+
+def _notes(kind: Any) -> tuple[Any, ...]:
+    return getattr(kind, "__metadata__", ())
+
+
+def _plain(box: str) -> str:
+    """The first paragraph of one of tyro's error boxes, as one line."""
+    lines = [line.strip("│ ") for line in re.sub(r"\x1b\[[\d;]*m", "", box).splitlines()[1:]]
+    paragraph = []
+    for line in lines:
+        if line.startswith(("─", "╰")):
+            break
+        paragraph.append(line)
+    return re.sub(r"^Error parsing (\S+):", r"\1", " ".join(paragraph))
