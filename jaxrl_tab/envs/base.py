@@ -142,7 +142,7 @@ def numbers(name: str, what: str, value: Any) -> Any:
     return array
 
 
-def check_shape(name: str, shape: Sequence[int], least: tuple[int, int] = (1, 2)) -> tuple[int, int]:
+def check_shape(name: str, shape: Sequence[int], least: tuple[int, int] = (1, 1)) -> tuple[int, int]:
     """`shape` as (rows, columns). Raises InputError unless both are whole numbers and large enough."""
     pair = _pair(shape)
     if pair is None or pair[0] < least[0] or pair[1] < least[1]:
