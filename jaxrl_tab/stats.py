@@ -5,7 +5,7 @@ The seed is the unit of replication: numbers are first made one per seed, then i
 """
 
 import json
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +23,8 @@ class Interval(NamedTuple):
 
     Attributes:
         mean: mean of the values that are there, float64; NaN where there are none.
-        low, high: bounds of the interval, float64; NaN where fewer than two values are there.
+        low, high: bounds of the interval, float64; NaN where fewer than two values are there, or not all
+            of them are finite.
         n: how many values are there, int.
     """
 
@@ -56,9 +57,10 @@ def mean_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 0.95) 
     if not 0 < confidence < 1:
         raise InputError(f"confidence must be between 0 and 1, not {confidence!r}")
     x = x.astype(float)
-    n = x.notnull().sum(dim)
+    there = x.notnull()
+    n = there.sum(dim)
     mean = x.sum(dim) / n.where(n > 0)
-    squares = ((x - mean) ** 2).sum(dim)
+    squares = ((x - mean) ** 2).where(there, 0).sum(dim, skipna=False)
     error = np.sqrt(squares / (n - 1).where(n > 1) / n)
     half = error * stats.t.ppf((1 + confidence) / 2, n - 1)
     return Interval(mean, mean - half, mean + half, n)
@@ -98,7 +100,11 @@ def learning_curve(ds: xr.Dataset) -> xr.DataArray:
 
 
 def episode_curve(ds: xr.Dataset) -> xr.Dataset:
-    """Time steps taken and episodes finished until the end of each row, int64 [*hyperparameters, seed, row]."""
+    """Time steps and episodes until the end of each row.
+
+    Returns:
+        `time_steps` and `episodes`, int64 [*hyperparameters, seed, row] each.
+    """
     return xr.Dataset(
         {
             "time_steps": ds.steps.astype(np.int64).cumsum("row"),
@@ -112,7 +118,8 @@ def merge_rows(ds: xr.Dataset, at_most: int) -> xr.Dataset:
     rows = ds.sizes["row"]
     group = xr.DataArray(np.arange(rows) // -(-rows // at_most), dims="row", name="group")
     sums = ds[["steps", "episodes", "returns", "lengths", "rewards"]]
-    return sums.groupby(group).sum("row", skipna=False).rename(group="row").assign_attrs(ds.attrs)
+    merged = sums.groupby(group).sum("row", skipna=False).rename(group="row")
+    return merged.transpose(..., "row").assign_attrs(ds.attrs)
 
 
 # --- hyperparameters ---------------------------------------------------------------------------------
@@ -156,7 +163,7 @@ def best(ds: xr.Dataset, **given: Any) -> dict[str, Any]:
     for name, value in given.items():
         if name not in names:
             raise InputError(f"{name} was not swept; swept were {_names(names)}")
-        if value not in ds[name].values:
+        if value not in ds[name].values.tolist():
             raise InputError(f"{name} was not swept at {value!r}; there are {_names(ds[name].values)}")
     ds = ds.sel(given)
     result = mean_interval(mean_return(ds, last_tenth(ds)))
@@ -179,7 +186,7 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
         and its 95% interval; `seeds`, how many seeds finished an episode there and so were counted;
         `steps_per_second` of the method's sweep; `optimum`, v* from the start.
     """
-    records, names = [], {}
+    records, names, results = [], {}, {}
     for method, ds in datasets.items():
         swept, constant = hyperparameters(ds), fixed(ds)
         names |= dict.fromkeys([*swept, *constant])
@@ -196,8 +203,7 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
         table = xr.Dataset(results).expand_dims(method=[method])
         frame = table.to_dataframe(dim_order=["method", *swept]).reset_index()
         records += [constant | record for record in frame.to_dict("records")]
-        columns = ["method", *names, *results]
-    return pd.DataFrame(records, columns=columns if records else None)
+    return pd.DataFrame(records, columns=["method", *names, *results])
 
 
 def _names(names: Any) -> str:

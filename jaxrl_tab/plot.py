@@ -1,0 +1,521 @@
+"""Pictures of sweeps and of grids.
+
+A function that draws takes the `Axes` to draw on; `overview` and `save_all` make their own figures. Nothing
+here touches pyplot, so it needs no display and leaves no figure open. Colours are Okabe and Ito's, which
+people with any colour vision can tell apart; methods also differ in their markers.
+
+Datasets are those of `SweepResult.to_xarray`, one for each method, by the name that the legend shows.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+import xarray as xr
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import NullLocator
+
+from jaxrl_tab import planning, stats
+from jaxrl_tab.envs.base import COMPASS, Grid
+from jaxrl_tab.types import Environment, InputError
+
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+GREEK = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
+INK, GREY, ALARM = "#222222", "#6e6e6e", "#D55E00"
+TITLE, SMALL = 11, 8  # font sizes, points
+DPI = 150
+CURVE_POINTS = 40  # a learning curve of so many points at most: a row of the log is often too noisy to show
+MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
+
+Datasets = Mapping[str, xr.Dataset]
+
+
+# --- curves ------------------------------------------------------------------------------------------
+
+
+def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
+    """Episodes finished against time steps, mean and 95% interval over seeds (book, example 6.5).
+
+    The slope is the pace: one episode in so many steps. Where episodes were the budget, the mean and its
+    interval are of the time steps that they took, so the band is horizontal.
+
+    Args:
+        ax: where to draw.
+        datasets: a sweep for each method.
+        given: hyperparameters to hold, such as `alpha=0.5`; otherwise each method's best (`stats.best`).
+
+    Raises:
+        InputError: no method swept the hyperparameter, or one that did not at this value.
+    """
+    for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
+        curve = stats.episode_curve(ds)
+        by_steps = "num_steps" in ds.attrs
+        spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
+        interval = stats.mean_interval(curve[spread])
+        mean, low, high = (_from_origin(x) for x in interval[:3])
+        other = _from_origin(curve[exact].isel(seed=0))
+        points = (other, mean) if by_steps else (mean, other)
+        ax.plot(*points, lw=2, ms=5, markevery=max(1, len(mean) // 8), label=label, **style)
+        band = ax.fill_between if by_steps else ax.fill_betweenx
+        band(other, low, high, color=style["color"], alpha=0.2, lw=0)
+    _tidy(ax, "time steps", "episodes finished")
+    ax.set_xlim(left=0)
+    ax.set_ylim(bottom=0)
+    ax.legend(loc="upper left", frameon=False)
+
+
+def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
+    """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
+
+    Rows of the log are merged to at most `CURVE_POINTS` points, and a point is drawn at its end where at
+    least `MOST_SEEDS` of the seeds finished an episode in it: before, only the quick episodes are over, and
+    their mean would flatter. Arguments and errors as in `episodes_against_steps`.
+    """
+    shown = []
+    for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
+        merged = stats.merge_rows(ds, CURVE_POINTS)
+        curve = stats.episode_curve(merged)
+        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].isel(seed=0).values
+        interval = stats.mean_interval(stats.learning_curve(merged))
+        enough = (interval.n >= MOST_SEEDS * ds.sizes["seed"]).values
+        mean, low, high = (np.where(enough, part, np.nan) for part in interval[:3])
+        ax.plot(x, mean, lw=2, ms=4, label=label, **style)
+        ax.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
+        ax.set_xlim(left=0)
+        shown += [mean, low, high]
+    by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
+    _tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
+    _return_axis(ax, shown, _common_optimum(datasets))
+    ax.legend(loc="lower right", frameon=False)
+
+
+def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
+    """Mean return of the last tenth against a hyperparameter, with 95% intervals and the exact optimum.
+
+    Other swept hyperparameters stay at the method's best combination. A point is hollow where seeds that
+    finished no episode in the last tenth are missing from it. A method that did not sweep the parameter is
+    drawn at the one value that it had.
+
+    Raises:
+        InputError: no method swept the parameter.
+    """
+    if not any(parameter in stats.hyperparameters(ds) for ds in datasets.values()):
+        raise InputError(f"no method swept {parameter!r}")
+    shown, tried, incomplete = [], [], False
+    for (name, ds), style in zip(datasets.items(), _styles(), strict=False):
+        chosen = stats.best(ds)
+        chosen.pop(parameter, None)
+        ds = ds.sel(chosen)
+        if parameter not in ds.dims:
+            if parameter not in stats.fixed(ds):
+                continue
+            ds = ds.expand_dims({parameter: [stats.fixed(ds)[parameter]]})
+        x = ds[parameter].values
+        interval = stats.mean_interval(stats.mean_return(ds, stats.last_tenth(ds)))
+        mean, low, high, n = (part.values for part in interval)
+        half = np.nan_to_num(high - mean)
+        ax.errorbar(x, mean, half, ls="none", capsize=3, color=style["color"])
+        ax.plot(x, mean, lw=2, ms=7, label=_label(name, chosen), **style)
+        few = n < ds.sizes["seed"]
+        ax.plot(x[few], mean[few], ls="none", ms=3.5, marker=style["marker"], color="white", zorder=5)
+        shown += [mean, low, high]
+        tried.append(x)
+        incomplete |= bool(few.any())
+    if incomplete:
+        hollow = {"marker": "o", "mfc": "white", "mec": INK, "mew": 1.5}
+        ax.plot([], [], ls="none", **hollow, label="hollow: some seeds finish no episode")
+    x = np.concatenate(tried)
+    if x.dtype.kind in "fiu" and x.min() > 0 and x.max() > 10 * x.min():
+        ax.set_xscale("log")
+        ax.set_xticks(np.unique(x), [f"{v:g}" for v in np.unique(x)])
+        ax.xaxis.set_minor_locator(NullLocator())
+    what = "step size α" if parameter == "alpha" else GREEK.get(parameter, parameter)
+    _tidy(ax, what, "mean return, last tenth")
+    _return_axis(ax, shown, _common_optimum(datasets))
+    ax.legend(loc="lower right", frameon=False)
+
+
+def _chosen(datasets: Datasets, given: Mapping[str, Any]) -> Iterable[tuple[str, xr.Dataset]]:
+    """(label, dataset at one combination of hyperparameters) for each method."""
+    for name in given:
+        if not any(name in stats.hyperparameters(ds) for ds in datasets.values()):
+            raise InputError(f"no method swept {name!r}")
+    for method, ds in datasets.items():
+        own = {name: value for name, value in given.items() if name in stats.hyperparameters(ds)}
+        setting = stats.best(ds, **own)
+        yield _label(method, setting), ds.sel(setting)
+
+
+def _label(method: str, setting: Mapping[str, Any]) -> str:
+    return ", ".join([method, *_settings(setting)])
+
+
+def _settings(setting: Mapping[str, Any]) -> list[str]:
+    return [
+        f"{GREEK.get(name, name)} = {_number(value) if isinstance(value, (int, float)) else value}"
+        for name, value in setting.items()
+    ]
+
+
+def _styles() -> Iterable[dict[str, Any]]:
+    pairs = zip(COLORS, MARKERS, strict=True)
+    return itertools.cycle([{"color": color, "marker": marker} for color, marker in pairs])
+
+
+def _from_origin(x: xr.DataArray) -> np.ndarray:
+    return np.concatenate([[0], x.values])
+
+
+def _common_optimum(datasets: Datasets) -> float:
+    """v* from the start if it is one finite number for all, else NaN."""
+    values = np.concatenate([stats.optimum(ds).values.ravel() for ds in datasets.values()])
+    return float(values[0]) if np.ptp(values) < 1e-6 * max(1, abs(values[0])) else np.nan
+
+
+def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float) -> None:
+    """The y axis of returns, and the optimum as a dashed line.
+
+    Early returns can be a hundred times the last ones, and the distance from these to the optimum is what
+    matters. Where all are negative and differ by more than a factor of five, the axis is one of ratios.
+    """
+    values = np.concatenate([*shown, [optimum]])
+    values = values[np.isfinite(values)]
+    if np.isfinite(optimum):
+        ax.axhline(optimum, color=INK, ls=(0, (5, 3)), lw=1.3, zorder=1)
+        text = f"exact optimum {_number(optimum)}"
+        place = ax.get_yaxis_transform()
+        ax.annotate(text, (0.02, optimum), (0, 3), place, "offset points", va="bottom", color=INK)
+    if not values.size:
+        return
+    low, high = values.min(), values.max()
+    if high < 0 and low / high > 5:
+        bottom, top = low * 1.2, high / 1.35
+        ticks = np.outer(10.0 ** np.arange(-6, 12), [1, 2, 5]).ravel()
+        ax.set_yscale("symlog", linthresh=-top)
+        ax.set_yticks([-t for t in ticks if -top <= t <= -bottom])
+        ax.yaxis.set_major_formatter(lambda y, _: _number(y))
+        ax.yaxis.set_minor_locator(NullLocator())
+    else:
+        margin = 0.1 * (high - low) or 1
+        bottom, top = low - margin, high + margin
+    ax.set_ylim(bottom, top)
+
+
+def _tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
+    ax.set_xlabel(xlabel)
+    ax.set_ylabel(ylabel)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(alpha=0.25, lw=0.6)
+    ax.set_axisbelow(True)
+
+
+def _number(x: float, digits: int = 6) -> str:
+    return f"{x:.{digits}g}".replace("-", "−")
+
+
+# --- grids -------------------------------------------------------------------------------------------
+
+
+def greedy_path(
+    ax: Axes, env: Grid, q: np.ndarray, title: str = "greedy path", optimum: float = np.nan
+) -> None:
+    """The path of the policy that is greedy to `q`, from start to goal, on the grid with its wind below.
+
+    Faint arrows are the greedy actions of all cells in which `q` prefers any; hatched cells cannot be
+    reached. Where several actions are greedy the path takes one that leads to the goal soonest, so "goes
+    round for ever" is said only where no choice among them gets there. Where chance plays, the path takes
+    the most likely outcome (of equally likely ones the middle one).
+
+    Args:
+        ax: where to draw.
+        env: a grid.
+        q: action values, [S, A], learned or exact.
+        title: the first line of the title; the second says how long the path is.
+        optimum: v* from the start, named beside the length unless NaN.
+    """
+    moves = _Moves.of(env)
+    path, arrives = moves.path(q, env.start_state)
+    prefers = (q.max(-1) > q.min(-1)) & ~moves.terminal & moves.reachable
+    _draw_grid(ax, env, moves)
+    rows, columns = np.divmod(path, env.shape[1])
+    arrows = _greedy(q) & prefers[:, None]
+    for s, *step in zip(path[:-1], np.diff(rows), np.diff(columns), strict=True):
+        arrows[s] &= (np.asarray(COMPASS[: env.num_actions]) != step).any(
+            -1
+        )  # the path itself shows this one
+    _draw_arrows(ax, env, arrows, "#9a9a9a")
+    _draw_ends(ax, env)
+
+    color = COLORS[0] if arrives else ALARM
+    outline = [patheffects.withStroke(linewidth=6, foreground="white")]
+    ax.plot(columns, rows, color=color, lw=3, zorder=4, path_effects=outline)
+    ax.plot(columns, rows, "o", color=color, ms=6.5, mec="white", mew=1, zorder=5)
+    length = f"{len(path) - 1} steps to the goal" if arrives else "goes round for ever"
+    if moves.stochastic:
+        length += ", outcomes most likely"
+    if not np.isnan(optimum):
+        length += f"; exact optimum v* = {_number(optimum)}"
+    ax.set_title(f"{title}\n{length}", fontsize=TITLE)
+
+
+def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
+    """A heat map of the values `v`, float [S], with the arrows of all greedy actions of `q`, [S, A].
+
+    Hatched cells cannot be reached from the start.
+    """
+    moves = _Moves.of(env)
+    shown = np.isfinite(v) & moves.reachable
+    image = ax.imshow(np.ma.masked_array(v, ~shown).reshape(env.shape), cmap="viridis", zorder=1)
+    _draw_grid(ax, env, moves)
+    _draw_arrows(ax, env, _greedy(q) & (shown & ~moves.terminal)[:, None], "white", raised=0.1)
+    _draw_ends(ax, env)
+    for s in np.flatnonzero(shown & ~moves.terminal):
+        row, column = divmod(int(s), env.shape[1])
+        text = ax.text(
+            column, row + 0.37, _number(v[s], 4), size=SMALL, ha="center", va="center", color="white"
+        )
+        text.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
+    assert ax.figure is not None
+    ax.figure.colorbar(image, ax=ax, label="value", shrink=0.75, pad=0.02)
+
+
+class _Moves(NamedTuple):
+    """Where each action leads, by its most likely outcome.
+
+    Attributes:
+        successor: state, int [S, A].
+        terminal: bool [S].
+        reachable: whether the state can be reached from a start state, bool [S].
+        stochastic: whether any action has several outcomes.
+    """
+
+    successor: np.ndarray
+    terminal: np.ndarray
+    reachable: np.ndarray
+    stochastic: bool
+
+    @classmethod
+    def of(cls, env: Environment) -> "_Moves":
+        model = planning.exact_model(env)
+        s_next, possible = model.s_next, model.prob > 0
+        same = s_next[..., :, None] == s_next[..., None, :]
+        likelihood = (model.prob[..., None, :] * same).sum(-1)  # of the successor, by whichever outcome
+        likeliest = np.isclose(likelihood, likelihood.max(-1, keepdims=True))
+        rank = likeliest.cumsum(-1)
+        middle = (rank[..., -1:] + 1) // 2
+        k = ((rank == middle) & likeliest).argmax(-1)[..., None]
+
+        reachable, known = model.start > 0, -1
+        while known != (known := reachable.sum()):
+            reachable[s_next[reachable][possible[reachable]]] = True
+        return cls(
+            successor=np.take_along_axis(s_next, k, -1)[..., 0],
+            terminal=planning.terminal_states(model),
+            reachable=reachable,
+            stochastic=not np.isclose(likelihood.max(-1), 1).all(),
+        )
+
+    def distance(self, q: np.ndarray) -> np.ndarray:
+        """Steps to a terminal state by greedy actions, float [..., S] for `q` [..., S, A]; inf if never."""
+        greedy = _greedy(q)
+        steps = np.where(self.terminal, 0.0, np.full(q.shape[:-1], np.inf))
+        for _ in range(len(self.terminal)):
+            onward = np.where(greedy, steps[..., self.successor], np.inf).min(-1)
+            steps = np.where(self.terminal, 0.0, onward + 1)
+        return steps
+
+    def path(self, q: np.ndarray, s: int) -> tuple[np.ndarray, bool]:
+        """The states of the greedy path from `s`, and whether it ends; else its last state is a repeat."""
+        steps, greedy = self.distance(q), _greedy(q)
+        path = [s]
+        while not self.terminal[s] and s not in path[:-1]:
+            onward = self.successor[s][greedy[s]]
+            s = int(onward[np.argmin(steps[onward])])
+            path.append(s)
+        return np.array(path), bool(self.terminal[s])
+
+
+def _greedy(q: np.ndarray) -> np.ndarray:
+    """Which actions are maximal, up to rounding, bool [..., S, A]."""
+    q = np.where(np.isnan(q), -np.inf, q)  # a diverged entry is no maximum
+    return np.isclose(q, q.max(-1, keepdims=True), rtol=1e-6, atol=1e-9)
+
+
+def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
+    """Cells, hatched where nobody gets; where there is wind, its strength as a shade and in numbers below."""
+    rows, columns = env.shape
+    wind = np.asarray(getattr(env, "wind", np.zeros(columns)))
+    strongest = max(1, np.abs(wind).max())
+    for column, strength in enumerate(wind):
+        shade = mpl.colormaps["Blues"](0.36 * abs(strength) / strongest)
+        if strength:
+            ax.add_patch(Rectangle((column - 0.5, -0.5), 1, rows, color=shade, lw=0, zorder=0))
+        if wind.any():
+            ax.text(column, rows - 0.1, _number(strength), ha="center", va="center", color=INK)
+    if wind.any():
+        ax.text(-0.65, rows - 0.1, "wind", ha="right", va="center", color=INK)
+    style = {"fc": "#f4f4f4", "ec": "#bdbdbd", "hatch": "////", "lw": 0, "zorder": 1}
+    for s in np.flatnonzero(~moves.reachable):
+        row, column = divmod(int(s), columns)
+        ax.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, **style))
+    if not moves.reachable.all():
+        note = {"size": SMALL, "color": GREY, "ha": "right", "va": "top"}
+        ax.text(columns - 0.5, rows - 0.4 + 0.6 * wind.any(), "hatched: out of reach from the start", **note)
+    lines = {"color": "#c4c4c4", "lw": 0.8, "zorder": 2}
+    ax.hlines(np.arange(rows + 1) - 0.5, -0.5, columns - 0.5, **lines)
+    ax.vlines(np.arange(columns + 1) - 0.5, -0.5, rows - 0.5, **lines)
+    ax.set_xlim(-0.55, columns - 0.45)
+    ax.set_ylim(rows - 0.45, -0.55)
+    ax.set_aspect("equal")
+    ax.axis("off")
+
+
+def _draw_arrows(ax: Axes, env: Grid, shown: np.ndarray, color: str, raised: float = 0.0) -> None:
+    """An arrow for each (s, a) that is `shown`, bool [S, A]; staying is a dot.
+
+    They start in the middle of the cell, or so much above it as they are `raised`.
+    """
+    states, actions = np.nonzero(shown)
+    rows, columns = np.divmod(states, env.shape[1])
+    rows = rows - raised
+    down, right = np.asarray(COMPASS)[actions].T
+    stays = (down == 0) & (right == 0)
+    length = (0.4 - raised) / np.maximum(1, np.hypot(down, right))
+    if stays.any():
+        ax.plot(columns[stays], rows[stays], "o", color=color, ms=4, zorder=3)
+    ax.quiver(
+        *(columns[~stays], rows[~stays], (right * length)[~stays], (down * length)[~stays]),
+        **{"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": 0.045},
+        **{"headwidth": 4, "headlength": 4, "headaxislength": 3.6, "color": color, "zorder": 3},
+    )
+
+
+def _draw_ends(ax: Axes, env: Grid) -> None:
+    for (row, column), letter in ((env.start, "S"), (env.goal, "G")):
+        disc = {"boxstyle": "circle,pad=0.25", "fc": "white", "ec": INK, "lw": 1.2}
+        ax.text(column, row, letter, weight="bold", ha="center", va="center", zorder=6, color=INK, bbox=disc)
+
+
+# --- whole figures -----------------------------------------------------------------------------------
+
+
+def overview(datasets: Datasets, env: Environment) -> Figure:
+    """The pictures of `save_all` in one figure; of the greedy paths, that of the method with the best mean.
+
+    Args:
+        datasets: a sweep for each method, at least one.
+        env: the environment of all of them.
+    """
+    panels = _panels(datasets, env)
+    figure = _figure(12, 4.3 * -(-len(panels) // 2) + 0.4)
+    grid = figure.subplots(-(-len(panels) // 2), 2).ravel()
+    for ax, draw in zip(grid, panels.values(), strict=False):
+        draw(ax)
+    for ax in grid[len(panels) :]:
+        ax.remove()
+    figure.suptitle(_caption(datasets, env), fontsize=TITLE + 1)
+    return figure
+
+
+def save_all(datasets: Datasets, env: Environment, folder: Path | str) -> list[Path]:
+    """Writes the pictures of a sweep as PNG into `folder`, which is made if need be.
+
+    `episodes.png`, `learning_curves.png`, `sensitivity.png` (where a hyperparameter was swept),
+    `greedy_path.png` (on grids: every method, and the exact optimum) and `overview.png`.
+
+    Args:
+        datasets: a sweep for each method, at least one.
+        env: the environment of all of them.
+        folder: where to write; files of these names are overwritten.
+
+    Returns:
+        The files written.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = {}
+    for name, draw in _panels(datasets, env).items():
+        figure = _figure(7.2, 4.8)
+        draw(figure.subplots())
+        figure.suptitle(_caption(datasets, env), fontsize=TITLE)
+        figures[name] = figure
+    if isinstance(env, Grid):
+        figures["greedy_path"] = _all_paths(datasets, env)
+    figures["overview"] = overview(datasets, env)
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png")
+    return [folder / f"{name}.png" for name in figures]
+
+
+def _panels(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], None]]:
+    """What draws each picture, by its name."""
+    panels: dict[str, Callable[[Axes], None]] = {
+        "episodes": lambda ax: episodes_against_steps(ax, datasets),
+        "learning_curves": lambda ax: learning_curves(ax, datasets),
+    }
+    swept = [name for ds in datasets.values() for name in stats.hyperparameters(ds)]
+    if swept:
+        parameter = "alpha" if "alpha" in swept else swept[0]
+        panels["sensitivity"] = lambda ax: sensitivity(ax, datasets, parameter)
+    if isinstance(env, Grid):
+        table = stats.summary(datasets)
+        highest = table.last_tenth_return.fillna(-np.inf).argmax()
+        winner = table.method[highest]
+        panels["greedy_path"] = lambda ax: _median_path(ax, env, winner, datasets[winner])
+    return panels
+
+
+def _all_paths(datasets: Datasets, env: Grid) -> Figure:
+    """The greedy path of every method, and an optimal one where there is a finite optimum."""
+    optimum = _common_optimum(datasets)
+    count = len(datasets) + bool(np.isfinite(optimum))
+    columns, rows = min(2, count), -(-count // 2)
+    figure = _figure(6 * columns, 4.8 * rows)
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, (method, ds) in zip(grid, datasets.items(), strict=False):
+        _median_path(ax, env, method, ds)
+    if np.isfinite(optimum):
+        gamma = stats.fixed(next(iter(datasets.values()))).get("gamma", 1.0)
+        _, q = planning.value_iteration(env, gamma)
+        greedy_path(grid[len(datasets)], env, q, "an optimal policy", optimum)
+    for ax in grid[count:]:
+        ax.remove()
+    return figure
+
+
+def _median_path(ax: Axes, env: Grid, method: str, ds: xr.Dataset) -> None:
+    """The greedy path that is the median over seeds in length, at the best hyperparameters."""
+    setting = stats.best(ds)
+    ds = ds.sel(setting)
+    lengths = _Moves.of(env).distance(ds.q.values)[:, env.start_state]
+    median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]
+    title = f"greedy path of {_label(method, setting)}; median of {len(lengths)} seeds"
+    greedy_path(ax, env, ds.q.values[median], title, float(stats.optimum(ds)))
+
+
+def _figure(width: float, height: float) -> Figure:
+    return Figure((width, height), dpi=DPI, layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1))
+
+
+def _caption(datasets: Datasets, env: Environment) -> str:
+    """What was run: the environment, what is not as usual in it, the hyperparameters of all, the seeds."""
+    names = dict.fromkeys(str(ds.attrs["environment"]) for ds in datasets.values())
+    unusual = [
+        f"{field.name} = {getattr(env, field.name)}"
+        for field in dataclasses.fields(env)  # pyright: ignore[reportArgumentType]
+        if isinstance(field.default, (str, int, float)) and getattr(env, field.name) != field.default
+    ]
+    first, *others = [stats.fixed(ds) for ds in datasets.values()]
+    common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
+    what = ", ".join([*names, *unusual, *_settings(common)])
+    seeds = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
+    return f"{what}\nmean and 95% interval over {seeds} seeds"

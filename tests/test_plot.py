@@ -1,0 +1,277 @@
+"""The pictures: the data that they show, read back from the axes; and the files."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
+
+import jaxrl_tab as rl
+from jaxrl_tab import plot, stats
+from jaxrl_tab.train import Log
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+ALPHAS = (0.05, 0.2, 0.9)
+
+
+def make_result(env, q, *, seeds=5, rows=20, best=-17.0, budget=None):
+    """A sweep as real ones look: hugely negative returns first, `best` in the end, worse at small alpha."""
+    rng = np.random.default_rng(0)
+    shape = (len(ALPHAS), seeds, rows)
+    progress = np.linspace(0, 1, rows)
+    pace = np.array([20.0, 4.0, 1.0])[:, None, None]
+    mean = best * (1 + (pace - 1) + 30 * np.exp(-6 * progress)) * rng.uniform(0.95, 1.05, shape)
+    budget = budget or {"num_steps": 200 * rows, "num_episodes": None, "log_every": 200}
+    if budget["num_steps"]:
+        steps, episodes = np.full(shape, 200), np.floor(200 / -mean + 0.5)
+    else:
+        steps, episodes = -mean, np.ones(shape)
+    log = Log(
+        steps=steps.astype(np.int32),
+        episodes=episodes.astype(np.int32),
+        returns=(episodes * mean).astype(np.float32),
+        lengths=steps.astype(np.int32),
+        rewards=-steps.astype(np.float32),
+    )
+    return rl.SweepResult(
+        environment="windy-gridworld",
+        algorithm="sarsa",
+        env=env,
+        grid={"alpha": ALPHAS},
+        fixed={"epsilon": 0.1, "gamma": 1.0},
+        log=log,
+        q=np.broadcast_to(np.asarray(q, np.float32), (*shape[:2], *q.shape)),
+        optimal_value=np.array(-15.0),
+        root_seed=0,
+        seconds=1.0,
+        compile_seconds=1.0,
+        **budget,
+    )
+
+
+@pytest.fixture(scope="module")
+def solved(windy):
+    return rl.planning.value_iteration(windy)
+
+
+@pytest.fixture(scope="module")
+def datasets(windy, solved):
+    sarsa = make_result(windy, solved[1])
+    return {"sarsa": sarsa.to_xarray(), "q-learning": make_result(windy, solved[1], best=-16.0).to_xarray()}
+
+
+@pytest.fixture
+def ax():
+    return Figure().subplots()
+
+
+def texts(ax):
+    return [text.get_text() for text in ax.texts]
+
+
+# --- curves ------------------------------------------------------------------------------------------
+
+
+def test_episodes_against_steps(ax, datasets):
+    plot.episodes_against_steps(ax, datasets, alpha=0.2)
+    lines = ax.get_lines()
+    assert [line.get_label() for line in lines] == ["sarsa, α = 0.2", "q-learning, α = 0.2"]
+    episodes = datasets["sarsa"].episodes.sel(alpha=0.2).cumsum("row")
+    np.testing.assert_array_equal(lines[0].get_xdata(), 200 * np.arange(21))
+    np.testing.assert_allclose(lines[0].get_ydata(), [0, *episodes.mean("seed").values])
+    band = ax.collections[0].get_paths()[0].vertices
+    interval = stats.mean_interval(episodes)
+    for bound in (interval.low, interval.high):
+        assert np.isclose(band, [4000, float(bound[-1])]).all(1).any()
+
+
+def test_episodes_against_steps_where_episodes_were_the_budget(ax, windy, solved):
+    """Then the steps are random: x is their mean, and the band is horizontal."""
+    budget = {"num_steps": None, "num_episodes": 20, "log_every": 1}
+    ds = make_result(windy, solved[1], budget=budget).to_xarray()
+    plot.episodes_against_steps(ax, {"sarsa": ds})
+    (line,) = ax.get_lines()
+    steps = ds.steps.sel(stats.best(ds)).cumsum("row")
+    np.testing.assert_allclose(line.get_xdata(), [0, *steps.mean("seed").values])
+    np.testing.assert_array_equal(line.get_ydata(), np.arange(21))
+    band = ax.collections[0].get_paths()[0].vertices
+    assert np.isclose(band, [float(stats.mean_interval(steps).high[-1]), 20]).all(1).any()
+
+
+def test_learning_curves(ax, datasets):
+    plot.learning_curves(ax, datasets)
+    sarsa, _, optimum = ax.get_lines()
+    assert sarsa.get_label() == "sarsa, α = 0.9"
+    ds = datasets["sarsa"].sel(alpha=0.9)
+    interval = stats.mean_interval(stats.learning_curve(ds))
+    enough = interval.n.values == 5
+    assert enough.any()
+    assert not enough.all()
+    np.testing.assert_array_equal(np.isfinite(sarsa.get_ydata()), enough)
+    np.testing.assert_allclose(sarsa.get_ydata()[enough], interval.mean.values[enough])
+    np.testing.assert_array_equal(sarsa.get_xdata(), 200 * np.arange(1, 21))
+    assert set(optimum.get_ydata()) == {-15}
+    assert "exact optimum −15" in texts(ax)
+    low, high = ax.get_ylim()
+    assert low < interval.low.values[enough].min() < -15 < high < 0
+
+
+def test_learning_curves_against_episodes(ax, windy, solved):
+    budget = {"num_steps": None, "num_episodes": 100, "log_every": 1}
+    plot.learning_curves(ax, {"sarsa": make_result(windy, solved[1], rows=100, budget=budget).to_xarray()})
+    assert ax.get_xlabel() == "episodes"
+    np.testing.assert_array_equal(ax.get_lines()[0].get_xdata(), [*range(3, 100, 3), 100])
+
+
+def test_sensitivity(ax, datasets):
+    plot.sensitivity(ax, datasets)
+    table = stats.summary(datasets).query("method == 'q-learning'")
+    line = next(line for line in ax.get_lines() if line.get_label() == "q-learning")
+    np.testing.assert_array_equal(line.get_xdata(), ALPHAS)
+    np.testing.assert_allclose(line.get_ydata(), table.last_tenth_return)
+    bars = ax.containers[1].lines[2][0].get_segments()
+    bounds = table[["last_tenth_low", "last_tenth_high"]].to_numpy()
+    np.testing.assert_allclose([bar[:, 1] for bar in bars], bounds)
+    assert ax.get_xscale() == "log"  # 0.05 to 0.9
+    assert "exact optimum −15" in texts(ax)
+
+
+def test_sensitivity_marks_settings_that_lose_seeds(ax, datasets):
+    ds = datasets["sarsa"].copy(deep=True)
+    ds["episodes"][1, 0, -2:] = 0
+    plot.sensitivity(ax, {"sarsa": ds.isel(alpha=[1, 2])})
+    hollow = [line for line in ax.get_lines() if line.get_color() == "white"]
+    assert [x for line in hollow for x in line.get_xdata()] == [0.2]
+    assert "hollow: some seeds finish no episode" in [text.get_text() for text in ax.get_legend().texts]
+    assert ax.get_xscale() == "linear"
+
+
+def test_sensitivity_shows_a_method_that_kept_the_parameter(ax, datasets):
+    kept = datasets["q-learning"].isel(alpha=1, drop=True).assign_attrs(fixed='{"alpha": 0.3}')
+    plot.sensitivity(ax, {"sarsa": datasets["sarsa"], "kept": kept})
+    line = next(line for line in ax.get_lines() if line.get_label() == "kept")
+    assert line.get_xdata() == [0.3]
+
+
+def test_curves_need_what_was_swept(ax, datasets):
+    with pytest.raises(rl.InputError, match="no method swept 'epsilon'"):
+        plot.learning_curves(ax, datasets, epsilon=0.1)
+    with pytest.raises(rl.InputError, match="no method swept 'epsilon'"):
+        plot.sensitivity(ax, datasets, "epsilon")
+    with pytest.raises(rl.InputError, match=r"alpha was not swept at 0\.3"):
+        plot.episodes_against_steps(ax, datasets, alpha=0.3)
+
+
+# --- grids -------------------------------------------------------------------------------------------
+
+
+def cells(ax):
+    """The cells (row, column) of the path that was drawn."""
+    return list(zip(*(np.asarray(x).tolist() for x in reversed(ax.get_lines()[0].get_data())), strict=True))
+
+
+def test_greedy_path_of_the_optimum(ax, windy, solved):
+    """The one optimal path of the book: fifteen steps, round the goal and back with the wind."""
+    plot.greedy_path(ax, windy, solved[1], "exact", optimum=-15.0)
+    path = cells(ax)
+    assert len(path) == 16
+    assert path[:5] == [(3, 0), (3, 1), (3, 2), (3, 3), (2, 4)]
+    assert path[-3:] == [(4, 9), (4, 8), (3, 7)]
+    assert ax.get_title() == "exact\n15 steps to the goal; exact optimum v* = −15"
+    assert [text for text in texts(ax) if len(text) == 1] == [*"0001112210", "S", "G"]
+
+
+def test_greedy_path_that_never_ends(ax, windy):
+    """Always left: the walker stays in the corner it starts in."""
+    q = np.zeros((70, 4))
+    q[:, 3] = 1
+    plot.greedy_path(ax, windy, q, "left")
+    assert cells(ax) == [(3, 0), (3, 0)]
+    assert ax.get_title() == "left\ngoes round for ever"
+
+
+def test_ties_lead_to_the_goal_if_any_of_them_does(ax, windy, solved):
+    """The greedy policy splits ties, so a tie with a useless first action does not go round for ever."""
+    v, q = solved
+    tied = q.copy()
+    tied[:, 0] = v  # up is now among the maximal actions everywhere
+    plot.greedy_path(ax, windy, tied)
+    assert "15 steps to the goal" in ax.get_title()
+
+
+def test_greedy_path_takes_the_middle_one_of_equally_likely_gusts(ax, windy, solved):
+    env = dataclasses.replace(windy, stochastic=True)
+    plot.greedy_path(ax, env, solved[1])
+    other = Figure().subplots()
+    plot.greedy_path(other, windy, solved[1])
+    assert cells(ax) == cells(other)
+    assert "outcomes most likely" in ax.get_title()
+
+
+def test_diverged_values_have_a_picture(ax, windy):
+    plot.greedy_path(ax, windy, np.full((70, 4), np.nan))
+
+
+def test_values(ax, windy, solved):
+    v, q = solved
+    plot.values(ax, windy, v, q)
+    (image,) = ax.images
+    shown = ~image.get_array().mask
+    assert shown.sum() == 63  # the wind keeps everyone out of seven cells
+    assert not shown[6, 4:8].any()
+    np.testing.assert_allclose(image.get_array()[shown], v.reshape(7, 10)[shown])
+    assert "−15" in texts(ax)
+    (arrows,) = (x for x in ax.collections if isinstance(x, Quiver))
+    places = list(zip(arrows.X.tolist(), (arrows.Y + 0.1).tolist(), strict=True))
+    assert len(set(places)) == 62  # all of them but the goal
+    at = [place == (9, 5) for place in places]  # where up and left are equally good
+    assert sorted(zip(np.sign(arrows.U[at]), np.sign(arrows.V[at]), strict=True)) == [(-1, 0), (0, -1)]
+
+
+def test_cliff_is_hatched(ax):
+    env = rl.CliffWalking()
+    plot.values(ax, env, *rl.planning.value_iteration(env))
+    mask = ax.images[0].get_array().mask
+    assert mask[3, 1:11].all()
+    assert mask.sum() == 10
+
+
+# --- files -------------------------------------------------------------------------------------------
+
+
+def test_save_all(datasets, windy, tmp_path):
+    files = plot.save_all(datasets, windy, tmp_path / "new")
+    names = ["episodes", "learning_curves", "sensitivity", "greedy_path", "overview"]
+    assert files == [tmp_path / "new" / f"{name}.png" for name in names]
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in files)
+
+
+def test_overview_shows_the_path_of_the_best_method(datasets, windy):
+    figure = plot.overview(datasets, windy)
+    title = figure.axes[3].get_title()
+    assert title.startswith("greedy path of q-learning, α = 0.9; median of 5 seeds\n15 steps to the goal")
+    assert figure.get_suptitle() == "windy-gridworld, ε = 0.1, γ = 1\nmean and 95% interval over 5 seeds"
+
+
+def test_caption_says_what_is_unusual(datasets):
+    figure = plot.overview(datasets, rl.make("windy-gridworld", stochastic=True))
+    assert figure.get_suptitle().startswith("windy-gridworld, stochastic = True, ε = 0.1")
+
+
+def test_median_path_counts_endless_ones_as_longest(windy, solved, ax):
+    """Of five seeds two go for ever and one takes 15 steps: the median is the longest that arrives."""
+    left, detour = np.zeros((70, 4)), solved[1].copy()
+    left[:, 3] = 1
+    detour[30] = [0, -1, -1, -1]  # from the start up first: 16 steps
+    result = make_result(windy, solved[1])
+    q = np.stack([left, detour, left, solved[1], detour])
+    ds = dataclasses.replace(result, q=np.broadcast_to(q, (3, *q.shape))).to_xarray()
+    figure = plot.overview({"sarsa": ds}, windy)
+    assert "16 steps to the goal" in figure.axes[3].get_title()
+
+
+def test_what_is_no_grid_has_no_path(datasets):
+    figure = plot.overview(datasets, rl.RandomWalk())
+    assert len(figure.axes) == 3
