@@ -360,7 +360,9 @@ def test_shapes_and_dtypes(name):
             for answer, shape in ((outcomes, prob.shape), (outcome, ())):
                 assert [x.shape for x in answer] == [shape] * 3
                 assert [x.dtype for x in answer] == [np.int32, real, bool]
-                assert not any(x.weak_type for x in answer)  # or a loop that carries them changes its types
+                assert not any(
+                    x.weak_type for x in (prob, *answer)
+                )  # or a loop that carries them changes its types
             initial = jax.eval_shape(lambda env: env.initial(), env)
             assert (initial.shape, initial.dtype, prob.dtype) == ((env.num_states,), real, real)
             start = jax.eval_shape(lambda env, key: env.reset(key), env, key)

@@ -66,4 +66,4 @@ class RandomWalk(FixedStart):
         s_next = jnp.where(over, s, s + jnp.array([-1, 1], jnp.int32))
         reward = jnp.where(s_next == left, left_reward, jnp.where(s_next == right, 1.0, 0.0))
         terminal = (s_next == left) | (s_next == right)
-        return jnp.full(2, 0.5), Outcome(s_next, jnp.where(over, 0.0, reward), terminal)
+        return jnp.full(2, 0.5, dtype=float), Outcome(s_next, jnp.where(over, 0.0, reward), terminal)

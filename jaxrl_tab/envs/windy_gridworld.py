@@ -72,7 +72,7 @@ class WindyGridworld(Grid):
         lift, prob = wind[s % self.shape[1]], jnp.ones(1)
         if self.stochastic:
             gust = jnp.array([-1, 0, 1], jnp.int32)
-            lift, prob = jnp.where(lift != 0, lift + gust, lift), jnp.full(3, 1 / 3)
+            lift, prob = jnp.where(lift != 0, lift + gust, lift), jnp.full(3, 1 / 3, dtype=float)
         goal = jnp.int32(self.state(self.goal))
         s_next = jnp.where(s == goal, goal, self.neighbour(s, a, lift)).reshape(prob.shape)
         reward = jnp.where(s == goal, 0.0, jnp.full_like(prob, -1.0))
