@@ -304,8 +304,8 @@ def measurer(env: Environment, gamma: Any) -> Measure:
 
     greedy_value is the exact value, from the start distribution, of the policy that is greedy to Q with ties
     split; -inf where gamma is 1 and that policy may be caught for ever while rewards go on. q_error is the
-    largest |Q - Q*| over non-terminal states; NaN where Q* is not finite, or not found in TRACED_SWEEPS
-    sweeps of value iteration. Both are NaN where Q holds a NaN.
+    largest |Q - Q*| over non-terminal states, those that are never visited included; NaN where Q* is not
+    finite, or not found in TRACED_SWEEPS sweeps of value iteration. Both are NaN where Q holds a NaN.
 
     Everything is at the ambient precision, usually float32. Both numbers then have a relative error of about
     1e-7 times the expected number of steps to the end (of the greedy and of the optimal policy): 1e-6 is
@@ -323,16 +323,15 @@ def measurer(env: Environment, gamma: Any) -> Measure:
     model = enumerate_model(env)
     gamma = jnp.asarray(gamma, model.prob.dtype)
     q_star, converged, _ = _sweeps(model, gamma, 0.0, TRACED_SWEEPS)
-    q_star = jnp.where(converged, q_star, jnp.nan)
     goes_on = ~terminal_states(model)
 
     def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         v, _ = _policy_value(model, jax.vmap(policies.greedy)(q), gamma)
         error = jnp.where(goes_on[:, None], abs(q - q_star), 0).max()
-        diverged = jnp.isnan(
-            q
-        ).any()  # to be told by itself: in compiled code NaN has no maximum, and 0 / 0 is 0
-        return jnp.where(diverged, jnp.nan, _from_start(model, v)), jnp.where(diverged, jnp.nan, error)
+        # Said by itself, because a NaN may get lost: in compiled code 0 / 0 can be 0, and max can pass NaN over.
+        sound = ~jnp.isnan(q).any()
+        value = jnp.where(sound, _from_start(model, v), jnp.nan)
+        return value, jnp.where(sound & converged, error, jnp.nan)
 
     return measure
 
