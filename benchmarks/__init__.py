@@ -1,0 +1,1 @@
+"""Throughput beside peers, measured side by side in one run: `python -m benchmarks.throughput`."""
