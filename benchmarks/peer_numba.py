@@ -7,7 +7,7 @@ with branches for ties, exploration and walls took 25 ns:
   four, and one table look-up turns bits and a random number into an action. Walls and wind are a table, too.
   (17 ns)
 - **Four lanes abreast.** A step is a chain of dependent loads, so one lane leaves the core idle most of the
-  time. A core that works on four lanes in turn has always something to do. (9 ns)
+  time. A core that works on four lanes in turn always has something to do. (8 ns)
 
 Each lane has its own xoshiro256++ generator (Blackman and Vigna 2021), seeded by splitmix64, and draws one
 64-bit word a step: the upper half decides on exploring, the lower half on the action. The table is float32.
