@@ -33,7 +33,7 @@ GREEK = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
 INK, GREY, ALARM = "#222222", "#6e6e6e", "#D55E00"
 TITLE, SMALL = 11, 8  # font sizes, points
 DPI = 150
-CURVE_POINTS = 40  # a learning curve of so many points at most: a row of the log is often too noisy to show
+MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 Datasets = Mapping[str, xr.Dataset]
@@ -76,26 +76,28 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
 def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
     """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
 
-    Rows of the log are merged to at most `CURVE_POINTS` points, and a point is drawn at its end where at
-    least `MOST_SEEDS` of the seeds finished an episode in it: before, only the quick episodes are over, and
-    their mean would flatter. Arguments and errors as in `episodes_against_steps`.
+    Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
+    drawn at the end of its rows, and only where `MOST_SEEDS` of the seeds finished an episode in them: at
+    first only the quick episodes are over, and their mean would flatter. Arguments and errors as in
+    `episodes_against_steps`.
     """
-    shown = []
+    shown, end = [], 0
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-        merged = stats.merge_rows(ds, CURVE_POINTS)
+        merged, interval, enough = _readable_curve(ds)
         curve = stats.episode_curve(merged)
         x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].isel(seed=0).values
-        interval = stats.mean_interval(stats.learning_curve(merged))
-        enough = (interval.n >= MOST_SEEDS * ds.sizes["seed"]).values
         mean, low, high = (np.where(enough, part, np.nan) for part in interval[:3])
         ax.plot(x, mean, lw=2, ms=4, label=label, **style)
         ax.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
-        ax.set_xlim(left=0)
         shown += [mean, low, high]
+        end = max(end, x[-1])
+    if not np.isfinite(np.concatenate(shown)).any():
+        ax.text(0.5, 0.3, "too few episodes for a curve", transform=ax.transAxes, ha="center", color=GREY)
+    ax.set_xlim(0, 1.03 * end)
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
     _tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
     _return_axis(ax, shown, _common_optimum(datasets))
-    ax.legend(loc="lower right", frameon=False)
+    ax.legend(loc="best", framealpha=0.8, edgecolor="none")
 
 
 def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
@@ -141,7 +143,22 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
     what = "step size α" if parameter == "alpha" else GREEK.get(parameter, parameter)
     _tidy(ax, what, "mean return, last tenth")
     _return_axis(ax, shown, _common_optimum(datasets))
-    ax.legend(loc="lower right", frameon=False)
+    ax.legend(loc="best", framealpha=0.8, edgecolor="none")
+
+
+def _readable_curve(
+    ds: xr.Dataset, points: int = MOST_POINTS
+) -> tuple[xr.Dataset, stats.Interval, np.ndarray]:
+    """The merged log, the interval of its mean returns, and where enough seeds are in it, bool [points].
+
+    Of at most so many points; of fewer if that closes gaps in the second half.
+    """
+    merged = stats.merge_rows(ds, points)
+    interval = stats.mean_interval(stats.learning_curve(merged))
+    enough = (interval.n >= MOST_SEEDS * ds.sizes["seed"]).values
+    if enough[len(enough) // 2 :].all() or points <= LEAST_POINTS:
+        return merged, interval, enough
+    return _readable_curve(ds, points // 2)
 
 
 def _chosen(datasets: Datasets, given: Mapping[str, Any]) -> Iterable[tuple[str, xr.Dataset]]:
@@ -193,7 +210,8 @@ def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float) -> None:
         ax.axhline(optimum, color=INK, ls=(0, (5, 3)), lw=1.3, zorder=1)
         text = f"exact optimum {_number(optimum)}"
         place = ax.get_yaxis_transform()
-        ax.annotate(text, (0.02, optimum), (0, 3), place, "offset points", va="bottom", color=INK)
+        label = ax.annotate(text, (0.02, optimum), (0, 3), place, "offset points", va="bottom", color=INK)
+        label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
     if not values.size:
         return
     low, high = values.min(), values.max()
@@ -219,7 +237,7 @@ def _tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
 
 
 def _number(x: float, digits: int = 6) -> str:
-    return f"{x:.{digits}g}".replace("-", "−")
+    return f"{round(x, 9) + 0.0:.{digits}g}".replace("-", "−")
 
 
 # --- grids -------------------------------------------------------------------------------------------
@@ -261,9 +279,9 @@ def greedy_path(
     ax.plot(columns, rows, "o", color=color, ms=6.5, mec="white", mew=1, zorder=5)
     length = f"{len(path) - 1} steps to the goal" if arrives else "goes round for ever"
     if moves.stochastic:
-        length += ", outcomes most likely"
+        length = f"likeliest outcomes: {length}"
     if not np.isnan(optimum):
-        length += f"; exact optimum v* = {_number(optimum)}"
+        length += f"; optimum v* = {_number(optimum, 4)}"
     ax.set_title(f"{title}\n{length}", fontsize=TITLE)
 
 
@@ -416,12 +434,12 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
         env: the environment of all of them.
     """
     panels = _panels(datasets, env)
-    figure = _figure(12, 4.3 * -(-len(panels) // 2) + 0.4)
-    grid = figure.subplots(-(-len(panels) // 2), 2).ravel()
-    for ax, draw in zip(grid, panels.values(), strict=False):
+    columns = 3 if len(panels) == 3 else 2
+    rows = -(-len(panels) // columns)
+    figure = _figure(6 * columns, 4.3 * rows + 0.4)
+    grid = figure.subplots(rows, columns).ravel()
+    for ax, draw in zip(grid, panels.values(), strict=True):
         draw(ax)
-    for ax in grid[len(panels) :]:
-        ax.remove()
     figure.suptitle(_caption(datasets, env), fontsize=TITLE + 1)
     return figure
 
@@ -479,7 +497,7 @@ def _all_paths(datasets: Datasets, env: Grid) -> Figure:
     optimum = _common_optimum(datasets)
     count = len(datasets) + bool(np.isfinite(optimum))
     columns, rows = min(2, count), -(-count // 2)
-    figure = _figure(6 * columns, 4.8 * rows)
+    figure = _figure(6 * columns, (1.1 + 5.4 * env.shape[0] / env.shape[1]) * rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, (method, ds) in zip(grid, datasets.items(), strict=False):
         _median_path(ax, env, method, ds)

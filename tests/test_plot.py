@@ -125,6 +125,23 @@ def test_learning_curves_against_episodes(ax, windy, solved):
     np.testing.assert_array_equal(ax.get_lines()[0].get_xdata(), [*range(3, 100, 3), 100])
 
 
+def test_learning_curves_merge_rows_until_most_seeds_are_in_each(ax, datasets):
+    """Every other row empty: ten points of two rows each leave no gap."""
+    ds = datasets["sarsa"].copy(deep=True)
+    ds["episodes"][..., ::2] = 0
+    ds["returns"][..., ::2] = 0
+    plot.learning_curves(ax, {"sarsa": ds})
+    line = ax.get_lines()[0]
+    np.testing.assert_array_equal(line.get_xdata(), 400 * np.arange(1, 11))
+    assert np.isfinite(line.get_ydata()[5:]).all()
+
+
+def test_learning_curves_of_runs_that_finish_nothing(ax, datasets):
+    ds = datasets["sarsa"]
+    plot.learning_curves(ax, {"sarsa": ds.assign(episodes=ds.episodes * 0, returns=ds.returns * 0)})
+    assert "too few episodes for a curve" in texts(ax)
+
+
 def test_sensitivity(ax, datasets):
     plot.sensitivity(ax, datasets)
     table = stats.summary(datasets).query("method == 'q-learning'")
@@ -179,7 +196,7 @@ def test_greedy_path_of_the_optimum(ax, windy, solved):
     assert len(path) == 16
     assert path[:5] == [(3, 0), (3, 1), (3, 2), (3, 3), (2, 4)]
     assert path[-3:] == [(4, 9), (4, 8), (3, 7)]
-    assert ax.get_title() == "exact\n15 steps to the goal; exact optimum v* = −15"
+    assert ax.get_title() == "exact\n15 steps to the goal; optimum v* = −15"
     assert [text for text in texts(ax) if len(text) == 1] == [*"0001112210", "S", "G"]
 
 
@@ -207,7 +224,7 @@ def test_greedy_path_takes_the_middle_one_of_equally_likely_gusts(ax, windy, sol
     other = Figure().subplots()
     plot.greedy_path(other, windy, solved[1])
     assert cells(ax) == cells(other)
-    assert "outcomes most likely" in ax.get_title()
+    assert "likeliest outcomes: 15 steps to the goal" in ax.get_title()
 
 
 def test_diverged_values_have_a_picture(ax, windy):
