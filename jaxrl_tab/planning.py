@@ -328,7 +328,7 @@ def measurer(env: Environment, gamma: Any) -> Measure:
     def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         v, _ = _policy_value(model, jax.vmap(policies.greedy)(q), gamma)
         error = jnp.where(goes_on[:, None], abs(q - q_star), 0).max()
-        # Said by itself, because a NaN may get lost: in compiled code 0 / 0 can be 0, and max can pass NaN over.
+        # Said by itself: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
         sound = ~jnp.isnan(q).any()
         value = jnp.where(sound, _from_start(model, v), jnp.nan)
         return value, jnp.where(sound & converged, error, jnp.nan)
@@ -380,7 +380,7 @@ def _policy_value(model: Model, probs: Float[Any, "S A"], gamma: Any) -> tuple[A
     doomed = doomed & (gamma == 1)
     weight = probs[:, :, None] * model.prob
     reward = (weight * model.reward).sum((1, 2))
-    known = model.terminal | (settled | doomed)[model.s_next]  # leaving these out makes the system regular
+    known = (settled | doomed)[model.s_next]  # terminal states are settled; without these it is regular
     v = _solve(model, where(known, 0, gamma * weight), reward)
     return where(doomed, -np.inf, v), caught & (gamma == 1)
 
