@@ -34,7 +34,7 @@ from jaxrl_tab import batch, describe, planning
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Grid
-from jaxrl_tab.figures import FIGURES
+from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.options import Group, option_of, parse, real, values, whole, words
 from jaxrl_tab.sweep import configurations, sweep
 from jaxrl_tab.types import FiniteEnvironment, InputError, build, nearest
@@ -167,8 +167,7 @@ class Solve:
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """New folder for a picture (PNG)."""
     json: Switch = False
-    """Print JSON: for each policy the value from the start, v [S], q [S][A], and the policy's
-    probabilities [S][A]."""
+    """Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A]."""
 
 
 def _solve(argv: list[str]) -> int:
@@ -297,19 +296,18 @@ class Sweep:
     """How many steps each run takes."""
     episodes: Annotated[int | None, whole(1), arg(help_behavior_hint="")] = None
     """How many episodes each run finishes, instead of --steps."""
-    log_every: Annotated[int | None, whole(1), arg(help_behavior_hint="(default: 100, or 1)")] = None
-    """Steps, or episodes, in a row of the log."""
+    log_every: Annotated[int | None, whole(1), arg(help_behavior_hint="(default: 100 or 1)")] = None
+    """How many steps, or episodes, are summed up in one row of the log."""
     seed: Annotated[int, whole(0)] = 0
     """Which sequence of seeds."""
     exact: Switch = False
-    """Also record the exact value of the greedy policy and the largest |Q - Q*| in every row. That solves a
-    linear system of the size of the environment for each row."""
+    """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
     json: Switch = False
     """Print the summary as JSON."""
     quiet: Switch = False
-    """Show no progress and print nothing."""
+    """Show no progress and no table."""
 
 
 def _sweep(argv: list[str]) -> int:
@@ -339,7 +337,8 @@ def _sweep(argv: list[str]) -> int:
             from jaxrl_tab import plot
 
             table.to_csv(folder / "summary.csv", index=False)
-            plot.save_all(datasets, env, folder)
+            with Console(stderr=True, quiet=options.quiet).status("drawing the pictures"):
+                plot.save_all(datasets, env, folder)
 
     if options.json:
         records = jsonlib.loads(str(table.to_json(orient="records")))
@@ -376,6 +375,8 @@ def _run(
     quiet: bool,
 ) -> "dict[str, xr.Dataset]":
     """Sweeps one method after another, with a bar for each, and saves the data of each when it is done."""
+    import xarray  # noqa: F401  Now, because later a Ctrl-C in the second that it takes would lose a method's data.
+
     datasets = {}
     columns = (
         SpinnerColumn(finished_text="✓"),
@@ -388,10 +389,10 @@ def _run(
     stderr = Console(stderr=True)
     with Progress(*columns, console=stderr, disable=quiet or not stderr.is_terminal) as bars:
         for name, grid in grids.items():
-            bar = bars.add_task(name, total=None)
+            bar = bars.add_task(f"{name}, compiling", total=None)
 
-            def progress(done: int, total: int, bar=bar) -> None:
-                bars.update(bar, completed=done, total=total)
+            def progress(done: int, total: int, bar=bar, name=name) -> None:
+                bars.update(bar, description=name, completed=done, total=total)
 
             datasets[name] = sweep(env, name, grid, **budget, progress=progress).to_xarray()
             if folder:
@@ -418,39 +419,32 @@ def _summary_table(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     hyperparameters = columns[1 : columns.index("episodes")]
     shared = [h for h in hyperparameters if len(table[h].drop_duplicates()) == 1]
     varied = [h for h in hyperparameters if h not in shared]
-    length = (
-        f"{ds.attrs['num_steps']} steps"
-        if "num_steps" in ds.attrs
-        else f"{ds.attrs['num_episodes']} episodes"
-    )
+    unit = "steps" if "num_steps" in ds.attrs else "episodes"
+    length = f"{ds.attrs[f'num_{unit}']} {unit}"
     setting = [f"{h} {words(table[h][0])}" for h in shared]
+    few = bool((table.seeds < ds.sizes["seed"]).any())  # some seeds finished no episode in the last tenth
     view = Table(
-        "method",
-        *varied,
-        "episodes",
-        "mean return,\nlast tenth",
-        "95% interval",
-        "seeds",
-        "million\nsteps/s",
-        "exact\noptimum",
+        *["method", *varied, "episodes", "mean return,\nlast tenth", "± 95%"],
+        *(["of seeds"] if few else []),
+        *["million\nsteps/s", "exact\noptimum"],
         title=", ".join([environment, *setting, f"{ds.sizes['seed']} seeds, {length} each"]),
-        caption="* the best of its method on these seeds: chosen for its mean, which therefore flatters it",
+        caption="* the best of its method on these seeds; chosen for its mean, which so flatters it",
     )
     for column in view.columns[1:]:
         column.justify = "right"
     for method, rows in table.groupby("method", sort=False):
         best = stats.best(datasets[str(method)])
         for row in rows.to_dict("records"):
-            low, high = row["last_tenth_low"], row["last_tenth_high"]
             star = bool(best) and all(row[name] == value for name, value in best.items())
+            mean, high = row["last_tenth_return"], row["last_tenth_high"]
             view.add_row(
                 f"{method} *" if star else str(method),
                 *(_cell(row[h], words) for h in varied),
-                _cell(row["episodes"], "{:.1f}".format),
-                _cell(row["last_tenth_return"], "{:.2f}".format),
-                _cell(low, lambda low, high=high: f"{low:.2f} to {high:.2f}"),
-                str(row["seeds"]),
-                _cell(row["steps_per_second"] / 1e6, "{:.1f}".format),
+                f"{row['episodes']:.1f}",
+                _cell(mean, "{:.2f}".format),
+                _cell(high - mean, "{:.2f}".format),
+                *([str(row["seeds"])] if few else []),
+                f"{row['steps_per_second'] / 1e6:.1f}",
                 _cell(row["optimum"], _number),
                 style="bold" if star else None,
             )
@@ -503,23 +497,24 @@ def _figure(argv: list[str]) -> int:
     if options.json:
         _print_json({"figure": options.name, "numbers": [c._asdict() | {"ok": c.ok} for c in checks]})
     else:
-        table = Table(
-            "number",
-            "got",
-            "± SE",
-            "expected",
-            "± SE",
-            "SEs apart",
-            title=f"{figure.title} ({figure.source})",
-        )
-        for c in checks:
-            numbers = (c.got, c.standard_error, c.expected, c.expected_standard_error, c.apart)
-            verdict = "" if c.ok else " [bold red]OFF[/]"
-            table.add_row(c.what, *(f"{x:.6g}" for x in numbers[:-1]), f"{c.apart:.2f}{verdict}")
-        _console().print(table)
+        _console().print(_check_table(f"{figure.title} ({figure.source})", checks))
         if options.out:
             _say_where(options.out, datasets)
     return 0 if all(c.ok for c in checks) else 1
+
+
+def _check_table(title: str, checks: Sequence[Check]) -> Table:
+    table = Table("number", "got", "± SE", "expected", "± SE", "SEs apart", title=title)
+    for c in checks:
+        table.add_row(
+            c.what,
+            _number(c.got),
+            f"{c.standard_error:.2g}",
+            _number(c.expected),
+            f"{c.expected_standard_error:.2g}",
+            f"{c.apart:.2f}" if c.ok else f"[bold red]{c.apart:.2f}, off[/]",
+        )
+    return table
 
 
 # --- shared ------------------------------------------------------------------------------------------
@@ -551,10 +546,11 @@ def _folder(path: Path | None) -> Iterator[Path | None]:
     if path is None:
         yield None
         return
-    unfinished = path.with_name(f"{path.name}.unfinished-{os.getpid()}")
+    path = Path(os.path.normpath(path))
     try:
         if path.exists() or path.is_symlink():
             raise InputError(f"--out: {path} exists already; name a new folder")
+        unfinished = path.with_name(f"{path.name}.unfinished-{os.getpid()}")
         unfinished.mkdir(parents=True)
     except OSError as error:
         raise InputError(f"--out: {path} cannot be made: {error.strerror}") from None
@@ -578,9 +574,8 @@ def _say_where(folder: Path, datasets: "Mapping[str, xr.Dataset] | None" = None)
     out.print(f"[bold]{escape(str(folder))}[/]: {files}", soft_wrap=True)
     if datasets:
         method = next(iter(datasets))
-        out.print(
-            f'The data: xarray.open_datatree("{folder / DATA}")["{method}"]', markup=False, soft_wrap=True
-        )
+        how = f'xarray.open_datatree("{folder / DATA}")["{method}"]'
+        out.print(f"Read the data with {how}", markup=False, soft_wrap=True)
 
 
 def _number(x: float) -> str:

@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import inspect
 import io
+import itertools
 import re
 import typing
 from collections.abc import Callable, Mapping, Sequence
@@ -217,11 +218,12 @@ def _notes(kind: Any) -> tuple[Any, ...]:
 
 
 def _plain(box: str) -> str:
-    """The first paragraph of one of tyro's error boxes, as one line."""
+    """The first paragraph below the title of one of tyro's error boxes, as one line."""
     lines = [line.strip("│ ") for line in re.sub(r"\x1b\[[\d;]*m", "", box).splitlines()[1:]]
-    paragraph = []
-    for line in lines:
-        if line.startswith(("─", "╰")):
-            break
-        paragraph.append(line)
-    return re.sub(r"^Error parsing (\S+):", r"\1", " ".join(paragraph))
+    text = itertools.dropwhile(_is_rule, lines)
+    paragraph = " ".join(itertools.takewhile(lambda line: not _is_rule(line), text))
+    return re.sub(r"^Error parsing (\S+):", r"\1", paragraph)
+
+
+def _is_rule(line: str) -> bool:
+    return not line.strip("─-╰╯")  # which of them depends on the terminal

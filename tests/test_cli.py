@@ -1,0 +1,465 @@
+"""The command line as a person or a program meets it: what it prints, its exit codes, its folder."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import jaxrl_tab as rl
+from jaxrl_tab import cli, describe, options, planning, plot, stats
+from jaxrl_tab.algorithms import ALGORITHMS
+from jaxrl_tab.cli import main
+from jaxrl_tab.envs import ENVS
+from jaxrl_tab.types import InputError, pytree, static
+
+TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The folder that a small sweep of two methods leaves."""
+    folder = tmp_path_factory.mktemp("cli") / "runs" / "windy"
+    assert main(["sweep", "windy-gridworld", "sarsa", "q-learning", *TINY, "--out", str(folder)]) == 0
+    return folder
+
+
+def call(command, *more):
+    return main([*command.split(), *more])
+
+
+def refused(capsys, command, *more):
+    """The one line on stderr of a command that is refused with exit code 2."""
+    assert call(command, *more) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("jaxrl-tab: ")
+    assert printed.err.count("\n") == 1
+    assert printed.err.endswith("\n")
+    return printed.err
+
+
+# --- sweep: what it leaves and prints ----------------------------------------------------------------
+
+
+def test_sweep_leaves_data_summary_and_pictures_and_nothing_else(run):
+    names = {file.name for file in run.iterdir()}
+    pictures = {"episodes.png", "learning_curves.png", "sensitivity.png", "greedy_path.png", "overview.png"}
+    assert names == {"results.nc", "summary.csv"} | pictures
+    assert [file.name for file in run.parent.iterdir()] == ["windy"]
+    assert all((run / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
+
+
+def test_the_data_on_disk_are_those_of_the_library(run, windy):
+    tree = xr.open_datatree(run / "results.nc")
+    assert set(tree.children) == {"sarsa", "q-learning"}
+    assert "--log-every 250" in tree.attrs["command"]
+    assert tree.attrs["version"] == rl.__version__
+    for name in ("sarsa", "q-learning"):
+        saved = tree[name].to_dataset()
+        expected = rl.sweep(windy, name, {"alpha": [0.5, 1.0]}, num_seeds=3, num_steps=1000, log_every=250)
+        xr.testing.assert_equal(saved, expected.to_xarray())
+        timed = ("seconds", "compile_seconds", "steps_per_second")
+        for attribute, value in expected.to_xarray().attrs.items():
+            assert attribute in timed or saved.attrs[attribute] == value
+
+
+def test_the_summary_on_disk_is_that_of_stats(run):
+    tree = xr.open_datatree(run / "results.nc")
+    expected = stats.summary({name: tree[name].to_dataset() for name in ("sarsa", "q-learning")})
+    pd.testing.assert_frame_equal(pd.read_csv(run / "summary.csv"), expected, check_dtype=False)
+
+
+def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
+    argv = ["sweep", "windy-gridworld", "sarsa", "q-learning", *TINY]
+    assert main(argv) == 0
+    printed = capsys.readouterr()
+    summary = pd.read_csv(run / "summary.csv")
+    for method, rows in summary.groupby("method"):
+        lines = [line.split("│") for line in printed.out.splitlines() if f"│ {method} " in line]
+        assert [float(line[2]) for line in lines] == [0.5, 1.0]
+        np.testing.assert_allclose([float(line[3]) for line in lines], rows.episodes, atol=0.05)
+        half = rows.last_tenth_high - rows.last_tenth_return
+        shown = [[np.nan if "–" in x else float(x) for x in line[4:6]] for line in lines]
+        np.testing.assert_allclose(shown, np.c_[rows.last_tenth_return, half], atol=0.005)
+        assert all(float(line[-2]) == -15 for line in lines)
+    assert "epsilon 0.1, gamma 1, q0 0, 3 seeds, 1000 steps each" in printed.out
+    assert printed.err == ""  # no bar where stderr is no terminal
+
+    assert main([*argv, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["folder"] is None
+    frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second")
+    expected = summary.drop(columns="steps_per_second")
+    pd.testing.assert_frame_equal(frame, expected, check_dtype=False)
+
+    assert main([*argv, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.fixture
+def swept(monkeypatch):
+    """Replaces `sweep` by one that computes nothing and notes how it was called."""
+    calls = []
+
+    def note(env, algorithm, grid, **budget):
+        calls.append((env, algorithm, grid, budget))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "sweep", note)
+    return calls
+
+
+def test_sweep_without_options_has_sensible_ones(swept):
+    main(["sweep", "windy-gridworld", "sarsa"])
+    ((env, algorithm, grid, budget),) = swept
+    assert isinstance(env, rl.WindyGridworld)
+    assert (algorithm, grid) == ("sarsa", {"alpha": [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0]})
+    budget.pop("progress")
+    assert budget == {
+        "num_seeds": 100,
+        "num_steps": 8000,
+        "num_episodes": None,
+        "log_every": None,
+        "seed": 0,
+        "exact": False,
+    }
+
+
+def test_sweep_hands_every_option_on(swept):
+    argv = (
+        "sweep windy-gridworld q-learning --moves king --stochastic --wind 0 0 0 1 1 -1 2 2 1 0 --start 2 0"
+    )
+    argv += " --epsilon 0 0.1 --alpha sample-average --q0 -1 --episodes 7 --log-every 2 --seed 5 --exact"
+    main(argv.split())
+    ((env, algorithm, grid, budget),) = swept
+    assert (env.moves, env.stochastic, env.start) == ("king", True, (2, 0))
+    assert list(env.wind) == [0, 0, 0, 1, 1, -1, 2, 2, 1, 0]
+    assert algorithm == "q-learning"
+    assert repr(grid.pop("alpha")) == repr(rl.schedules.sample_average())
+    assert grid == {"epsilon": [0.0, 0.1], "q0": -1.0}
+    budget.pop("progress")
+    assert budget == {
+        "num_seeds": 100,
+        "num_steps": None,
+        "num_episodes": 7,
+        "log_every": 2,
+        "seed": 5,
+        "exact": True,
+    }
+
+
+def test_glie_is_one_over_the_number_of_the_episode(swept):
+    call("sweep windy-gridworld sarsa --epsilon glie")
+    ((_, _, grid, _),) = swept
+    assert grid["epsilon"].clock == "episode"
+    assert float(grid["epsilon"](4)) == 0.25
+
+
+# --- nothing computed is lost ------------------------------------------------------------------------
+
+
+def test_ctrl_c_keeps_the_methods_that_are_done(monkeypatch, tmp_path, capsys):
+    real = cli.sweep
+
+    def interrupted(env, algorithm, *args, **kwargs):
+        if algorithm == "q-learning":
+            raise KeyboardInterrupt
+        return real(env, algorithm, *args, **kwargs)
+
+    monkeypatch.setattr(cli, "sweep", interrupted)
+    out = tmp_path / "windy"
+    assert main(["sweep", "windy-gridworld", "sarsa", "q-learning", *TINY, "--out", str(out)]) == 130
+    (kept,) = tmp_path.iterdir()
+    assert capsys.readouterr().err == f"jaxrl-tab: interrupted; what was finished is in {kept}\n"
+    assert kept.name.startswith("windy.unfinished-")
+    assert xr.open_datatree(kept / "results.nc")["sarsa"].sizes["seed"] == 3
+
+
+def test_ctrl_c_before_anything_is_done_leaves_nothing(swept, tmp_path, capsys):
+    assert main(["sweep", "windy-gridworld", "sarsa", "--out", str(tmp_path / "windy")]) == 130
+    assert capsys.readouterr().err == "jaxrl-tab: interrupted\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeypatch, tmp_path):
+    def fail(*_):
+        raise RuntimeError("no ink")
+
+    monkeypatch.setattr(plot, "save_all", fail)
+    with pytest.raises(RuntimeError, match="no ink") as error:
+        main(["sweep", "windy-gridworld", "sarsa", *TINY, "--out", str(tmp_path / "windy")])
+    (kept,) = tmp_path.iterdir()
+    assert error.value.__notes__ == [f"what was finished is in {kept}"]
+    assert {file.name for file in kept.iterdir()} == {"results.nc", "summary.csv"}
+
+
+# --- refusals ----------------------------------------------------------------------------------------
+
+REFUSALS = {
+    "swep": "did you mean 'sweep'?",
+    "nonsense": "choose one of list, solve, sweep, figure",
+    "list --jsn": "did you mean '--json'?",
+    "solve": "name an environment: windy-gridworld",
+    "solve windy-gridwrld": "did you mean 'windy-gridworld'?",
+    "solve windy-gridworld more": "'more' is one word too many",
+    "solve windy-gridworld --gamma 1.5": "--gamma must be a number between 0 and 1, not '1.5'",
+    "solve windy-gridworld --gamma x": "--gamma must be a number between 0 and 1, not 'x'",
+    "solve windy-gridworld --epsilon -0.1": "--epsilon must be a number between 0 and 1, not '-0.1'",
+    "solve windy-gridworld --moves knight": "did you mean 'king'?",
+    "solve windy-gridworld --wind 0 1": "one strength for each of the 10 columns",
+    "solve windy-gridworld --wind 0.5": "--wind takes a whole number, not '0.5'",
+    "solve windy-gridworld --shape 7": "shape must be (rows, columns)",
+    "solve windy-gridworld --moves": "Missing value for argument '--moves'",
+    "solve windy-gridworld --moves king four": "'four' is one word too many",
+    "solve cliff-walking --moves king": "cliff-walking has no --moves, which is of windy-gridworld; "
+    "cliff-walking has --shape, --max-steps",
+    "solve random-walk --states 4": "states must be odd",
+    "figure": "name a figure: windy-gridworld, cliff-walking",
+    "figure windy": "did you mean 'windy-gridworld'?",
+    "sweep": "name an environment",
+    "sweep sarsa": "'sarsa' is not an environment",
+    "sweep windy-gridworld": "name a method: sarsa",
+    "sweep windy-gridworld sara": "did you mean 'sarsa'?",
+    "sweep windy-gridworld sarsa sarsa": "sarsa is named more than once",
+    "sweep windy-gridworld sarsa --alhpa 0.1": "there is no option --alhpa; did you mean '--alpha'?",
+    "sweep windy-gridworld sarsa --methods 2": "there is no option --methods",
+    "sweep windy-gridworld sarsa --alpha": "--alpha needs a value",
+    "sweep windy-gridworld sarsa --alpha 0": "alpha must be greater than 0, not 0.0",
+    "sweep windy-gridworld sarsa --alpha 0.1 -1": "alpha must be greater than 0, not -1.0",
+    "sweep windy-gridworld sarsa --alpha nan": "alpha must be greater than 0, not nan",
+    "sweep windy-gridworld sarsa --alpha small": "--alpha takes a number or a schedule (glie,",
+    "sweep windy-gridworld sarsa --alpha 0.1 0.10": "alpha holds 0.1 more than once",
+    "sweep windy-gridworld sarsa --alpha glie 0.1": "a schedule must stand alone",
+    "sweep windy-gridworld sarsa --epsilon 1.1": "epsilon must be between 0 and 1, not 1.1",
+    "sweep windy-gridworld sarsa --gamma glie": "--gamma takes a number, not 'glie'",
+    "sweep windy-gridworld sarsa --seeds 0": "--seeds must be a whole number of at least 1, not '0'",
+    "sweep windy-gridworld sarsa --seeds 2.5": "--seeds must be a whole number of at least 1, not '2.5'",
+    "sweep windy-gridworld sarsa --seeds": "Missing value for argument '--seeds'",
+    "sweep windy-gridworld sarsa --steps 0": "--steps must be a whole number of at least 1",
+    "sweep windy-gridworld sarsa --episodes -1": "--episodes must be a whole number of at least 1",
+    "sweep windy-gridworld sarsa --log-every 0": "--log-every must be a whole number of at least 1",
+    "sweep windy-gridworld sarsa --seed -1": "--seed must be a whole number of at least 0",
+    "sweep windy-gridworld sarsa --steps 10 --episodes 10": "give --steps or --episodes, not both",
+}
+
+
+@pytest.fixture
+def idle(monkeypatch):
+    """Makes everything fail that would compile or compute."""
+
+    def fail(*_, **__):
+        pytest.fail("something was computed before the refusal")
+
+    monkeypatch.setattr(cli, "sweep", fail)
+    monkeypatch.setattr(jax, "jit", fail)
+    for name in ("exact_model", "policy_iteration", "epsilon_soft"):
+        monkeypatch.setattr(planning, name, fail)
+
+
+@pytest.mark.parametrize("command", REFUSALS)
+def test_wrong_input_is_refused_in_one_line_before_anything_is_computed(command, idle, capsys):
+    assert REFUSALS[command] in refused(capsys, command)
+
+
+@pytest.mark.parametrize(
+    "command", ["solve windy-gridworld", "sweep windy-gridworld sarsa", "figure windy-gridworld"]
+)
+def test_a_folder_that_cannot_be_made_is_refused(command, idle, tmp_path, capsys):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("")
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    for out in ("folder", "file", "link", ".", "new/.."):
+        assert "exists already; name a new folder" in refused(capsys, command, "--out", str(tmp_path / out))
+    for out in ("file/x", "x" * 300):
+        assert "cannot be made" in refused(capsys, command, "--out", str(tmp_path / out))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder", "link"]
+
+
+def test_values_that_have_no_finite_answer_are_refused_and_leave_no_folder(monkeypatch, tmp_path, capsys):
+    def endless(*_):
+        raise InputError("never ends")
+
+    monkeypatch.setattr(planning, "policy_iteration", endless)
+    assert "never ends" in refused(capsys, "solve windy-gridworld --out", str(tmp_path / "x"))
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- options come from the registries ----------------------------------------------------------------
+
+
+@pytree
+class Eager(rl.Sarsa):
+    """Sarsa that is eager.
+
+    Attributes:
+        lam: how long it remembers,
+            in steps.
+        traces: "replacing" or "accumulating".
+        cut: whether it forgets.
+        patience: a limit.
+    """
+
+    lam: float = 0.9
+    traces: str = static("replacing")
+    cut: bool = static(True)
+    patience: int = static(10)
+
+
+def test_a_new_method_brings_its_options(monkeypatch, swept, capsys):
+    monkeypatch.setitem(ALGORITHMS, "eager", Eager)
+    call("sweep windy-gridworld eager --lam 0 0.5 --traces accumulating --no-cut --patience 3")
+    _, algorithm, grid, _ = swept[0]
+    assert algorithm == "eager"
+    del grid["alpha"]
+    assert grid == {"lam": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
+    capsys.readouterr()
+
+    error = refused(capsys, "sweep windy-gridworld eager sarsa --lam 0.5")
+    assert "sarsa has no --lam, which is of eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
+    error = refused(capsys, "sweep windy-gridworld eager --patience x")
+    assert "--patience takes a whole number, not 'x'" in error
+
+    with pytest.raises(SystemExit) as stop:
+        main(["sweep", "--help"])
+    assert not stop.value.code
+    text = " ".join(capsys.readouterr().out.replace("│", "").split())
+    assert "--lam X ... how long it remembers, in steps. (of eager; default: 0.9)" in text
+    assert "--no-cut whether it forgets. (of eager; default: on)" in text
+
+
+@pytest.mark.parametrize("command", [cli.Sweep, cli.Solve])
+def test_no_two_options_have_the_same_name(command):
+    """Parameters of the registries beside each other and beside the options of the command itself."""
+    groups = [ENVS, ALGORITHMS] if command is cli.Sweep else [ENVS]
+    own = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(command)}
+    for registry in groups:
+        names = {options.option_of(p) for cls in registry.values() for p in describe.parameters(cls)}
+        assert not names & own
+        own |= names
+
+
+def test_every_parameter_of_the_registries_is_explained():
+    for cls in [*ENVS.values(), *ALGORITHMS.values()]:
+        assert (
+            describe.summary(cls).endswith(".")
+            or "=" in describe.summary(cls)
+            or ":" in describe.summary(cls)
+        )
+        for parameter in describe.parameters(cls):
+            assert parameter.help, f"{cls.__name__}.{parameter.name} is not in the section Attributes"
+
+
+def test_list_names_everything(capsys):
+    assert main(["list"]) == 0
+    text = capsys.readouterr().out
+    assert main(["list", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    for kind, registry in (("environments", ENVS), ("methods", ALGORITHMS)):
+        assert list(found[kind]) == list(registry)
+        for name, facts in found[kind].items():
+            assert f"{name}  {facts['summary']}" in text
+    assert found["methods"]["sarsa"]["parameters"]["alpha"] == {
+        "default": 0.1,
+        "help": "step size, > 0; a number or a schedule.",
+    }
+    assert found["environments"]["windy-gridworld"]["parameters"]["wind"]["default"][6] == 2
+    assert set(found["figures"]) == {"windy-gridworld", "cliff-walking"}
+    (line,) = [line for line in text.splitlines() if "--wind" in line]
+    assert "0 0 0 1 1 1 2 2 1 0  strength of each column" in line
+
+
+# --- solve -------------------------------------------------------------------------------------------
+
+
+def cells(text, row):
+    """The cells of a row of the printed grid: (values, actions), each a list of texts."""
+    lines = text.splitlines()
+    (first,) = [
+        i for i, line in enumerate(lines) if line.startswith(f"│ {row} ") or line.startswith(f"│{row}")
+    ]
+    return [[cell.strip() for cell in lines[i].split("│")[2:-1]] for i in (first, first + 1)]
+
+
+def test_solve_draws_values_and_best_actions_where_they_are(capsys):
+    assert main(["solve", "cliff-walking", "--epsilon", "0.1"]) == 0
+    optimal, soft = capsys.readouterr().out.split("cliff-walking, ")[1:]
+    assert "optimal: value from the start -13" in optimal
+    assert "best epsilon-soft, epsilon 0.1: value from the start -20.7077" in soft
+    values, actions = cells(optimal, 2)
+    assert values == [str(-12 + i) for i in range(12)]
+    assert actions == ["→"] * 11 + ["↓"]
+    values, actions = cells(optimal, 3)
+    assert values == ["-13", *[""] * 10, "G"]  # nobody is ever on the cliff
+    assert actions == ["S ↑", *[""] * 11]
+    assert cells(soft, 2)[1] == [*["↑"] * 10, "→", "↓"]
+
+
+def test_solve_shows_the_wind_below_the_grid(capsys):
+    assert main(["solve", "windy-gridworld"]) == 0
+    text = capsys.readouterr().out
+    assert "value from the start -15" in text
+    (wind,) = [line for line in text.splitlines() if "wind" in line and "│" in line]
+    assert [cell.strip() for cell in wind.split("│")[2:-1]] == list("0001112210")
+
+
+def test_solve_lists_the_states_of_what_is_no_grid(capsys, tmp_path):
+    out = tmp_path / "walk"
+    assert main(["solve", "random-walk", "--states", "3", "--left-reward", "0", "--out", str(out)]) == 0
+    lines = [line.split("│") for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
+    assert [float(line[2]) for line in lines] == [0, 0.25, 0.5, 0.75, 0]
+    assert (out / "values.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_solve_as_json(capsys, tmp_path):
+    out = tmp_path / "solved"
+    argv = ["solve", "windy-gridworld", "--moves", "king", "--epsilon", "0.1", "--gamma", "0.9", "--json"]
+    assert main([*argv, "--out", str(out)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    env = rl.make("windy-gridworld", moves="king")
+    v, q = planning.value_iteration(env, 0.9)
+    np.testing.assert_allclose(found["optimal"]["v"], v, atol=1e-8)
+    np.testing.assert_allclose(found["optimal"]["q"], q, atol=1e-8)
+    assert found["optimal"]["start_value"] == pytest.approx(v[30])
+    soft = found["epsilon_soft"]
+    assert np.min(soft["policy"]) == pytest.approx(0.1 / 8)
+    np.testing.assert_allclose(planning.evaluate(env, soft["policy"], 0.9), soft["v"], atol=1e-8)
+    assert [file.name for file in out.iterdir()] == ["values.png"]
+
+
+# --- the program -------------------------------------------------------------------------------------
+
+
+def test_help_and_version(capsys):
+    for argv in ([], ["--help"]):
+        assert main(argv) == 0
+        assert "jaxrl-tab sweep windy-gridworld sarsa q-learning" in capsys.readouterr().out
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"jaxrl-tab {rl.__version__}\n"
+    for command in ("list", "solve", "sweep", "figure"):
+        with pytest.raises(SystemExit) as stop:
+            main([command, "--help"])
+        assert not stop.value.code
+        assert f"Examples:\n  jaxrl-tab {command}" in capsys.readouterr().out
+
+
+def test_as_a_program_it_ends_with_its_exit_code_and_no_traceback():
+    wrong = [sys.executable, "-m", "jaxrl_tab", "sweep", "windy-gridworld", "sarsa", "--alpha", "0"]
+    done = subprocess.run(wrong, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr == "jaxrl-tab: Sarsa: alpha must be greater than 0, not 0.0\n"
+
+
+def test_listing_imports_nothing_heavy():
+    code = (
+        "import sys; from jaxrl_tab.cli import main; main(['list', '--json']);"
+        "print(*{'matplotlib', 'xarray', 'pandas', 'scipy', 'gymnax'} & set(sys.modules), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == ""
