@@ -1,0 +1,24 @@
+"""Strict numerics, two devices, one compilation cache: set before JAX starts."""
+
+import os
+from pathlib import Path
+
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+import jax
+
+jax.config.update("jax_num_cpu_devices", 2)  # whatever the machine has: results must not depend on it
+
+import pytest
+
+import jaxrl_tab as rl
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_debug_key_reuse", False)
+jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parent.parent / ".pytest_cache" / "jax"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+@pytest.fixture(scope="session")
+def windy():
+    return rl.make("windy-gridworld")

@@ -1,0 +1,89 @@
+"""A result depends on (seed, hyperparameters) alone, to the last bit."""
+
+import os
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+import jaxrl_tab as rl
+from jaxrl_tab import batch
+
+BUDGET = batch.Budget(num_steps=500, num_episodes=None, log_every=100, exact=False)
+ALPHAS = np.array([0.1, 0.3, 0.7, 1.0], np.float32)  # not dyadic: any other rounding would show
+
+
+def many(seeds, method=rl.Sarsa, devices=None):
+    """Run i has seed seeds[i] and a step size that goes with it."""
+    n = len(seeds)
+    full = lambda x: np.full(n, x, np.float32)
+    algorithms = method(alpha=ALPHAS[seeds % 4], epsilon=full(0.1), gamma=full(0.9), q0=full(0))
+    return batch.run(rl.WindyGridworld(), algorithms, jax.random.key(0), seeds, BUDGET, devices=devices)
+
+
+@pytest.fixture(scope="module", params=[rl.Sarsa, rl.ExpectedSarsa], ids=["sarsa", "expected-sarsa"])
+def method(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def all_runs(method):
+    return many(np.arange(500), method)
+
+
+def same(got, want, of):
+    for x, y in zip(jax.tree.leaves(got[:2]), jax.tree.leaves(want[:2]), strict=True):
+        np.testing.assert_array_equal(x, y[of])
+
+
+@pytest.mark.parametrize("size", [1, 2, 64, 129])
+def test_in_a_batch_of_any_size(all_runs, method, size):
+    seeds = np.arange(size) + 7
+    same(many(seeds, method), all_runs, seeds)
+
+
+def test_in_any_order(all_runs, method):
+    seeds = np.random.default_rng(0).permutation(500)
+    same(many(seeds, method), all_runs, seeds)
+
+
+def test_on_one_device_and_on_two(all_runs, method):
+    assert len(jax.devices()) == 2
+    seeds = np.arange(100)
+    same(many(seeds, method, devices=jax.devices()[1:]), all_runs, seeds)
+
+
+def test_runs_differ(all_runs):
+    assert len(np.unique(all_runs.q[::4], axis=0)) == 125
+
+
+def test_progress_ends_with_all_runs():
+    seen = []
+    algorithms = rl.Sarsa(*(np.full(300, x, np.float32) for x in (0.5, 0.1, 1, 0)))
+    batch.run(
+        rl.WindyGridworld(), algorithms, jax.random.key(0), np.arange(300), BUDGET, progress=seen.append
+    )
+    assert seen == [128, 256, 300]
+
+
+def python(code, **env):
+    """Runs `code` in a process of its own, where JAX has not started."""
+    env = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAXRL_TAB_XLA")} | env
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    return done.stdout.split("\n")[:-1]
+
+
+def test_flags_and_devices_are_set_before_jax_starts_and_never_over_the_users():
+    show = "import os, jax, jaxrl_tab as rl; print(os.environ.get('XLA_FLAGS')); "
+    devices = "print(rl.use_all_cores(), len(jax.devices()) == len(os.sched_getaffinity(0)))"
+    flag = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold="
+    assert python(show + devices) == [f"{flag}16777216", "True True"]
+    assert python(show, XLA_FLAGS=f"{flag}5") == [f"{flag}5"]
+    assert python(show, JAXRL_TAB_XLA="0") == ["None"]
+    started = "jax.numpy.zeros(1).block_until_ready(); print(rl.use_all_cores())"
+    assert python(show + started, XLA_FLAGS="--xla_cpu_enable_fast_math=false") == [
+        f"--xla_cpu_enable_fast_math=false {flag}16777216",
+        "False",
+    ]

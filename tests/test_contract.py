@@ -1,0 +1,65 @@
+"""What holds for every method in every environment: a new line in a registry is tested with no edit here."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrl_tab as rl
+from jaxrl_tab import batch
+from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment
+
+PAIRS = [(m, e) for m in rl.ALGORITHMS for e in rl.ENVS]
+
+
+@pytest.mark.parametrize(("method", "env_name"), PAIRS)
+def test_every_method_in_every_environment(method, env_name):
+    """jit and vmap; shapes and dtypes; a batch of one program; the lanes are different runs."""
+    env, algorithm = rl.make(env_name), rl.ALGORITHMS[method]()
+    keys = jax.random.split(jax.random.key(0), 3)
+    state, log = jax.jit(
+        jax.vmap(lambda key: rl.train(key, algorithm, env, num_steps=300, log_every=100))
+    )(keys)
+    assert state.q.shape == (3, env.num_states, env.num_actions)
+    assert state.q.dtype == jnp.float32
+    assert np.isfinite(state.q).all()
+    assert all(x.shape == (3, 3) for x in log if x is not None)
+    assert [x.dtype for x in log[:5]] == [jnp.int32, jnp.int32, jnp.float32, jnp.int32, jnp.float32]
+    assert (log.steps == 100).all()
+    assert not np.array_equal(state.q[0], state.q[1])
+
+
+@pytest.mark.parametrize("name", rl.ENVS)
+def test_environments_keep_the_protocol(name):
+    env = rl.make(name)
+    assert isinstance(env, Environment)
+    assert isinstance(env, FiniteEnvironment)
+    leaves, treedef = jax.tree.flatten(env)
+    assert jax.tree.structure(jax.tree.unflatten(treedef, leaves)) == treedef
+    assert env.initial().shape == (env.num_states,)
+
+
+@pytest.mark.parametrize("name", rl.ALGORITHMS)
+def test_methods_keep_the_protocol(name):
+    cls = rl.ALGORITHMS[name]
+    algorithm: Algorithm = cls()
+    assert algorithm.gamma == 1.0
+    assert algorithm.init(5, 2).q.shape == (5, 2)
+    assert cls.__doc__
+    for parameter, bad in (("alpha", 0), ("epsilon", 1.5), ("gamma", -0.1), ("alpha", float("nan"))):
+        with pytest.raises(rl.InputError, match=rf"{cls.__name__}: {parameter} must be .*, not "):
+            cls(**{parameter: bad})
+
+
+@pytest.mark.parametrize("name", rl.ALGORITHMS)
+def test_one_program_for_all_hyperparameter_values(name, windy):
+    """Neither values, nor their number, nor Python numbers against arrays make a second program."""
+    kwargs = {"num_steps": 64, "log_every": 64}
+    first = rl.sweep(windy, name, {"alpha": [0.1, 0.5]}, num_seeds=2, **kwargs)
+    programs = batch._compiled.cache_info().misses
+    again = rl.sweep(
+        windy, name, {"alpha": np.array([1, 0.25, 0.75]), "gamma": 0.5, "epsilon": 1}, num_seeds=70, **kwargs
+    )
+    assert batch._compiled.cache_info().misses == programs
+    assert first.compile_seconds > 0
+    assert again.log.steps.shape == (3, 70, 1)

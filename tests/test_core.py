@@ -1,0 +1,176 @@
+"""The small parts by numbers worked by hand: tables, words, policies, schedules, updates."""
+
+import jax
+import jax.extend as jex
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from scipy import stats
+
+import jaxrl_tab as rl
+from jaxrl_tab import policies, rng, schedules, tables
+from jaxrl_tab.types import Transition, nearest
+
+# --- tables ------------------------------------------------------------------------------------------
+
+
+def test_add_is_plain_indexing_for_one_lane_many_lanes_and_lanes_of_lanes():
+    rand = np.random.default_rng(0)
+    q = rand.integers(0, 9, (3, 4, 5, 2)).astype(np.float32)
+    s, a = rand.integers(0, 5, (3, 4)), rand.integers(0, 2, (3, 4))
+    x = rand.integers(1, 9, (3, 4)).astype(np.float32)
+    want = q.copy()
+    for i, j in np.ndindex(3, 4):
+        want[i, j, s[i, j], a[i, j]] += x[i, j]
+        np.testing.assert_array_equal(tables.add(*map(jnp.asarray, (q[i, j], s[i, j], a[i, j], x[i, j]))), want[i, j])
+    np.testing.assert_array_equal(jax.jit(jax.vmap(tables.add))(q[0], s[0], a[0], x[0]), want[0])
+    np.testing.assert_array_equal(jax.jit(jax.vmap(jax.vmap(tables.add)))(q, s, a, x), want)
+
+
+def test_add_where_only_some_arguments_have_lanes():
+    q = jnp.zeros((3, 2))
+    got = jax.vmap(tables.add, in_axes=(None, 0, None, None))(q, jnp.arange(3), jnp.int32(1), jnp.float32(2))
+    np.testing.assert_array_equal(got, [q.at[i, 1].set(2) for i in range(3)])
+
+
+# --- random words ------------------------------------------------------------------------------------
+
+
+def test_the_word_of_a_step_depends_on_the_step_alone():
+    stream = rng.stream(jax.random.key(5))
+    first, second = rng.words(stream, jnp.arange(100), 0)
+    later, _ = rng.words(stream, jnp.arange(40, 47), 0)
+    np.testing.assert_array_equal(later, first[40:47])
+    other, _ = rng.words(stream, jnp.arange(100), 1)
+    words = np.concatenate([first, second, other])
+    assert len(np.unique(words)) == 300
+
+
+def test_threefry_is_the_one_behind_jax_random():
+    key, counts = jax.random.bits(jax.random.key(1), (2,)), jax.random.bits(jax.random.key(2), (2, 50))
+    want = jex.random.threefry_2x32(tuple(key), counts)
+    np.testing.assert_array_equal(jnp.stack(rng.threefry(tuple(key), *counts)), want)
+
+
+def test_words_are_uniform_and_independent_across_runs_steps_and_decisions():
+    """Chi-squared on the top 4 bits of neighbouring words, in each of three directions."""
+    streams = jax.vmap(lambda i: rng.stream(jax.random.fold_in(jax.random.key(0), i)))(jnp.arange(200))
+    draw = jax.vmap(lambda stream: jnp.stack(rng.words(stream, jnp.arange(500), 0)))
+    top = np.asarray(draw(streams)) >> 28  # [runs, decisions, steps]
+    for x, y in ((top[1:], top[:-1]), (top[:, 1], top[:, 0]), (top[..., 1:], top[..., :-1])):
+        counts = np.bincount((16 * x + y).ravel(), minlength=256)
+        assert stats.chisquare(counts).pvalue > 1e-3
+
+
+def test_a_word_is_a_key_like_any_other():
+    words = jnp.array([0, 0x9E3779B9, 0x12345678], jnp.uint32)
+    keys = rng.as_key(words)
+    np.testing.assert_array_equal(jax.vmap(jax.random.bits)(keys), words)  # one draw is the word itself
+    parts = jax.random.split(keys[1], 4)
+    draws = jax.vmap(lambda key: jax.random.normal(key, (1000,)))(
+        jnp.concatenate([parts, keys[1:2], jax.random.fold_in(keys[1], 7)[None]])
+    )
+    assert len(np.unique(draws)) > 5900
+    correlations = np.corrcoef(draws)[np.triu_indices(6, 1)]
+    assert abs(correlations).max() < 4 / np.sqrt(1000)
+    assert stats.kstest(draws.ravel(), "norm").pvalue > 1e-3
+    small = jax.random.bits(keys[2], (1000,), jnp.uint8)
+    assert small.dtype == jnp.uint8 and stats.chisquare(np.bincount(small % 16)).pvalue > 1e-3
+
+
+# --- policies ----------------------------------------------------------------------------------------
+
+
+def test_policies_split_ties():
+    q = jnp.array([1.0, 3.0, 3.0, -jnp.inf])
+    np.testing.assert_array_equal(policies.greedy(q), [0, 0.5, 0.5, 0])
+    np.testing.assert_allclose(policies.epsilon_greedy(q, 0.2), [0.05, 0.45, 0.45, 0.05], rtol=1e-6)
+    np.testing.assert_array_equal(policies.epsilon_greedy(jnp.zeros(4), 0.0), [0.25] * 4)
+
+
+def test_sample_draws_with_the_exact_probabilities():
+    weights = jnp.array([0.0, 1.0, 2.0, 0.0, 5.0, 0.0])
+    keys = jax.random.split(jax.random.key(1), 20_000)
+    counts = np.bincount(jax.vmap(lambda key: policies.sample(key, weights))(keys), minlength=6)
+    assert counts[weights == 0].sum() == 0
+    assert stats.chisquare(counts[[1, 2, 4]], np.array([1, 2, 5]) / 8 * 20_000).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("n", [3, 7, 11])
+def test_sample_never_draws_what_is_impossible(n):
+    """The extreme words, with weights whose sum is rounded: the first and the last index have none."""
+    weights = jnp.concatenate([jnp.zeros(1), policies.greedy(jnp.ones(n)), jnp.zeros(1)])
+    words = jnp.array([0, 1, 2**32 - 257, 2**32 - 1], dtype=jnp.uint32)
+    got = jax.vmap(lambda key: policies.sample(key, weights))(rng.as_key(words))
+    np.testing.assert_array_equal(got, [1, 1, n, n])
+
+
+# --- schedules ---------------------------------------------------------------------------------------
+
+
+def test_schedules_by_hand():
+    harmonic, root = schedules.glie(), schedules.Power(power=0.5, scale=2.0, clock="step")
+    assert [float(harmonic(jnp.int32(n))) for n in (1, 2, 4)] == [1, 0.5, 0.25]
+    assert float(root(jnp.int32(16))) == 0.5
+    assert schedules.sample_average().clock == "visit"
+    linear = schedules.Optax(optax.linear_schedule(1.0, 0.0, 10), clock="episode")
+    np.testing.assert_allclose([linear(jnp.int32(n)) for n in (1, 6, 11, 99)], [1, 0.5, 0, 0])
+
+
+def test_sample_averages_are_means():
+    """alpha = 1/N(s, a) makes each entry the mean of its targets: here gamma = 0, so of its rewards."""
+    method = rl.Sarsa(alpha=schedules.sample_average(), epsilon=1.0, gamma=0.0)
+    state = method.init(2, 2)
+    rewards = [3.0, 5.0, 10.0]
+    for r in rewards:
+        t = Transition(*map(jnp.asarray, (1, 0, r, 0, 0.0, False)))
+        state, _ = method.update(jax.random.key(0), state, t)
+    np.testing.assert_allclose(state.q, [[0, 0], [np.mean(rewards), 0]], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: schedules.Power(clock="day"), "a schedule's clock is 'step', 'episode' or 'visit', not 'day'"),
+        (lambda: schedules.Power(power=-1), "Power: power must be a positive number, not -1"),
+        (lambda: schedules.Optax(0.5), "Optax: schedule must be a function of a count, not 0.5"),
+    ],
+)
+def test_bad_schedules_are_refused(make, message):
+    with pytest.raises(rl.InputError, match=message):
+        make()
+
+
+# --- one update by hand ------------------------------------------------------------------------------
+
+Q = jnp.array([[0.0, 8.0], [2.0, 4.0], [100.0, 100.0]])
+
+
+@pytest.mark.parametrize(
+    ("method", "wants"),
+    [  # Q(0, 1) = 8, R = 1, gamma = 1/2, alpha = 1/2; S' = 1 with Q = 2, 4; epsilon = 1/2: pi = 1/4, 3/4
+        (rl.Sarsa, {0: 8 + (1 + 2 / 2 - 8) / 2, 1: 8 + (1 + 4 / 2 - 8) / 2}),
+        (rl.QLearning, {0: 8 + (1 + 4 / 2 - 8) / 2, 1: 8 + (1 + 4 / 2 - 8) / 2}),
+        (rl.ExpectedSarsa, {0: 8 + (1 + 3.5 / 2 - 8) / 2, 1: 8 + (1 + 3.5 / 2 - 8) / 2}),
+    ],
+)
+def test_one_update_by_hand(method, wants):
+    """The target of each method; a terminal S' adds nothing, whatever its entries say; only one entry moves."""
+    algorithm = method(alpha=0.5, epsilon=0.5, gamma=0.5)
+    state = algorithm.init(3, 2)._replace(q=Q)
+    for a_next, word in ((0, 0), (1, 2**31)):  # a word below 1/4 of the range draws action 0
+        key = rng.as_key(jnp.uint32(word))
+        t = Transition(*map(jnp.asarray, (0, 1, 1.0, 1, 0.5, False)))
+        new, a = algorithm.update(key, state, t)
+        assert a == a_next
+        np.testing.assert_array_equal(new.q, Q.at[0, 1].set(wants[a_next]))
+        ends = t._replace(s_next=jnp.asarray(2), discount=jnp.asarray(0.0), last=jnp.asarray(True))
+        new, _ = algorithm.update(key, state, ends)
+        np.testing.assert_array_equal(new.q, Q.at[0, 1].set(8 + (1 - 8) / 2))
+        assert (new.clock.step, new.clock.episode) == (1, 1)
+
+
+def test_nearest_name():
+    assert nearest("q_lerning", rl.ALGORITHMS) == "did you mean 'q-learning'?"
+    assert nearest("xyz", ["a", "b"]) == "choose one of a, b"

@@ -1,0 +1,103 @@
+"""Every method against its plain loop, decision for decision (dyadic step sizes: no rounding differs)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+
+import jaxrl_tab as rl
+from jaxrl_tab import rng
+from jaxrl_tab.schedules import Optax, Power
+
+STEPS = 600
+
+
+def uniforms(words):
+    return (np.asarray(words) >> 8).astype(np.float32) * np.float32(2**-24)
+
+
+def words_of(key, steps=STEPS):
+    stream = rng.stream(key)
+    t = jnp.arange(steps)
+    first = rng.words(stream, jnp.zeros(1, jnp.int32), 2)
+    pairs = (*rng.words(stream, t, 0), *rng.words(stream, t, 1))
+    return reference.Words(*map(uniforms, pairs), *(uniforms(w)[0] for w in first))
+
+
+def task_of(env):
+    s, a = jnp.arange(env.num_states), jnp.arange(env.num_actions)
+    prob, out = jax.jit(jax.vmap(jax.vmap(env.outcomes, (None, 0)), (0, None)))(s, a)
+    columns = [np.broadcast_to(x, prob.shape).tolist() for x in (prob, *out)]
+    table = [[list(zip(*(x[i][j] for x in columns), strict=True)) for j in a.tolist()] for i in s.tolist()]
+    return reference.Task(table, np.asarray(env.initial()), env.max_steps)
+
+
+def random_mdp():
+    """Five states, the last one terminal, three actions, random start, and a time limit that is often met."""
+    rand = np.random.default_rng(0)
+    p = rand.dirichlet(np.ones(5), (5, 3))
+    r = rand.integers(-4, 5, (5, 3, 5)) / 4
+    return rl.FiniteMDP(p, r, terminal=[4], start=[0.25, 0.25, 0.25, 0.25, 0.0], max_steps=5)
+
+
+ENVS = {
+    "windy, stochastic, king": lambda: rl.WindyGridworld(moves="king", stochastic=True, max_steps=40),
+    "cliff": lambda: rl.CliffWalking(max_steps=100),
+    "random mdp": random_mdp,
+}
+
+
+@pytest.mark.parametrize("env_name", ENVS)
+@pytest.mark.parametrize("name", ["sarsa", "q-learning", "expected-sarsa"])
+def test_every_step_agrees_with_the_plain_loop(name, env_name):
+    env = ENVS[env_name]()
+    task = task_of(env)
+    alphas, gammas = jnp.array([0.5, 0.25, 0.5, 0.125]), jnp.array([0.0, 0.5, 1.0, 1.0])
+    keys = jax.random.split(jax.random.key(7), 4)
+
+    def run(key, alpha, gamma):
+        method = rl.ALGORITHMS[name](alpha=alpha, epsilon=0.25, gamma=gamma, q0=0.5)
+        return rl.train(key, method, env, num_steps=STEPS, log_every=STEPS)
+
+    state, log = jax.jit(jax.vmap(run))(keys, alphas, gammas)
+    episodes = 0
+    for i in range(4):
+        rates = reference.Rates(lambda *_, i=i: float(alphas[i]), lambda *_: 0.25)
+        q, _, finished = reference.td_control(
+            name, task, env.num_actions, rates, float(gammas[i]), STEPS, words_of(keys[i]), q0=0.5
+        )
+        tolerance = 1e-4 if name == "expected-sarsa" else 0  # its dot product may be summed in another order
+        np.testing.assert_allclose(state.q[i], q, atol=tolerance, rtol=tolerance)
+        assert log.episodes[i, 0] == len(finished)
+        assert log.lengths[i, 0] == sum(n for _, n in finished)
+        np.testing.assert_allclose(log.returns[i, 0], sum(g for g, _ in finished), rtol=1e-4, atol=1e-4)
+        episodes += len(finished)
+    assert episodes > 0
+
+
+CLOCKS = {
+    "step": lambda t, k, n: t,
+    "episode": lambda t, k, n: k,
+    "visit": lambda t, k, n: n,
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("name", ["sarsa", "q-learning"])
+def test_schedules_tick_where_the_plain_loop_ticks(name, clock):
+    env = random_mdp()
+    method = rl.ALGORITHMS[name](
+        alpha=Optax(lambda count: 0.5 ** (1 + count % 3), clock=clock), epsilon=Power(clock=clock)
+    )
+    key = jax.random.key(3)
+    state, _ = jax.jit(lambda key: rl.train(key, method, env, num_steps=STEPS))(key)
+    count = CLOCKS[clock]
+    rates = reference.Rates(
+        lambda *now: 0.5 ** (1 + (count(*now) - 1) % 3), lambda *now: np.float32(1) / np.float32(count(*now))
+    )
+    q, visits, _ = reference.td_control(name, task_of(env), 3, rates, 1.0, STEPS, words_of(key))
+    np.testing.assert_array_equal(state.q, q)
+    assert visits.sum() == STEPS
+    if clock == "visit":
+        np.testing.assert_array_equal(state.clock.visits, visits)

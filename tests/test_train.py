@@ -1,0 +1,171 @@
+"""The loop: what a method is told at the end of an episode, and what the log adds up to."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrl_tab as rl
+from jaxrl_tab import policies, tables
+from jaxrl_tab.types import Transition, pytree
+
+N = 400
+
+
+class Tape(NamedTuple):
+    q: jax.Array  # [S, A], never learned: the driver takes its dtype
+    n: jax.Array  # []
+    seen: jax.Array  # [N, 7]: s, a, r, s_next, discount, last, and the A' that was given
+
+
+@pytree
+class Recorder:
+    """A method that writes down every transition and acts at random."""
+
+    gamma: float = 0.5
+
+    def init(self, num_states, num_actions):
+        return Tape(jnp.zeros((num_states, num_actions)), jnp.int32(0), jnp.zeros((N, 7)))
+
+    def policy(self, key, state, s):
+        return policies.sample(key, jnp.ones(state.q.shape[1]))
+
+    def update(self, key, state, t: Transition):
+        a_next = self.policy(key, state, t.s_next)
+        line = jnp.stack([jnp.asarray(x, float) for x in (*t, a_next)])
+        seen = tables.put(state.seen, jnp.stack([state.n, jnp.int32(0)]), line[None])
+        return state._replace(n=state.n + 1, seen=seen), a_next
+
+
+def record(env, key=0, log_every=7):
+    state, log = jax.jit(lambda key: rl.train(key, Recorder(), env, num_steps=N, log_every=log_every))(
+        jax.random.key(key)
+    )
+    fields = [np.asarray(x) for x in state.seen.T]
+    return Transition(*fields[:6]), fields[6], log
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """Five states between two ends, cut off after 4 steps: some episodes terminate, others do not."""
+    return rl.RandomWalk(states=5, max_steps=4), *record(rl.RandomWalk(states=5, max_steps=4))
+
+
+def test_termination_and_time_limit_are_told_apart(walk):
+    _, t, _, _ = walk
+    terminal = np.isin(t.s_next, [0, 6])
+    np.testing.assert_array_equal(t.discount, np.where(terminal, 0.0, 0.5))
+    starts = np.flatnonzero(np.append(True, t.last[:-1] == 1))
+    lengths = np.diff(np.append(starts, N))[:-1]
+    cut = (t.last == 1) & ~terminal
+    assert set(lengths) == {3, 4}  # 3 steps to an end, or cut at 4
+    assert cut.any() and (t.last[terminal] == 1).all() and (t.discount[cut] == 0.5).all()
+
+
+def test_s_next_is_the_state_before_the_reset(walk):
+    _, t, _, _ = walk
+    ended = t.last[:-1] == 1
+    assert (t.s[1:][ended] == 3).all()  # the middle: the reset happened
+    assert set(t.s_next[:-1][ended]) > {0, 6}  # and S' does not know of it
+    np.testing.assert_array_equal(t.s[1:][~ended], t.s_next[:-1][~ended])
+
+
+def test_the_action_that_update_gave_is_the_action_taken(windy):
+    t, a_next, _ = record(windy)
+    goes_on = t.last[:-1] == 0
+    np.testing.assert_array_equal(t.a[1:][goes_on], a_next[:-1][goes_on])
+    assert set(t.a) == {0, 1, 2, 3}
+
+
+def test_the_log_adds_up_to_the_transitions(walk):
+    _, t, _, log = walk
+    ends = np.flatnonzero(t.last)
+    begins = np.append(0, ends[:-1] + 1)
+    rewards = [t.r[b : e + 1] for b, e in zip(begins, ends, strict=True)]
+    returns = [sum(0.5**k * r for k, r in enumerate(episode)) for episode in rewards]
+    row = np.arange(N) // 7
+    for name, per_step in {
+        "steps": np.ones(N),
+        "episodes": t.last,
+        "rewards": t.r,
+        "lengths": np.bincount(ends, ends - begins + 1, N),
+        "returns": np.bincount(ends, returns, N),
+    }.items():
+        np.testing.assert_allclose(getattr(log, name), np.bincount(row, per_step), err_msg=name)
+    assert log.steps[-1] == N % 7 and log.steps.dtype == jnp.int32
+
+
+def test_log_every_changes_nothing_but_the_rows(windy):
+    one, _, _ = record(windy, log_every=N)
+    many, _, _ = record(windy, log_every=30)
+    for x, y in zip(one, many, strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+@pytest.fixture(scope="module")
+def episodes(windy):
+    """Four runs until 30 episodes are over, by one row an episode and by rows of 7."""
+
+    def run(key, log_every):
+        method = rl.Sarsa(alpha=0.5, epsilon=0.25)
+        return rl.train(key, method, windy, num_episodes=30, log_every=log_every)
+
+    keys = jax.random.split(jax.random.key(1), 4)
+    return {n: jax.jit(jax.vmap(lambda key, n=n: run(key, n)))(keys) for n in (1, 7)}
+
+
+def test_episodes_are_what_the_same_number_of_steps_gives(windy, episodes):
+    """The two budgets are two ways to stop one run, so the learner is the same, also under vmap."""
+    state, log = episodes[1]
+    assert (log.episodes == 1).all()
+    np.testing.assert_array_equal(log.steps, log.lengths)
+    np.testing.assert_array_equal(log.returns, -log.lengths)
+    steps = int(log.steps[2].sum())
+    key = jax.random.split(jax.random.key(1), 4)[2]
+    method = rl.Sarsa(alpha=0.5, epsilon=0.25)
+    again, by_steps = jax.jit(lambda key: rl.train(key, method, windy, num_steps=steps))(key)
+    np.testing.assert_array_equal(again.q, state.q[2])
+    assert by_steps.episodes.sum() == 30
+
+
+def test_rows_of_several_episodes_are_sums_of_rows_of_one(episodes):
+    (one_state, one), (seven_state, seven) = episodes[1], episodes[7]
+    np.testing.assert_array_equal(one_state.q, seven_state.q)
+    for name in ("steps", "episodes", "returns", "lengths", "rewards"):
+        want = np.add.reduceat(np.asarray(getattr(one, name)), np.arange(0, 30, 7), axis=1)
+        np.testing.assert_array_equal(getattr(seven, name), want)
+
+
+def test_exact_values_beside_the_log(windy):
+    """The recorded numbers are those of the final table, computed again on the host in float64."""
+    method = rl.QLearning(alpha=0.5, epsilon=0.1)
+    v_star, q_star = rl.planning.value_iteration(windy)
+    run = lambda **budget: jax.jit(
+        lambda key: rl.train(key, method, windy, **budget, exact=True)
+    )(jax.random.key(0))
+    for state, log in (run(num_steps=9000, log_every=3000), run(num_episodes=200, log_every=50)):
+        policy = rl.planning.greedy_policy(np.asarray(state.q))
+        want = rl.planning.start_value(windy, rl.planning.evaluate(windy, policy))
+        np.testing.assert_allclose(log.greedy_value[-1], want, rtol=1e-4)
+        inner = np.arange(70) != 37
+        np.testing.assert_allclose(log.q_error[-1], np.abs(state.q - q_star)[inner].max(), rtol=1e-4)
+        assert log.greedy_value.shape == log.steps.shape
+        assert log.greedy_value.max() <= v_star[30] + 1e-3
+        assert log.q_error[-1] < log.q_error[0]
+
+
+@pytest.mark.parametrize(
+    ("budget", "message"),
+    [
+        ({}, "give either num_steps or num_episodes"),
+        ({"num_steps": 10, "num_episodes": 1}, "give either num_steps or num_episodes"),
+        ({"num_steps": 0}, "num_steps must be a whole number of at least 1, not 0"),
+        ({"num_episodes": 2.5}, "num_episodes must be a whole number of at least 1, not 2.5"),
+        ({"num_steps": 10, "log_every": -1}, "log_every must be a whole number of at least 1, not -1"),
+    ],
+)
+def test_bad_budgets_are_refused(windy, budget, message):
+    with pytest.raises(rl.InputError, match=message):
+        rl.train(jax.random.key(0), rl.Sarsa(), windy, **budget)
