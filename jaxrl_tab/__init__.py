@@ -9,14 +9,10 @@
 Importing the package asks XLA for faster loops, as long as JAX has not started: see `batch`.
 """
 
-from jaxrl_tab import batch
-
-batch.set_flags()
-
-from jaxrl_tab import algorithms, envs, planning, policies, schedules
+from jaxrl_tab import algorithms, batch, envs, planning, policies, schedules
 from jaxrl_tab.algorithms import ALGORITHMS, ExpectedSarsa, QLearning, Sarsa
 from jaxrl_tab.batch import use_all_cores
-from jaxrl_tab.envs import *
+from jaxrl_tab.envs import ENVS, CliffWalking, FiniteMDP, RandomWalk, WindyGridworld, make
 from jaxrl_tab.results import SweepResult
 from jaxrl_tab.sweep import sweep
 from jaxrl_tab.train import Log, train

@@ -18,7 +18,7 @@ Two settings must be made before JAX starts its backend:
 import functools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -38,6 +38,9 @@ def set_flags() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if os.environ.get("JAXRL_TAB_XLA") != "0" and _THRESHOLD not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={_THRESHOLD}={2**24}".strip()
+
+
+set_flags()
 
 
 def use_all_cores() -> bool:
@@ -87,7 +90,8 @@ def run(
     root: jax.Array,
     seeds: np.ndarray,
     budget: Budget,
-    progress: Callable[[int], None] = lambda _: None,
+    progress: Callable[[int], None] = lambda done: None,
+    devices: Sequence[jax.Device] | None = None,
 ) -> Batch:
     """Trains every run of a batch.
 
@@ -98,8 +102,9 @@ def run(
         seeds: the number of each run's seed, int [runs].
         budget: what to do in each run.
         progress: is called with the number of runs finished so far.
+        devices: the devices to use; all by default.
     """
-    devices = tuple(jax.devices())
+    devices = tuple(devices or jax.devices())
     width = LANES * len(devices)
     runs = len(seeds)
 

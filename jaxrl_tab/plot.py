@@ -210,7 +210,7 @@ def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float) -> None:
         ax.axhline(optimum, color=INK, ls=(0, (5, 3)), lw=1.3, zorder=1)
         text = f"exact optimum {_number(optimum)}"
         place = ax.get_yaxis_transform()
-        label = ax.annotate(text, (0.02, optimum), (0, 3), place, "offset points", va="bottom", color=INK)
+        label = ax.annotate(text, (0.02, optimum), (0, 3), place, "offset points", va="bottom", zorder=6)
         label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
     if not values.size:
         return

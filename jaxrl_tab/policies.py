@@ -27,6 +27,6 @@ def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
     By inversion, from one random word of which 24 bits count. The word is scaled to the sum of the weights,
     so an index of weight zero is never drawn, however the sum was rounded.
     """
-    u = (jax.random.bits(key) >> 8).astype(weights.dtype) * 2**-24
+    u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(weights.dtype) * 2**-24
     total = jnp.cumsum(weights)
     return (u * total[-1] >= total[:-1]).sum(dtype=jnp.int32)

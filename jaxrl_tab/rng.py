@@ -1,8 +1,8 @@
 """Random numbers for the loop: one word a decision, drawn in bulk.
 
 Splitting a key in every step costs more than the step. Instead the words of many steps are drawn in one
-vectorised call of Threefry-2x32 (Salmon et al. 2011, the generator behind `jax.random`), as a function of
-(run key, step, pair of decisions) alone: no word depends on how steps are grouped, and none is used twice.
+vectorised call of Threefry-2x32, as a function of (run key, step, pair of decisions) alone: no word depends
+on how steps are grouped, and none is used twice.
 
 Each word is then handed on as a JAX **key** of its own kind, so environments and methods take a `key` and
 call `jax.random` on it as usual. Asked for one 32-bit draw, such a key gives its word itself, for nothing.
@@ -17,18 +17,35 @@ import jax.extend as jex
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key, UInt32
 
-_threefry = jex.random.threefry_2x32
-
 # Second halves of the Threefry keys that a word seeds, so that draws, splits and folds never share a stream.
 _BITS, _SPLIT, _FOLD = 0x9E3779B9, 0xBB67AE85, 0x3C6EF372
 
 
-def _hash(word: Array, purpose: int, counts: Array) -> Array:
-    return _threefry((word, jnp.uint32(purpose)), counts)
+def threefry(key: tuple[Array, Array], count0: Array, count1: Array) -> tuple[Array, Array]:
+    """Threefry-2x32 with 20 rounds (Salmon et al. 2011), uint32 throughout; shapes broadcast.
+
+    The generator behind `jax.random`, written out: there it is a loop with a rule about shapes, here the
+    compiler sees one expression of vector operations.
+    """
+    k0, k1 = key
+    keys = (k0, k1, k0 ^ k1 ^ jnp.uint32(0x1BD11BDA))
+    x0, x1 = count0 + k0, count1 + k1
+    for group in range(5):
+        for rotation in ((13, 15, 26, 6), (17, 29, 16, 24))[group % 2]:
+            x0 = x0 + x1
+            x1 = (x1 << jnp.uint32(rotation) | x1 >> jnp.uint32(32 - rotation)) ^ x0
+        x0 = x0 + keys[(group + 1) % 3]
+        x1 = x1 + keys[(group + 2) % 3] + jnp.uint32(group + 1)
+    return x0, x1
 
 
-def _count(size: int) -> Array:
-    return jnp.arange(size + size % 2, dtype=jnp.uint32)  # Threefry takes and gives pairs
+# --- a word as a key ---------------------------------------------------------------------------------
+
+
+def _hash(word: Array, purpose: int, size: int) -> Array:
+    """`size` words from one, uint32 [size]."""
+    count = jnp.arange((size + 1) // 2, dtype=jnp.uint32)
+    return jnp.concatenate(threefry((word, jnp.uint32(purpose)), count, jnp.zeros_like(count)))[:size]
 
 
 def _seed(seed: Array) -> Array:
@@ -41,19 +58,20 @@ def _random_bits(key: Array, bit_width: int, shape: tuple[int, ...]) -> Array:
         return word.reshape(shape)
     size = math.prod(shape)
     if bit_width == 64:
-        high, low = jnp.split(_hash(word, _BITS, _count(2 * size)), 2)
+        high, low = jnp.split(_hash(word, _BITS, 2 * size), 2)
         return (high.astype(jnp.uint64) << 32 | low).reshape(shape)
-    bits = _hash(word, _BITS, _count(size))[:size].reshape(shape)
+    bits = _hash(word, _BITS, size).reshape(shape)
     return bits if bit_width == 32 else bits.astype({8: jnp.uint8, 16: jnp.uint16}[bit_width])
 
 
 def _split(key: Array, shape: tuple[int, ...]) -> Array:
     size = math.prod(shape)
-    return _hash(key[0], _SPLIT, _count(size))[:size].reshape(*shape, 1)
+    return _hash(key[0], _SPLIT, size).reshape(*shape, 1)
 
 
 def _fold_in(key: Array, data: Array) -> Array:
-    return _hash(key[0], _FOLD, jnp.stack([data.astype(jnp.uint32), jnp.uint32(0)]))[:1]
+    word, _ = threefry((key[0], jnp.uint32(_FOLD)), data.astype(jnp.uint32), jnp.uint32(0))
+    return word[None]
 
 
 _word_impl = jex.random.define_prng_impl(
@@ -83,6 +101,4 @@ def words(
 ) -> tuple[UInt32[Array, " n"], UInt32[Array, " n"]]:
     """Two independent words for each of `steps`, uint32 [n] each; `pair` names which decisions they serve."""
     steps = steps.astype(jnp.uint32)
-    both = _threefry(stream, jnp.concatenate([steps, jnp.full_like(steps, pair)]))
-    first, second = jnp.split(both, 2)
-    return first, second
+    return threefry(stream, steps, jnp.full_like(steps, pair))

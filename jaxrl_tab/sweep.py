@@ -76,7 +76,7 @@ def sweep(
             q[i], logs[i] = out.q[own], jax.tree.map(lambda x, own=own: x[own], out.log)
 
     shape = tuple(len(values) for values in axes.values())
-    stack = lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape)  # noqa: E731
+    stack = lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape)
     log: Log = jax.tree.map(stack, *logs)
     return SweepResult(
         environment=_name_in(ENVS, type(env)),
@@ -160,5 +160,5 @@ def _optimal_value(env: Environment, gamma: Any) -> np.ndarray:
             return np.nan
 
     if not isinstance(env, FiniteEnvironment):
-        solve = lambda _: np.nan  # noqa: E731
+        solve = lambda _: np.nan
     return np.vectorize(solve, otypes=[float])(np.asarray(gamma, float))

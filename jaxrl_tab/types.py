@@ -6,7 +6,7 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 
 import dataclasses
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar, dataclass_transform, runtime_checkable
 
 import jax
@@ -26,6 +26,19 @@ def nearest(name: str, names: Iterable[str]) -> str:
     names = list(names)
     close = difflib.get_close_matches(name.lower().replace("_", "-"), names, n=1, cutoff=0.5)
     return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
+
+
+def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
+    """`cls(**parameters)`, where `name` is what a person calls the class.
+
+    Raises:
+        InputError: a parameter is unknown, with the nearest right one; or `cls` refuses a value.
+    """
+    known = [f.name for f in dataclasses.fields(cls)]  # pyright: ignore[reportArgumentType]
+    for parameter in parameters:
+        if parameter not in known:
+            raise InputError(f"{name} has no parameter {parameter!r}; {nearest(parameter, known)}")
+    return cls(**parameters)
 
 
 # --- frozen dataclasses that are pytrees -------------------------------------------------------------
