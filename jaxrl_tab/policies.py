@@ -5,15 +5,20 @@ what Expected Sarsa averages over, and what `planning` evaluates are therefore t
 maximum share its probability equally, everywhere.
 """
 
+from functools import reduce
+from itertools import accumulate
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
+UNROLLED = 16  # rows up to this length are worked through entry by entry
+
 
 def greedy(q: Float[Array, " A"]) -> Float[Array, " A"]:
     """The greedy policy: all maximal actions equally likely, [A] -> [A]."""
-    best = (q == q.max()).astype(q.dtype)
-    return best / best.sum()
+    best = (q == _reduce(jnp.maximum, q)).astype(q.dtype)
+    return best / _reduce(jnp.add, best)
 
 
 def epsilon_greedy(q: Float[Array, " A"], epsilon: Float[Array, ""] | float) -> Float[Array, " A"]:
@@ -28,5 +33,16 @@ def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
     so an index of weight zero is never drawn, however the sum was rounded.
     """
     u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(weights.dtype) * 2**-24
-    total = jnp.cumsum(weights)
-    return (u * total[-1] >= total[:-1]).sum(dtype=jnp.int32)
+    if len(weights) > UNROLLED:
+        edges = jnp.cumsum(weights)
+        return (u * edges[-1] >= edges[:-1]).sum(dtype=jnp.int32)
+    *edges, total = accumulate(list(weights))
+    return sum(((u * total >= edge).astype(jnp.int32) for edge in edges), jnp.int32(0))
+
+
+def _reduce(op: jnp.ufunc, x: Array) -> Array:
+    """Under `vmap` a row of A is one of many, and a reduction along so short an axis cannot be vectorised;
+
+    entry by entry, each operation runs over all lanes at once.
+    """
+    return reduce(op, list(x)) if len(x) <= UNROLLED else op.reduce(x)

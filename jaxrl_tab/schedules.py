@@ -122,7 +122,7 @@ def step_size(rate: Rate, clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) ->
         return rate
     if rate.clock == "visit":
         assert clock.visits is not None
-        return rate(tables.row(clock.visits, s)[a])
+        return rate(tables.entry(clock.visits, s, a))
     return rate(clock.step if rate.clock == "step" else clock.episode + 1)
 
 

@@ -1,9 +1,9 @@
-"""The two operations on a table of values: read a row, add to an entry. And how lanes batch them.
+"""The operations on a table of values: read a row or an entry, add to an entry. And how lanes batch them.
 
 `q.at[s, a].add(x)` under `vmap` is a scatter, and XLA's CPU backend neither fuses a scatter nor keeps it in
 the one kernel that a whole loop of steps is compiled to. A loop over the lanes that writes one entry each
-stays in that kernel: it is what a person would write in C. Both operations therefore bring their own
-batching rule; outside `vmap` they are the plain indexing that they look like.
+stays in that kernel: it is what a person would write in C. Writing therefore brings its own
+batching rule; outside `vmap` it is the plain indexing that it looks like.
 """
 
 import jax.numpy as jnp
@@ -17,12 +17,16 @@ def row(table: Num[Array, "S A"], s: Int[Array, ""]) -> Num[Array, " A"]:
     return lax.dynamic_index_in_dim(table, s, keepdims=False)
 
 
+def entry(table: Num[Array, "*n"], *index: Int[Array, ""]) -> Num[Array, ""]:
+    """`table[index]`, []. `index` must be in range: it is not checked."""
+    return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
 def add(
     table: Num[Array, "S A"], s: Int[Array, ""], a: Int[Array, ""], x: Num[Array, ""]
 ) -> Num[Array, "S A"]:
     """`table` with `x` added to entry (s, a). Both must be in range: they are not checked."""
-    entry = table.at[s, a].get(mode="promise_in_bounds") + x.astype(table.dtype)
-    return put(table, jnp.stack([s, a]), entry[None, None])
+    return put(table, jnp.stack([s, a]), (entry(table, s, a) + x.astype(table.dtype))[None, None])
 
 
 @custom_vmap

@@ -15,6 +15,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key, UInt32
 
 from jaxrl_tab import planning, rng, tables
+from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.types import Algorithm, Environment, InputError, Transition
 
 L = TypeVar("L")
@@ -141,9 +142,13 @@ def check_budget(num_steps: int | None, num_episodes: int | None, log_every: int
 def _make_step(algorithm: Algorithm, env: Environment) -> Step:
     """The step of the agent in its environment: (run, words) -> (run, the step's own Log)."""
 
+    # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
+    tabulated = isinstance(env, Finite) and type(env).step is Finite.step
+    env_step = env.tabulated_step() if tabulated else env.step
+
     def step(run: _Run, words: _Words) -> tuple[_Run, Log]:
         key = jax.tree.map(rng.as_key, words)
-        outcome = env.step(key.step, run.s, run.a)
+        outcome = env_step(key.step, run.s, run.a)
         length = run.length + 1
         last = outcome.terminal | (length >= env.max_steps)
         gamma = jnp.asarray(algorithm.gamma, run.g.dtype)
@@ -213,7 +218,7 @@ def _run_chunks(step: Step, draw: Draw, run: _Run, size: int) -> tuple[_Run, Log
         return (run, jax.tree.map(jnp.add, total, log)), None
 
     def chunk(carry, length):
-        return lax.scan(one, carry, draw(carry[0].t + jnp.arange(length)))[0]
+        return lax.scan(one, carry, draw(carry[0].t + jnp.arange(length, dtype=jnp.int32)))[0]
 
     length = -(-size // -(-size // CHUNK))
     carry = run, _zero_log(run)
@@ -259,7 +264,7 @@ def _run_until(step: Step, draw: Draw, carry, target: int | Int[Array, ""], log_
 
     def chunk(state):
         carry, _ = state
-        after, _ = lax.scan(one, carry, draw(carry[0].t + jnp.arange(CHUNK)))
+        after, _ = lax.scan(one, carry, draw(carry[0].t + jnp.arange(CHUNK, dtype=jnp.int32)))
         reached = after[-1] >= target
         return jax.tree.map(lambda old, new: jnp.where(reached, old, new), carry, after), reached
 

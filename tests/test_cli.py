@@ -88,6 +88,8 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
         shown = [[np.nan if "–" in x else float(x) for x in line[4:6]] for line in lines]
         np.testing.assert_allclose(shown, np.c_[rows.last_tenth_return, half], atol=0.005)
         assert all(float(line[-2]) == -15 for line in lines)
+        starred = [row for row, line in enumerate(lines) if "*" in line[1]]
+        assert starred == [rows.last_tenth_return.to_numpy().argmax()]
     assert "epsilon 0.1, gamma 1, q0 0, 3 seeds, 1000 steps each" in printed.out
     assert printed.err == ""  # no bar where stderr is no terminal
 

@@ -147,7 +147,7 @@ def test_exact_values_beside_the_log(windy):
     )(jax.random.key(0))
     for state, log in (run(num_steps=9000, log_every=3000), run(num_episodes=200, log_every=50)):
         policy = rl.planning.greedy_policy(np.asarray(state.q))
-        want = rl.planning.start_value(windy, rl.planning.evaluate(windy, policy))
+        want = rl.planning.policy_value(windy, policy)
         np.testing.assert_allclose(log.greedy_value[-1], want, rtol=1e-4)
         inner = np.arange(70) != 37
         np.testing.assert_allclose(log.q_error[-1], np.abs(state.q - q_star)[inner].max(), rtol=1e-4)

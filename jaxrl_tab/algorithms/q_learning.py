@@ -17,6 +17,6 @@ class QLearning(TDControl):
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)
         q_next = tables.row(state.q, t.s_next).max()
-        delta = t.r + t.discount * q_next - tables.row(state.q, t.s)[t.a]
+        delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
         state = self.learn(state, t, delta)
         return state, self.policy(key, state, t.s_next)

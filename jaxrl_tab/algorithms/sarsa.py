@@ -17,6 +17,6 @@ class Sarsa(TDControl):
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        q_next = tables.row(state.q, t.s_next)[a_next]
-        delta = t.r + t.discount * q_next - tables.row(state.q, t.s)[t.a]
+        q_next = tables.entry(state.q, t.s_next, a_next)
+        delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
         return self.learn(state, t, delta), a_next

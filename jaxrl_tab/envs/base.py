@@ -1,7 +1,7 @@
 """What the built-in environments share: they state their outcomes, and sampling follows from that."""
 
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from numbers import Integral
 from typing import Any
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab import policies
+from jaxrl_tab import policies, tables
 from jaxrl_tab.types import InputError, Outcome, concrete
 
 MAX_STEPS = 100_000  # long enough that no sensible run meets it: it is there so that every episode ends
@@ -51,6 +51,21 @@ class Finite:
         prob, outcome = self.outcomes(s, a)
         k = 0 if prob.shape[0] == 1 else policies.sample(key, prob)
         return jax.tree.map(lambda x: x[k], outcome)
+
+    def tabulated_step(self) -> Callable[[Key[Array, ""], Int[Array, ""], Int[Array, ""]], Outcome]:
+        """`step` with all outcomes worked out beforehand: the same outcome from the same key, read from tables."""
+        states, actions = (jnp.arange(n, dtype=jnp.int32) for n in (self.num_states, self.num_actions))
+        prob, outcome = jax.vmap(jax.vmap(self.outcomes, (None, 0)), (0, None))(states, actions)
+        count = prob.shape[-1]
+        prob, reward = prob.reshape(-1, count), outcome.reward.ravel()
+        entered = (2 * outcome.s_next + outcome.terminal).ravel()  # one load for both
+
+        def step(key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
+            i = s * self.num_actions + a
+            i = i if count == 1 else i * count + policies.sample(key, tables.row(prob, i))
+            return Outcome(tables.entry(entered, i) >> 1, tables.entry(reward, i), tables.entry(entered, i) % 2 == 1)
+
+        return step
 
 
 class FixedStart(Finite):
