@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab import policies
@@ -390,13 +391,23 @@ def _solve(model: Model, weight: Float[Any, "S A K"], reward: Float[Any, " S"]) 
     n = len(reward)
     rows = np.arange(n)[:, None, None]
     if _namespace(model) is jnp:
-        return jnp.linalg.solve(jnp.eye(n).at[rows, model.s_next].add(-weight), reward)
+        return _solve_dense(jnp.eye(n).at[rows, model.s_next].add(-weight), reward)
     from scipy import sparse  # here, because it takes 0.3 s
     from scipy.sparse.linalg import spsolve
 
     entries = np.broadcast_to(rows, weight.shape).ravel(), np.asarray(model.s_next).ravel()
     steps = sparse.csc_array((np.asarray(weight).ravel(), entries), shape=(n, n))
     return spsolve(sparse.eye_array(n, format="csc") - steps, reward)
+
+
+@sequential_vmap
+def _solve_dense(matrix: Float[Array, "S S"], b: Float[Array, " S"]) -> Float[Array, " S"]:
+    """Solves matrix x = b, one lane after another.
+
+    jaxlib spreads a batch of LAPACK calls over the threads that XLA runs programs on, and waits for them.
+    With one device for each core every one of these threads is then waiting, and the program hangs.
+    """
+    return jnp.linalg.solve(matrix, b)
 
 
 def _ending_policy(model: Model) -> Any:

@@ -34,8 +34,8 @@ class Log(NamedTuple):
         rewards: sum of the rewards of all steps, float [rows].
         greedy_value: exact value, from the start distribution, of the policy that is greedy to Q at the end
             of the row; -inf where it may go round for ever at a cost; float [rows]. None unless recorded.
-        q_error: the largest |Q - Q*| over non-terminal states at the end of the row, float [rows]. None
-            unless recorded.
+        q_error: the largest |Q - Q*| at the end of the row, over the states that can be reached from the
+            start and are not terminal, float [rows]. None unless recorded.
     """
 
     steps: Int[Array, "*rows"]
@@ -93,7 +93,7 @@ def train(
         num_episodes: how many episodes to finish.
         log_every: steps in a row of the log (100), or episodes in a row (1). The last row may be shorter.
         exact: also record `greedy_value` and `q_error` at the end of every row. This enumerates the
-            environment and solves one linear system of [S, S] a row: about S^3 / 3 multiply-adds.
+            environment and solves one linear system a row: S^3 multiply-adds (0.1 ms for 70 states on one core).
 
     Returns:
         The state of the learner (`.q` is float [S, A]), and the Log.

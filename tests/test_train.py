@@ -142,6 +142,11 @@ def test_exact_values_beside_the_log(windy):
     """The recorded numbers are those of the final table, computed again on the host in float64."""
     method = rl.QLearning(alpha=0.5, epsilon=0.1)
     v_star, q_star = rl.planning.value_iteration(windy)
+    s_next = rl.planning.exact_model(windy).s_next
+    come_to = {30}
+    while (more := come_to | set(s_next[sorted(come_to)].ravel().tolist())) != come_to:
+        come_to = more
+    assert len(come_to) < 69  # the wind keeps some cells out of reach: they do not count
     run = lambda **budget: jax.jit(
         lambda key: rl.train(key, method, windy, **budget, exact=True)
     )(jax.random.key(0))
@@ -149,8 +154,8 @@ def test_exact_values_beside_the_log(windy):
         policy = rl.planning.greedy_policy(np.asarray(state.q))
         want = rl.planning.policy_value(windy, policy)
         np.testing.assert_allclose(log.greedy_value[-1], want, rtol=1e-4)
-        inner = np.arange(70) != 37
-        np.testing.assert_allclose(log.q_error[-1], np.abs(state.q - q_star)[inner].max(), rtol=1e-4)
+        error = np.abs(state.q - q_star)[sorted(come_to - {37})].max()
+        np.testing.assert_allclose(log.q_error[-1], error, rtol=1e-4)
         assert log.greedy_value.shape == log.steps.shape
         assert log.greedy_value.max() <= v_star[30] + 1e-3
         assert log.q_error[-1] < log.q_error[0]
