@@ -332,7 +332,7 @@ def _sweep(argv: list[str]) -> int:
 
         table = stats.summary(datasets)
         if not (options.json or options.quiet):
-            _console().print(_summary_table(options.env, table, datasets))
+            _print_summary(options.env, table, datasets)
         if folder:
             from jaxrl_tab import plot
 
@@ -410,8 +410,8 @@ def _save(ds: "xr.Dataset", method: str, file: Path, command: Sequence[str]) -> 
     ds.to_netcdf(file, mode="a", group=method, engine="h5netcdf")
 
 
-def _summary_table(environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]") -> Table:
-    """The summary for people: what all rows share goes into the title."""
+def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]") -> None:
+    """The summary for people: what all rows share stands above the table."""
     from jaxrl_tab import stats
 
     ds = next(iter(datasets.values()))
@@ -427,8 +427,6 @@ def _summary_table(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
         *["method", *varied, "episodes", "mean return,\nlast tenth", "± 95%"],
         *(["of seeds"] if few else []),
         *["million\nsteps/s", "exact\noptimum"],
-        title=", ".join([environment, *setting, f"{ds.sizes['seed']} seeds, {length} each"]),
-        caption="* the best of its method on these seeds; chosen for its mean, which so flatters it",
     )
     for column in view.columns[1:]:
         column.justify = "right"
@@ -449,7 +447,11 @@ def _summary_table(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
                 style="bold" if star else None,
             )
         view.add_section()
-    return view
+    out = _console()
+    out.print(", ".join([f"[bold]{environment}[/]", *setting, f"{ds.sizes['seed']} seeds, {length} each"]))
+    out.print(view)
+    if varied:
+        out.print("* the best of its method on these seeds; chosen for its mean, which so flatters it")
 
 
 def _cell(value: Any, write: Any) -> str:

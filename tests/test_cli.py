@@ -163,6 +163,24 @@ def test_glie_is_one_over_the_number_of_the_episode(swept):
     assert float(grid["epsilon"](4)) == 0.25
 
 
+def test_sweep_records_exact_values_and_schedules(tmp_path):
+    """With a device for each core, where batches of linear systems once waited for each other for ever.
+
+    As a program of its own, because a hang cannot be interrupted.
+    """
+    out = tmp_path / "cliff"
+    command = "-m jaxrl_tab sweep cliff-walking sarsa --alpha 0.5 --epsilon glie"
+    command += " --episodes 30 --seeds 128 --exact"
+    argv = [sys.executable, *command.split(), "--out", str(out)]
+    done = subprocess.run(argv, capture_output=True, text=True, check=True, timeout=100)
+    assert "epsilon glie" in done.stdout
+    ds = xr.open_datatree(out / "results.nc")["sarsa"].to_dataset()
+    assert ds.greedy_value.dims == ds.q_error.dims == ("seed", "row")
+    assert float(ds.greedy_value.max()) <= -13
+    assert float(ds.q_error.isel(row=-1).mean()) < float(ds.q_error.isel(row=0).mean())
+    assert json.loads(ds.attrs["fixed"])["epsilon"] == repr(rl.schedules.glie())
+
+
 # --- nothing computed is lost ------------------------------------------------------------------------
 
 
