@@ -1,10 +1,11 @@
 """Many runs at once: devices x lanes. The one place that knows about flags, devices and blocks.
 
 A run is one lane. 64 lanes go side by side through `vmap`: enough to fill the vector units, few enough that
-their tables stay in the cache. Each device (on a CPU: each core) takes 64 lanes of a block; the blocks follow
-one another from the host, so memory stays bounded and progress can be shown. Every program has exactly this
-shape, whatever the number of runs: the last block is filled up with copies. That is why a result depends on
-neither the batch it was computed in, nor its place there, nor the number of devices, to the last bit.
+their tables stay in the cache. Each device (on a CPU: each core) works through blocks of 64 lanes one after
+another, and hands a few of them back at a time, so memory stays bounded and progress can be shown. Every
+program has exactly this shape, whatever the number of runs: the last block is filled up with copies. That is
+why a result depends on neither the batch it was computed in, nor its place there, nor the number of devices,
+to the last bit.
 
 Two settings must be made before JAX starts its backend:
 
@@ -24,12 +25,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
-from jaxrl_tab.train import Log, train
+from jaxrl_tab.train import Log, default_log_every, train
 from jaxrl_tab.types import Algorithm, Environment
 
 LANES = 64
+BLOCKS = 16  # of a device in one call, at most
+CALL_BYTES = 2**28  # that they hand back, at most, unless one block alone is larger
+CALL_SECONDS = 0.2  # about so long a call shall take
 _THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
 
 
@@ -91,7 +96,7 @@ def run(
     seeds: np.ndarray,
     budget: Budget,
     progress: Callable[[int], None] = lambda done: None,
-    devices: Sequence[jax.Device] | None = None,
+    devices: Sequence[Any] | None = None,
 ) -> Batch:
     """Trains every run of a batch.
 
@@ -102,33 +107,47 @@ def run(
         seeds: the number of each run's seed, int [runs].
         budget: what to do in each run.
         progress: is called with the number of runs finished so far.
-        devices: the devices to use; all by default.
+        devices: the JAX devices to use; all by default.
     """
     devices = tuple(devices or jax.devices())
-    width = LANES * len(devices)
-    runs = len(seeds)
+    runs, width = len(seeds), LANES * len(devices)
+    most = max(1, min(BLOCKS, CALL_BYTES // (LANES * _bytes_of_a_run(env, budget))))
 
-    def block(first: int):
-        lanes = np.minimum(np.arange(first, first + width), runs - 1)
-        return root, np.asarray(seeds, np.uint32)[lanes], jax.tree.map(lambda x: x[lanes], algorithms), env
+    def arguments(first: int, blocks: int) -> tuple:
+        """`blocks` blocks from run `first` on, [devices, most, LANES]; what lacks is filled with copies."""
+        lane = np.arange(blocks * width).reshape(blocks, len(devices), LANES).swapaxes(0, 1)
+        lane = np.pad(lane, ((0, 0), (0, most - blocks), (0, 0)), mode="edge")
+        run = np.minimum(first + lane, runs - 1)
+        return root, np.asarray(seeds, np.uint32)[run], jax.tree.map(lambda x: x[run], algorithms), env
 
     begun = time.perf_counter()
-    program = _compiled(devices, budget, *_signature(block(0)))
+    program = _compiled(devices, budget, *_signature(arguments(0, 1)))
     compiled = time.perf_counter()
 
-    # The next block is under way while the one before is copied out.
-    outputs: list = []
-    pending = None
-    for first in range(0, runs, width):
-        following = program(*block(first))
-        if pending is not None:
-            outputs.append(jax.tree.map(np.asarray, pending))
-            progress(first)
-        pending = following
-    outputs.append(jax.tree.map(np.asarray, pending))
+    outputs, done, blocks = [], 0, 1
+    while done < runs:
+        called = time.perf_counter()
+        blocks = min(blocks, -(-(runs - done) // width))
+        output = program(np.int32(blocks), *arguments(done, blocks))
+        outputs.append(jax.tree.map(lambda x: _in_order(np.asarray(x), blocks), output))  # noqa: B023
+        done = min(done + blocks * width, runs)
+        progress(done)
+        blocks = max(1, min(most, int(blocks * CALL_SECONDS / (time.perf_counter() - called))))
     q, log = jax.tree.map(lambda *parts: np.concatenate(parts)[:runs], *outputs)
-    progress(runs)
     return Batch(q, log, time.perf_counter() - compiled, compiled - begun)
+
+
+def _in_order(x: np.ndarray, blocks: int) -> np.ndarray:
+    """[devices, most, LANES, ...] -> [runs, ...], without the blocks that were not asked for."""
+    x = x[:, :blocks].swapaxes(0, 1)
+    return x.reshape(-1, *x.shape[3:])
+
+
+def _bytes_of_a_run(env: Environment, budget: Budget) -> int:
+    """About what one run hands back: its table and its log."""
+    length = budget.num_steps or budget.num_episodes or 0
+    rows = -(-length // (budget.log_every or default_log_every(budget.num_steps)))
+    return 4 * (env.num_states * env.num_actions + len(Log._fields) * rows)
 
 
 def _signature(args: Any) -> tuple[Any, tuple]:
@@ -137,21 +156,34 @@ def _signature(args: Any) -> tuple[Any, tuple]:
 
 
 @functools.lru_cache(maxsize=64)
-def _compiled(devices: tuple[jax.Device, ...], budget: Budget, treedef: Any, avals: tuple):
-    """The program for one block: every device trains its 64 lanes."""
+def _compiled(devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tuple):
+    """The program for one call: every device trains so many blocks of its own, one after another."""
 
     def one(root, seed, algorithm, env):
         key = jax.random.fold_in(root, seed)
         state, log = train(key, algorithm, env, **budget._asdict())
         return state.q, log
 
-    lanes = PartitionSpec("lanes")
-    shared = PartitionSpec()
+    def device(blocks, root, seeds, algorithms, env):
+        seeds, algorithms = jax.tree.map(lambda x: x[0], (seeds, algorithms))
+
+        def block(i):
+            seed, algorithm = jax.tree.map(lambda x: x[i], (seeds, algorithms))
+            return jax.vmap(one, in_axes=(None, 0, 0, None))(root, seed, algorithm, env)
+
+        def put(i, outputs):
+            return jax.tree.map(lambda all_blocks, x: all_blocks.at[i].set(x), outputs, block(i))
+
+        empty = jax.tree.map(lambda x: jnp.zeros((len(seeds), *x.shape), x.dtype), jax.eval_shape(block, 0))
+        return jax.tree.map(lambda x: x[None], lax.fori_loop(0, blocks, put, empty))
+
+    split, shared = PartitionSpec("devices"), PartitionSpec()
     program = jax.shard_map(
-        jax.vmap(one, in_axes=(None, 0, 0, None)),
-        mesh=Mesh(np.array(devices), ("lanes",), axis_types=(AxisType.Auto,)),
-        in_specs=(shared, lanes, lanes, shared),
-        out_specs=lanes,
+        device,
+        mesh=Mesh(np.array(devices), ("devices",), axis_types=(AxisType.Auto,)),
+        in_specs=(shared, shared, split, split, shared),
+        out_specs=split,
         check_vma=False,
     )
-    return jax.jit(program).lower(*jax.tree.unflatten(treedef, avals)).compile()
+    arguments = jax.tree.unflatten(treedef, avals)
+    return jax.jit(program).lower(jnp.int32(0), *arguments).compile()

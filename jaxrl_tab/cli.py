@@ -215,7 +215,7 @@ def _picture(env: Any, v: np.ndarray, q: np.ndarray) -> Table:
             table.add_row(str(s), _number(value), best[s])
         return table
     rows, columns = env.shape
-    visited = _visited(env)
+    visited = planning.reachable(planning.exact_model(env))
     marks = {env.start_state: "[bold reverse]S[/] "}
     cells = [
         f"{_short(v[s])}\n{marks.get(s, '')}[cyan]{best[s]}[/]" if visited[s] else ""
@@ -233,15 +233,6 @@ def _picture(env: Any, v: np.ndarray, q: np.ndarray) -> Table:
     if not visited.all():
         table.caption = "empty: out of reach from the start"
     return table
-
-
-def _visited(env: Any) -> np.ndarray:
-    """Which states can be met in an episode, bool [S]."""
-    model = planning.exact_model(env)
-    visited = model.start > 0
-    for _ in visited:
-        visited[model.s_next[visited][model.prob[visited] > 0]] = True
-    return visited
 
 
 def _best_actions(q: np.ndarray) -> np.ndarray:

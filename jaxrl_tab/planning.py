@@ -132,6 +132,17 @@ def terminal_states(model: Model) -> Bool[Any, " S"]:
     return ((model.terminal & here) | (model.prob == 0)).all((1, 2))
 
 
+def reachable(model: Model) -> Bool[Any, " S"]:
+    """Which states some policy can come to from the start, bool [S]."""
+    namespace, states = _namespace(model), np.arange(len(model.start))
+
+    def spread(reached):
+        entered = namespace.where(reached[:, None, None] & (model.prob > 0), model.s_next, -1)
+        return reached | namespace.isin(states, entered)
+
+    return _settle(model, spread, model.start > 0)
+
+
 def backup(model: Model, v: Float[Any, " S"], gamma: Any) -> Float[Any, "S A"]:
     """q(s, a) = sum over outcomes of p (r + gamma' v(s')), float [S, A] (book, equation 4.6).
 
@@ -305,8 +316,9 @@ def measurer(env: Environment, gamma: Any) -> Measure:
 
     greedy_value is the exact value, from the start distribution, of the policy that is greedy to Q with ties
     split; -inf where gamma is 1 and that policy may be caught for ever while rewards go on. q_error is the
-    largest |Q - Q*| over non-terminal states, those that are never visited included; NaN where Q* is not
-    finite, or not found in TRACED_SWEEPS sweeps of value iteration. Both are NaN where Q holds a NaN.
+    largest |Q - Q*| over the states that can be reached from the start and are not terminal, never visited
+    ones included; NaN where Q* is not finite, or not found in TRACED_SWEEPS sweeps of value iteration. Both
+    are NaN where Q holds a NaN.
 
     Everything is at the ambient precision, usually float32. Both numbers then have a relative error of about
     1e-7 times the expected number of steps to the end (of the greedy and of the optimal policy): 1e-6 is
@@ -324,11 +336,11 @@ def measurer(env: Environment, gamma: Any) -> Measure:
     model = enumerate_model(env)
     gamma = jnp.asarray(gamma, model.prob.dtype)
     q_star, converged, _ = _sweeps(model, gamma, 0.0, TRACED_SWEEPS)
-    goes_on = ~terminal_states(model)
+    matters = reachable(model) & ~terminal_states(model)
 
     def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         v, _ = _policy_value(model, jax.vmap(policies.greedy)(q), gamma)
-        error = jnp.where(goes_on[:, None], abs(q - q_star), 0).max()
+        error = jnp.where(matters[:, None], abs(q - q_star), 0).max()
         # Said by itself: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
         sound = ~jnp.isnan(q).any()
         value = jnp.where(sound, _from_start(model, v), jnp.nan)

@@ -324,7 +324,7 @@ class _Moves(NamedTuple):
     @classmethod
     def of(cls, env: Environment) -> "_Moves":
         model = planning.exact_model(env)
-        s_next, possible = model.s_next, model.prob > 0
+        s_next = model.s_next
         same = s_next[..., :, None] == s_next[..., None, :]
         likelihood = (model.prob[..., None, :] * same).sum(-1)  # of the successor, by whichever outcome
         likeliest = np.isclose(likelihood, likelihood.max(-1, keepdims=True))
@@ -332,13 +332,10 @@ class _Moves(NamedTuple):
         middle = (rank[..., -1:] + 1) // 2
         k = ((rank == middle) & likeliest).argmax(-1)[..., None]
 
-        reachable, known = model.start > 0, -1
-        while known != (known := reachable.sum()):
-            reachable[s_next[reachable][possible[reachable]]] = True
         return cls(
             successor=np.take_along_axis(s_next, k, -1)[..., 0],
             terminal=planning.terminal_states(model),
-            reachable=reachable,
+            reachable=planning.reachable(model),
             stochastic=not np.isclose(likelihood.max(-1), 1).all(),
         )
 

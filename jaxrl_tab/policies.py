@@ -7,6 +7,7 @@ maximum share its probability equally, everywhere.
 
 from functools import reduce
 from itertools import accumulate
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -37,10 +38,10 @@ def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
         edges = jnp.cumsum(weights)
         return (u * edges[-1] >= edges[:-1]).sum(dtype=jnp.int32)
     *edges, total = accumulate(list(weights))
-    return sum(((u * total >= edge).astype(jnp.int32) for edge in edges), jnp.int32(0))
+    return reduce(jnp.add, ((u * total >= edge).astype(jnp.int32) for edge in edges), jnp.int32(0))
 
 
-def _reduce(op: jnp.ufunc, x: Array) -> Array:
+def _reduce(op: Any, x: Array) -> Array:
     """Under `vmap` a row of A is one of many, and a reduction along so short an axis cannot be vectorised;
 
     entry by entry, each operation runs over all lanes at once.

@@ -61,11 +61,13 @@ class SweepResult:
         import xarray as xr
 
         axes = (*self.grid, "seed")
-        variables = {name: ((*axes, "row"), x) for name, x in self.log._asdict().items() if x is not None}
+        variables: dict[str, Any] = {
+            name: ((*axes, "row"), x) for name, x in self.log._asdict().items() if x is not None
+        }
         variables["q"] = ((*axes, "state", "action"), self.q)
         if "gamma" in self.grid:
             variables["optimum"] = (("gamma",), self.optimal_value)
-        coords = {name: [label(v) for v in values] for name, values in self.grid.items()}
+        coords: dict[str, Any] = {name: [label(v) for v in values] for name, values in self.grid.items()}
         coords["seed"] = np.arange(self.q.shape[len(self.grid)])
         coords["row"] = np.arange(self.log.steps.shape[-1])
         budget = {"num_steps": self.num_steps, "num_episodes": self.num_episodes}
@@ -90,6 +92,11 @@ def label(value: Any) -> Any:
     return repr(value) if isinstance(value, Schedule) else value
 
 
+def parameters(obj: Any) -> dict[str, Any]:
+    """The fields of a frozen dataclass with their values."""
+    return {f.name: getattr(obj, f.name) for f in dataclasses.fields(obj)}
+
+
 def describe(obj: Any) -> dict[str, Any]:
     """The fields of a frozen dataclass in types that JSON knows; a large array by its shape."""
 
@@ -99,4 +106,4 @@ def describe(obj: Any) -> dict[str, Any]:
         array = np.asarray(value)
         return array.tolist() if array.size <= 64 else f"{array.dtype}{list(array.shape)}"
 
-    return {f.name: plain(getattr(obj, f.name)) for f in dataclasses.fields(obj)}
+    return {name: plain(value) for name, value in parameters(obj).items()}

@@ -11,6 +11,7 @@ carries 32 bits of entropy, independent of all other decisions.
 """
 
 import math
+from typing import Any
 
 import jax
 import jax.extend as jex
@@ -69,7 +70,7 @@ def _split(key: Array, shape: tuple[int, ...]) -> Array:
     return _hash(key[0], _SPLIT, size).reshape(*shape, 1)
 
 
-def _fold_in(key: Array, data: Array) -> Array:
+def _fold_in(key: Array, data: Any) -> Array:
     word, _ = threefry((key[0], jnp.uint32(_FOLD)), data.astype(jnp.uint32), jnp.uint32(0))
     return word[None]
 

@@ -46,7 +46,7 @@ class Power:
 
     power: float = 1.0
     scale: float = 1.0
-    clock: ClockName = static("episode")
+    clock: ClockName = static(default="episode")
 
     def __post_init__(self):
         _check_clock(self.clock)
@@ -63,7 +63,7 @@ class Optax:
     """Any optax schedule, or any function of a count that starts at 0 and is written in jax.numpy."""
 
     schedule: Callable[[Any], Any] = static()
-    clock: ClockName = static("step")
+    clock: ClockName = static(default="step")
 
     def __post_init__(self):
         _check_clock(self.clock)

@@ -1,6 +1,5 @@
 """A grid of hyperparameters times seeds, in one call."""
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
@@ -12,7 +11,7 @@ import numpy as np
 from jaxrl_tab import batch, planning
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.results import SweepResult, label
+from jaxrl_tab.results import SweepResult, label, parameters
 from jaxrl_tab.train import Log, check_budget, default_log_every
 from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError, build, nearest
 
@@ -62,10 +61,12 @@ def sweep(
     root = jax.random.key(seed)
     budget = batch.Budget(num_steps, num_episodes, log_every, exact)
     total = len(configs) * num_seeds
-    q, logs = [None] * len(configs), [None] * len(configs)
+    q: dict[int, np.ndarray] = {}
+    logs: dict[int, Log] = {}
     done, seconds, compile_seconds = 0, 0.0, 0.0
     for members in _same_program(configs):
-        stacked = jax.tree.map(lambda *x: np.repeat(np.stack(x), num_seeds, 0), *(_leaves_as_arrays(configs[i]) for i in members))
+        instances = [_leaves_as_arrays(configs[i]) for i in members]
+        stacked = jax.tree.map(lambda *x: np.repeat(np.stack(x), num_seeds, 0), *instances)
         seeds = np.tile(np.arange(num_seeds), len(members))
         out = batch.run(env, stacked, root, seeds, budget, lambda n, done=done: progress(done + n, total))
         done += len(seeds)
@@ -77,15 +78,15 @@ def sweep(
 
     shape = tuple(len(values) for values in axes.values())
     stack = lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape)
-    log: Log = jax.tree.map(stack, *logs)
+    log: Log = jax.tree.map(stack, *(logs[i] for i in range(len(configs))))
     return SweepResult(
         environment=_name_in(ENVS, type(env)),
         algorithm=_name_in(ALGORITHMS, cls),
         env=env,
         grid=axes,
-        fixed={f.name: getattr(configs[0], f.name) for f in dataclasses.fields(cls) if f.name not in axes},
+        fixed={name: value for name, value in parameters(configs[0]).items() if name not in axes},
         log=log,
-        q=stack(*q),
+        q=stack(*(q[i] for i in range(len(configs)))),
         optimal_value=_optimal_value(env, axes.get("gamma", configs[0].gamma)),
         root_seed=int(seed),
         num_steps=num_steps,
@@ -109,9 +110,7 @@ def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
     return algorithm
 
 
-def configurations(
-    cls: type[Algorithm], grid: Mapping[str, Any]
-) -> tuple[dict[str, tuple], list[Algorithm]]:
+def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[str, tuple], list[Algorithm]]:
     """The axes (name -> values), and an instance for every point of the grid, in C order."""
     name = _name_in(ALGORITHMS, cls)
     axes, single = {}, {}
@@ -154,11 +153,11 @@ def _optimal_value(env: Environment, gamma: Any) -> np.ndarray:
     """v* from the start, float64, for one gamma or for each; NaN where there is no finite exact answer."""
 
     def solve(gamma: float) -> float:
+        if not isinstance(env, FiniteEnvironment):
+            return np.nan
         try:
             return planning.start_value(env, planning.value_iteration(env, gamma)[0])
         except InputError:
             return np.nan
 
-    if not isinstance(env, FiniteEnvironment):
-        solve = lambda _: np.nan
     return np.vectorize(solve, otypes=[float])(np.asarray(gamma, float))

@@ -31,7 +31,7 @@ def add(
 
 @custom_vmap
 def put(table: Num[Array, "..."], index: Int[Array, " n"], block: Num[Array, "..."]) -> Num[Array, "..."]:
-    """`table` with `block` (n axes, each no longer than the table's) written at the corner `index`, int32 [n]."""
+    """`table` with `block` (n axes, none longer than the table's) written at corner `index`, int32 [n]."""
     return lax.dynamic_update_slice(table, block, tuple(index))
 
 

@@ -7,7 +7,7 @@ on the step's number alone, so the learner's path depends neither on the chunks 
 
 from collections.abc import Callable
 from numbers import Integral
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -50,7 +50,7 @@ class Log(NamedTuple):
 class _Run(NamedTuple):
     """What one run carries from step to step."""
 
-    learner: object
+    learner: Any
     t: Int[Array, ""]  # steps taken
     s: Int[Array, ""]
     a: Int[Array, ""]
@@ -93,7 +93,8 @@ def train(
         num_episodes: how many episodes to finish.
         log_every: steps in a row of the log (100), or episodes in a row (1). The last row may be shorter.
         exact: also record `greedy_value` and `q_error` at the end of every row. This enumerates the
-            environment and solves one linear system a row: S^3 multiply-adds (0.1 ms for 70 states on one core).
+            environment, and solves a linear system in each row: S^3 / 3 multiply-adds (0.06 ms for 70 states
+            on one core).
 
     Returns:
         The state of the learner (`.q` is float [S, A]), and the Log.
@@ -119,7 +120,7 @@ def train(
     else:
         assert num_episodes is not None
         run, log = _run_episodes(step, draw, run, num_episodes, log_every, measure)
-    return run.learner, log  # pyright: ignore[reportReturnType]
+    return run.learner, log
 
 
 def default_log_every(num_steps: int | None) -> int:
@@ -143,8 +144,9 @@ def _make_step(algorithm: Algorithm, env: Environment) -> Step:
     """The step of the agent in its environment: (run, words) -> (run, the step's own Log)."""
 
     # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
-    tabulated = isinstance(env, Finite) and type(env).step is Finite.step
-    env_step = env.tabulated_step() if tabulated else env.step
+    env_step = env.step
+    if isinstance(env, Finite) and type(env).step is Finite.step:
+        env_step = env.tabulated_step()
 
     def step(run: _Run, words: _Words) -> tuple[_Run, Log]:
         key = jax.tree.map(rng.as_key, words)
@@ -285,5 +287,5 @@ def _zero_log(run: _Run) -> Log:
 def _measured(log: Log, run: _Run, measure: Measure | None) -> Log:
     if measure is None:
         return log
-    greedy_value, q_error = measure(run.learner.q)  # pyright: ignore[reportAttributeAccessIssue]
+    greedy_value, q_error = measure(run.learner.q)
     return log._replace(greedy_value=greedy_value, q_error=q_error)

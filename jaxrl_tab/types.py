@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, dataclass_transform, runt
 
 import jax
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, Key
 
 T = TypeVar("T")
@@ -77,7 +78,7 @@ def pytree(cls: type[T]) -> type[T]:
 
 def concrete(x: Any) -> np.ndarray | None:
     """The value of `x` as a NumPy array, or None where it is a tracer and has no value yet."""
-    return None if isinstance(x, jax.core.Tracer) else np.asarray(x)
+    return None if isinstance(x, Tracer) else np.asarray(x)
 
 
 # --- what environments and methods exchange ----------------------------------------------------------

@@ -16,7 +16,9 @@ from jaxrl_tab.types import Transition
 
 GAMMA, EPSILON = 0.9, 0.3
 ENVS = {
-    "windy": lambda: rl.WindyGridworld(stochastic=True, shape=(3, 4), wind=(0, 1, 2, 0), start=(2, 0), goal=(1, 3)),
+    "windy": lambda: rl.WindyGridworld(
+        stochastic=True, shape=(3, 4), wind=(0, 1, 2, 0), start=(2, 0), goal=(1, 3)
+    ),
     "cliff": lambda: rl.CliffWalking(shape=(2, 4)),
     "walk": lambda: rl.RandomWalk(states=5),
 }

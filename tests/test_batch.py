@@ -65,7 +65,7 @@ def test_progress_ends_with_all_runs():
     batch.run(
         rl.WindyGridworld(), algorithms, jax.random.key(0), np.arange(300), BUDGET, progress=seen.append
     )
-    assert seen == [128, 256, 300]
+    assert seen == [128, 300]  # one block on each of two devices, then as many as a call may take
 
 
 def python(code, **env):

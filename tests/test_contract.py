@@ -17,9 +17,9 @@ def test_every_method_in_every_environment(method, env_name):
     """jit and vmap; shapes and dtypes; a batch of one program; the lanes are different runs."""
     env, algorithm = rl.make(env_name), rl.ALGORITHMS[method]()
     keys = jax.random.split(jax.random.key(0), 3)
-    state, log = jax.jit(
-        jax.vmap(lambda key: rl.train(key, algorithm, env, num_steps=300, log_every=100))
-    )(keys)
+    state, log = jax.jit(jax.vmap(lambda key: rl.train(key, algorithm, env, num_steps=300, log_every=100)))(
+        keys
+    )
     assert state.q.shape == (3, env.num_states, env.num_actions)
     assert state.q.dtype == jnp.float32
     assert np.isfinite(state.q).all()

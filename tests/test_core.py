@@ -23,7 +23,8 @@ def test_add_is_plain_indexing_for_one_lane_many_lanes_and_lanes_of_lanes():
     want = q.copy()
     for i, j in np.ndindex(3, 4):
         want[i, j, s[i, j], a[i, j]] += x[i, j]
-        np.testing.assert_array_equal(tables.add(*map(jnp.asarray, (q[i, j], s[i, j], a[i, j], x[i, j]))), want[i, j])
+        one = map(jnp.asarray, (q[i, j], s[i, j], a[i, j], x[i, j]))
+        np.testing.assert_array_equal(tables.add(*one), want[i, j])
     np.testing.assert_array_equal(jax.jit(jax.vmap(tables.add))(q[0], s[0], a[0], x[0]), want[0])
     np.testing.assert_array_equal(jax.jit(jax.vmap(jax.vmap(tables.add)))(q, s, a, x), want)
 
@@ -132,7 +133,10 @@ def test_sample_averages_are_means():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: schedules.Power(clock="day"), "a schedule's clock is 'step', 'episode' or 'visit', not 'day'"),
+        (
+            lambda: schedules.Power(clock="day"),
+            "a schedule's clock is 'step', 'episode' or 'visit', not 'day'",
+        ),
         (lambda: schedules.Power(power=-1), "Power: power must be a positive number, not -1"),
         (lambda: schedules.Optax(0.5), "Optax: schedule must be a function of a count, not 0.5"),
     ],
@@ -156,7 +160,7 @@ Q = jnp.array([[0.0, 8.0], [2.0, 4.0], [100.0, 100.0]])
     ],
 )
 def test_one_update_by_hand(method, wants):
-    """The target of each method; a terminal S' adds nothing, whatever its entries say; only one entry moves."""
+    """Each method's target; a terminal S' adds nothing, whatever its entries say; only one entry moves."""
     algorithm = method(alpha=0.5, epsilon=0.5, gamma=0.5)
     state = algorithm.init(3, 2)._replace(q=Q)
     for a_next, word in ((0, 0), (1, 2**31)):  # a word below 1/4 of the range draws action 0

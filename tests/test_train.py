@@ -147,9 +147,9 @@ def test_exact_values_beside_the_log(windy):
     while (more := come_to | set(s_next[sorted(come_to)].ravel().tolist())) != come_to:
         come_to = more
     assert len(come_to) < 69  # the wind keeps some cells out of reach: they do not count
-    run = lambda **budget: jax.jit(
-        lambda key: rl.train(key, method, windy, **budget, exact=True)
-    )(jax.random.key(0))
+    run = lambda **budget: jax.jit(lambda key: rl.train(key, method, windy, **budget, exact=True))(
+        jax.random.key(0)
+    )
     for state, log in (run(num_steps=9000, log_every=3000), run(num_episodes=200, log_every=50)):
         policy = rl.planning.greedy_policy(np.asarray(state.q))
         want = rl.planning.policy_value(windy, policy)

@@ -53,7 +53,7 @@ class Finite:
         return jax.tree.map(lambda x: x[k], outcome)
 
     def tabulated_step(self) -> Callable[[Key[Array, ""], Int[Array, ""], Int[Array, ""]], Outcome]:
-        """`step` with all outcomes worked out beforehand: the same outcome from the same key, read from tables."""
+        """`step` with all outcomes worked out beforehand: the same outcome from the same key, from tables."""
         states, actions = (jnp.arange(n, dtype=jnp.int32) for n in (self.num_states, self.num_actions))
         prob, outcome = jax.vmap(jax.vmap(self.outcomes, (None, 0)), (0, None))(states, actions)
         count = prob.shape[-1]
@@ -63,7 +63,8 @@ class Finite:
         def step(key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
             i = s * self.num_actions + a
             i = i if count == 1 else i * count + policies.sample(key, tables.row(prob, i))
-            return Outcome(tables.entry(entered, i) >> 1, tables.entry(reward, i), tables.entry(entered, i) % 2 == 1)
+            into = tables.entry(entered, i)
+            return Outcome(into >> 1, tables.entry(reward, i), into % 2 == 1)
 
         return step
 
