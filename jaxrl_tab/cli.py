@@ -247,7 +247,7 @@ def _draw_solutions(
 
     from jaxrl_tab import plot
 
-    height = 1.6 + 7 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 4
+    height = 1.2 + 6 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 4
     figure = Figure(figsize=(8, height * len(solutions)), dpi=plot.DPI, layout="constrained")
     axes = np.ravel(figure.subplots(len(solutions)))
     for ax, (title, (_, v, q)) in zip(axes, solutions.items(), strict=True):

@@ -23,9 +23,10 @@ class InputError(ValueError):
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Returns " Did you mean 'x'?" for the name most like `name`, or the list of `names`."""
-    names = list(names)
-    close = difflib.get_close_matches(name.lower().replace("_", "-"), names, n=1, cutoff=0.5)
+    """Returns "did you mean 'x'?" for the name most like `name`, or one that begins so; else all `names`."""
+    names, name = list(names), name.lower().replace("_", "-")
+    begins = [x for x in names if name and x.startswith(name)]
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5) or begins
     return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
 
 

@@ -607,3 +607,18 @@ def test_error(call, message):
     with pytest.raises(InputError) as error:
         call()
     assert str(error.value) == message
+
+
+@every_environment
+def test_the_tabulated_step_is_the_step(name):
+    """`train` reads outcomes from tables: from the same key the same outcome, for all pairs."""
+    env = ENVIRONMENTS[name]
+    s, a = (x.ravel() for x in jnp.meshgrid(jnp.arange(env.num_states), jnp.arange(env.num_actions)))
+    keys = jax.random.split(jax.random.key(0), (5, len(s)))
+    got, want = (
+        jax.jit(jax.vmap(jax.vmap(step), (0, None, None)))(keys, s, a)
+        for step in (env.tabulated_step(), env.step)
+    )
+    for x, y in zip(got, want, strict=True):
+        np.testing.assert_array_equal(x, y)
+        assert x.dtype == y.dtype

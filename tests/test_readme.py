@@ -1,0 +1,50 @@
+"""The README is true: its code runs, and CI runs its commands."""
+
+import re
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import jaxrl_tab as rl
+
+ROOT = Path(rl.__file__).parent.parent
+README = (ROOT / "README.md").read_text()
+
+
+def blocks(language):
+    return re.findall(rf"^ *```{language}\n(.*?)^ *```", README, re.DOTALL | re.MULTILINE)
+
+
+def test_the_library_example_runs(capsys):
+    names = {}
+    exec(blocks("python")[0], names)
+    assert "alpha" in capsys.readouterr().out
+    assert names["v"][30] == -7
+    assert names["log"].episodes.sum() > 0
+
+
+def test_the_example_environment_is_one(windy):
+    names = {}
+    exec(next(block for block in blocks("python") if "class Coin" in block), names)
+    coin = names["Coin"](heads=0.25)
+    assert rl.planning.value_iteration(coin)[0][0] == -4
+    _, log = jax.jit(lambda key: rl.train(key, rl.Sarsa(), coin, num_steps=2000))(jax.random.key(0))
+    assert abs(2000 / np.sum(log.episodes) - 4) < 4 * np.sqrt(12 / 500)
+
+
+def test_the_sarsa_that_is_shown_is_the_sarsa_that_runs():
+    shown = next(block for block in blocks("python") if "tables.entry" in block)
+    assert "".join(shown.split()) in "".join(
+        (ROOT / "jaxrl_tab/algorithms/sarsa.py")
+        .read_text()
+        .replace("state: TDState, t: Transition", "state, t")
+        .split()
+    )
+
+
+def test_ci_runs_the_commands():
+    ci = (ROOT / ".ci/run").read_text()
+    for command in blocks("bash"):
+        for part in command.strip().split(" && "):
+            assert part.removesuffix(" --out runs/windy") in ci, part
