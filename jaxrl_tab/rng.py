@@ -1,8 +1,8 @@
-"""Random numbers for the loop: one word a decision, drawn in bulk.
+"""Random numbers for the loop: one word a decision.
 
-Splitting a key in every step costs more than the step. Instead the words of many steps are drawn in one
-vectorised call of Threefry-2x32, as a function of (run key, step, pair of decisions) alone: no word depends
-on how steps are grouped, and none is used twice.
+Splitting a key in every step costs more than the step. Instead the word of a decision is Threefry-2x32 of
+(run key, step, pair of decisions) and of nothing else: no word depends on how steps or runs are grouped, none
+is used twice, and under `vmap` the lanes of a block draw theirs together, in vector operations.
 
 Each word is then handed on as a JAX **key** of its own kind, so environments and methods take a `key` and
 call `jax.random` on it as usual. Asked for one 32-bit draw, such a key gives its word itself, for nothing.
@@ -11,12 +11,14 @@ carries 32 bits of entropy, independent of all other decisions.
 """
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.extend as jex
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key, UInt32
+
+Stream: TypeAlias = tuple[UInt32[Array, ""], UInt32[Array, ""]]
 
 # Second halves of the Threefry keys that a word seeds, so that draws, splits and folds never share a stream.
 _BITS, _SPLIT, _FOLD = 0x9E3779B9, 0xBB67AE85, 0x3C6EF372
@@ -91,15 +93,14 @@ def as_key(word: UInt32[Array, "*n"]) -> Key[Array, "*n"]:
     return jax.random.wrap_key_data(word[..., None], impl=_word_impl)
 
 
-def stream(key: Key[Array, ""]) -> tuple[UInt32[Array, ""], UInt32[Array, ""]]:
+def stream(key: Key[Array, ""]) -> Stream:
     """The two words that name a run's random stream, from a JAX key of any kind."""
     word0, word1 = jax.random.bits(key, (2,), jnp.uint32)
     return word0, word1
 
 
 def words(
-    stream: tuple[Array, Array], steps: Int[Array, " n"], pair: int
-) -> tuple[UInt32[Array, " n"], UInt32[Array, " n"]]:
-    """Two independent words for each of `steps`, uint32 [n] each; `pair` names which decisions they serve."""
-    steps = steps.astype(jnp.uint32)
-    return threefry(stream, steps, jnp.full_like(steps, pair))
+    stream: Stream, step: Int[Array, "*n"], pair: int
+) -> tuple[UInt32[Array, "*n"], UInt32[Array, "*n"]]:
+    """Two independent words for a step, uint32; `pair` names which two of its decisions they serve."""
+    return threefry(stream, step.astype(jnp.uint32), jnp.uint32(pair))

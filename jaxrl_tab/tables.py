@@ -6,6 +6,8 @@ stays in that kernel: it is what a person would write in C. Writing therefore br
 batching rule; outside `vmap` it is the plain indexing that it looks like.
 """
 
+from functools import partial
+
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
@@ -14,7 +16,7 @@ from jaxtyping import Array, Int, Num
 
 def row(table: Num[Array, "S A"], s: Int[Array, ""]) -> Num[Array, " A"]:
     """`table[s]`, [A]. `s` must be a state: it is not checked."""
-    return lax.dynamic_index_in_dim(table, s, keepdims=False)
+    return lax.dynamic_index_in_dim(table, s, keepdims=False, allow_negative_indices=False)
 
 
 def entry(table: Num[Array, "*n"], *index: Int[Array, ""]) -> Num[Array, ""]:
@@ -26,22 +28,23 @@ def add(
     table: Num[Array, "S A"], s: Int[Array, ""], a: Int[Array, ""], x: Num[Array, ""]
 ) -> Num[Array, "S A"]:
     """`table` with `x` added to entry (s, a). Both must be in range: they are not checked."""
-    return put(table, jnp.stack([s, a]), (entry(table, s, a) + x.astype(table.dtype))[None, None])
+    return put(table, (entry(table, s, a) + x.astype(table.dtype))[None, None], s, a)
 
 
 @custom_vmap
-def put(table: Num[Array, "..."], index: Int[Array, " n"], block: Num[Array, "..."]) -> Num[Array, "..."]:
-    """`table` with `block` (n axes, none longer than the table's) written at corner `index`, int32 [n]."""
-    return lax.dynamic_update_slice(table, block, tuple(index))
+def put(table: Num[Array, "..."], block: Num[Array, "..."], *corner: Int[Array, ""]) -> Num[Array, "..."]:
+    """`table` with `block` (as many axes, none longer) written at `corner`, an index for each axis."""
+    return lax.dynamic_update_slice(table, block, corner, allow_negative_indices=False)
 
 
 @custom_vmap
-def _put_lanes(table: Array, index: Array, block: Array) -> Array:
+def _put_lanes(table: Array, block: Array, *corner: Array) -> Array:
     """`put` for a leading axis of lanes, one after another."""
 
     def write(lane, table):
-        one = lax.dynamic_index_in_dim(block, lane)
-        return lax.dynamic_update_slice(table, one, (lane, *index[lane]))
+        pick = partial(lax.dynamic_index_in_dim, index=lane, allow_negative_indices=False)
+        start = (lane, *(pick(index, keepdims=False) for index in corner))
+        return lax.dynamic_update_slice(table, pick(block), start, allow_negative_indices=False)
 
     return lax.fori_loop(0, table.shape[0], write, table)
 

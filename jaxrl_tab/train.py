@@ -1,8 +1,7 @@
 """The loop of one run: an agent, an environment, and a log of sums.
 
-`train` is a pure function of a key: `jit` and `vmap` work on it, and `sweep` is nothing but that. Inside,
-steps are grouped in chunks whose random words are drawn in one call (`rng`), but the word of a step depends
-on the step's number alone, so the learner's path depends neither on the chunks nor on `log_every`.
+`train` is a pure function of a key: `jit` and `vmap` work on it, and `sweep` is nothing but that. The random
+words of a step (`rng`) depend on its number alone, so the learner's path does not depend on `log_every`.
 """
 
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from jaxrl_tab.types import Algorithm, Environment, InputError, Transition
 
 L = TypeVar("L")
 
-CHUNK = 256  # so many steps, at most, draw their random words together; those of 64 lanes fit in the cache
+CHUNK = 256  # so many steps are taken at once where a run ends with an episode; see `_run_until`
 
 
 class Log(NamedTuple):
@@ -62,14 +61,13 @@ class _Run(NamedTuple):
 class _Words(NamedTuple):
     """The random words of a step, one for each decision."""
 
-    update: UInt32[Array, "*n"]
-    start: UInt32[Array, "*n"]
-    step: UInt32[Array, "*n"]
-    reset: UInt32[Array, "*n"]
+    update: UInt32[Array, ""]
+    start: UInt32[Array, ""]
+    step: UInt32[Array, ""]
+    reset: UInt32[Array, ""]
 
 
-Step: TypeAlias = Callable[[_Run, _Words], tuple[_Run, Log]]
-Draw: TypeAlias = Callable[[Int[Array, " n"]], _Words]
+Step: TypeAlias = Callable[[_Run], tuple[_Run, Log]]
 Measure: TypeAlias = Callable[[Float[Array, "S A"]], tuple[Float[Array, ""], Float[Array, ""]]]
 
 
@@ -108,18 +106,13 @@ def train(
     measure = planning.measurer(env, algorithm.gamma) if exact else None
     log_every = log_every or default_log_every(num_steps)
     stream = rng.stream(key)
-
-    def draw(t: Int[Array, " n"]) -> _Words:
-        # A deterministic environment never looks at the second pair, and the compiler then drops its call.
-        return _Words(*rng.words(stream, t, 0), *rng.words(stream, t, 1))
-
-    step = _make_step(algorithm, env)
-    run = _start(rng.words(stream, jnp.zeros(1, jnp.int32), 2), algorithm, env)
+    step = _make_step(stream, algorithm, env)
+    run = _start(stream, algorithm, env)
     if num_steps is not None:
-        run, log = _run_steps(step, draw, run, num_steps, log_every, measure)
+        run, log = _run_steps(step, run, num_steps, log_every, measure)
     else:
         assert num_episodes is not None
-        run, log = _run_episodes(step, draw, run, num_episodes, log_every, measure)
+        run, log = _run_episodes(step, run, num_episodes, log_every, measure)
     return run.learner, log
 
 
@@ -140,15 +133,17 @@ def check_budget(num_steps: int | None, num_episodes: int | None, log_every: int
 # --- one step ----------------------------------------------------------------------------------------
 
 
-def _make_step(algorithm: Algorithm, env: Environment) -> Step:
-    """The step of the agent in its environment: (run, words) -> (run, the step's own Log)."""
+def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment) -> Step:
+    """The step of the agent in its environment: run -> (run, the step's own Log)."""
 
     # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
     env_step = env.step
     if isinstance(env, Finite) and type(env).step is Finite.step:
         env_step = env.tabulated_step()
 
-    def step(run: _Run, words: _Words) -> tuple[_Run, Log]:
+    def step(run: _Run) -> tuple[_Run, Log]:
+        # A deterministic environment never looks at the second pair, and the compiler then drops its call.
+        words = _Words(*rng.words(stream, run.t, 0), *rng.words(stream, run.t, 1))
         key = jax.tree.map(rng.as_key, words)
         outcome = env_step(key.step, run.s, run.a)
         length = run.length + 1
@@ -159,7 +154,12 @@ def _make_step(algorithm: Algorithm, env: Environment) -> Step:
         learner, a_next = algorithm.update(key.update, run.learner, t)
 
         s_start = env.reset(key.reset)
-        a_start = algorithm.policy(key.start, learner, s_start)
+        s = jnp.where(last, s_start, outcome.s_next)
+        if getattr(algorithm, "acts_after_update", False):
+            # A' and the first action of an episode are drawn alike: one draw serves, whichever is wanted.
+            a = algorithm.policy(rng.as_key(jnp.where(last, words.start, words.update)), learner, s)
+        else:
+            a = jnp.where(last, algorithm.policy(key.start, learner, s_start), a_next)
         g = run.g + run.discount * outcome.reward
         log = Log(
             steps=jnp.int32(1),
@@ -171,8 +171,8 @@ def _make_step(algorithm: Algorithm, env: Environment) -> Step:
         run = _Run(
             learner,
             t=run.t + 1,
-            s=jnp.where(last, s_start, outcome.s_next),
-            a=jnp.where(last, a_start, a_next),
+            s=s,
+            a=a,
             length=jnp.where(last, 0, length),
             g=jnp.where(last, 0, g),
             discount=jnp.where(last, 1, run.discount * gamma),
@@ -182,9 +182,9 @@ def _make_step(algorithm: Algorithm, env: Environment) -> Step:
     return step
 
 
-def _start(words: tuple[Array, Array], algorithm: Algorithm, env: Environment) -> _Run:
+def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment) -> _Run:
     """The run at time 0, in a start state with its first action chosen."""
-    reset_key, action_key = (rng.as_key(w[0]) for w in words)
+    reset_key, action_key = map(rng.as_key, rng.words(stream, jnp.int32(0), 2))
     learner = algorithm.init(env.num_states, env.num_actions)
     s = env.reset(reset_key)
     a = algorithm.policy(action_key, learner, s)
@@ -196,12 +196,17 @@ def _start(words: tuple[Array, Array], algorithm: Algorithm, env: Environment) -
 
 
 def _run_steps(
-    step: Step, draw: Draw, run: _Run, num_steps: int, log_every: int, measure: Measure | None
+    step: Step, run: _Run, num_steps: int, log_every: int, measure: Measure | None
 ) -> tuple[_Run, Log]:
     """`num_steps` steps, with a row of the log after each `log_every` and after the last."""
 
+    def one(carry, _):
+        run, total = carry
+        run, log = step(run)
+        return (run, jax.tree.map(jnp.add, total, log)), None
+
     def row(run: _Run, size: int) -> tuple[_Run, Log]:
-        run, log = _run_chunks(step, draw, run, size)
+        (run, log), _ = lax.scan(one, (run, _zero_log(run)), length=size)
         return run, _measured(log, run, measure)
 
     run, log = lax.scan(lambda run, _: row(run, log_every), run, length=num_steps // log_every)
@@ -211,36 +216,19 @@ def _run_steps(
     return run, log
 
 
-def _run_chunks(step: Step, draw: Draw, run: _Run, size: int) -> tuple[_Run, Log]:
-    """`size` steps in chunks as equal as can be, and the sum of their logs."""
-
-    def one(carry, words):
-        run, total = carry
-        run, log = step(run, words)
-        return (run, jax.tree.map(jnp.add, total, log)), None
-
-    def chunk(carry, length):
-        return lax.scan(one, carry, draw(carry[0].t + jnp.arange(length, dtype=jnp.int32)))[0]
-
-    length = -(-size // -(-size // CHUNK))
-    carry = run, _zero_log(run)
-    carry, _ = lax.scan(lambda c, _: (chunk(c, length), None), carry, length=size // length)
-    return chunk(carry, size % length) if size % length else carry
-
-
 def _run_episodes(
-    step: Step, draw: Draw, run: _Run, num_episodes: int, log_every: int, measure: Measure | None
+    step: Step, run: _Run, num_episodes: int, log_every: int, measure: Measure | None
 ) -> tuple[_Run, Log]:
     """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
     rows = -(-num_episodes // log_every)
     log = jax.tree.map(lambda x: jnp.zeros((rows, 1), x.dtype), _zero_log(run))
     carry = run, log, jnp.int32(0)
     if measure is None:
-        run, log, _ = _run_until(step, draw, carry, num_episodes, log_every)
+        run, log, _ = _run_until(step, carry, num_episodes, log_every)
         return run, jax.tree.map(lambda x: x[:, 0], log)
 
     def row(carry, target):
-        carry = _run_until(step, draw, carry, target, log_every)
+        carry = _run_until(step, carry, target, log_every)
         return carry, measure(carry[0].learner.q)
 
     targets = jnp.minimum(log_every * jnp.arange(1, rows + 1), num_episodes)
@@ -249,7 +237,7 @@ def _run_episodes(
     return run, log._replace(greedy_value=value, q_error=error)
 
 
-def _run_until(step: Step, draw: Draw, carry, target: int | Int[Array, ""], log_every: int):
+def _run_until(step: Step, carry, target: int | Int[Array, ""], log_every: int):
     """Runs on until `target` episodes are over. `carry` is (run, log [rows, 1], episodes).
 
     Under `vmap` a loop whose length differs from lane to lane keeps the lanes that are done by selecting
@@ -257,26 +245,21 @@ def _run_until(step: Step, draw: Draw, carry, target: int | Int[Array, ""], log_
     reached in one; the chunk in which it is, is run again step by step.
     """
 
-    def one(carry, words):
+    def one(carry):
         run, log, episodes = carry
-        run, now = step(run, words)
+        run, now = step(run)
         row = episodes // log_every
         log = jax.tree.map(lambda table, x: tables.add(table, row, jnp.int32(0), x), log, now)
-        return (run, log, episodes + now.episodes), None
+        return run, log, episodes + now.episodes
 
     def chunk(state):
         carry, _ = state
-        after, _ = lax.scan(one, carry, draw(carry[0].t + jnp.arange(CHUNK, dtype=jnp.int32)))
+        after = lax.fori_loop(0, CHUNK, lambda _, carry: one(carry), carry)
         reached = after[-1] >= target
         return jax.tree.map(lambda old, new: jnp.where(reached, old, new), carry, after), reached
 
     carry, _ = lax.while_loop(lambda state: ~state[1], chunk, (carry, carry[-1] >= target))
-
-    def single(carry):
-        words = jax.tree.map(lambda w: w[0], draw(carry[0].t[None]))
-        return one(carry, words)[0]
-
-    return lax.while_loop(lambda carry: carry[-1] < target, single, carry)
+    return lax.while_loop(lambda carry: carry[-1] < target, one, carry)
 
 
 def _zero_log(run: _Run) -> Log:

@@ -167,6 +167,10 @@ class Algorithm(Protocol[L]):
 
     Attributes:
         gamma: the discount rate, in [0, 1].
+
+    A method whose `update` draws A' as its last act, as `policy(key, new state, S')`, and learns nothing from
+    it, may say so by a class attribute `acts_after_update = True`. The driver then draws A' itself, together
+    with the first actions of episodes, which makes a step a quarter faster and changes no decision.
     """
 
     @property

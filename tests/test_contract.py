@@ -7,7 +7,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch
-from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment
+from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, Transition
 
 PAIRS = [(m, e) for m in rl.ALGORITHMS for e in rl.ENVS]
 
@@ -49,6 +49,25 @@ def test_methods_keep_the_protocol(name):
     for parameter, bad in (("alpha", 0), ("epsilon", 1.5), ("gamma", -0.1), ("alpha", float("nan"))):
         with pytest.raises(rl.InputError, match=rf"{cls.__name__}: {parameter} must be .*, not "):
             cls(**{parameter: bad})
+
+
+ACTS_LATE = [name for name, cls in rl.ALGORITHMS.items() if getattr(cls, "acts_after_update", False)]
+
+
+@pytest.mark.parametrize("name", ACTS_LATE)
+def test_methods_that_say_that_they_act_after_their_update_do(name):
+    """For then the driver draws A' in their place: from the same key it must be the same."""
+    algorithm = rl.ALGORITHMS[name](alpha=1.0, epsilon=0.5)
+    start = algorithm.init(2, 4)
+    t = Transition(*map(jnp.asarray, (0, 1, -1.0, 0, 1.0, False)))  # S' = S: the update changes its policy
+
+    def both(key):
+        state, a_next = algorithm.update(key, start, t)
+        return a_next, algorithm.policy(key, state, t.s_next), algorithm.policy(key, start, t.s_next)
+
+    given, drawn, too_early = jax.vmap(both)(jax.random.split(jax.random.key(0), 100))
+    np.testing.assert_array_equal(given, drawn)
+    assert (given != too_early).any()
 
 
 @pytest.mark.parametrize("name", rl.ALGORITHMS)

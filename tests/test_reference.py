@@ -20,9 +20,9 @@ def uniforms(words):
 def words_of(key, steps=STEPS):
     stream = rng.stream(key)
     t = jnp.arange(steps)
-    first = rng.words(stream, jnp.zeros(1, jnp.int32), 2)
+    first = rng.words(stream, jnp.int32(0), 2)
     pairs = (*rng.words(stream, t, 0), *rng.words(stream, t, 1))
-    return reference.Words(*map(uniforms, pairs), *(uniforms(w)[0] for w in first))
+    return reference.Words(*map(uniforms, pairs), *map(uniforms, first))
 
 
 def task_of(env):

@@ -35,7 +35,7 @@ class Recorder:
     def update(self, key, state, t: Transition):
         a_next = self.policy(key, state, t.s_next)
         line = jnp.stack([jnp.asarray(x, float) for x in (*t, a_next)])
-        seen = tables.put(state.seen, jnp.stack([state.n, jnp.int32(0)]), line[None])
+        seen = tables.put(state.seen, line[None], state.n, jnp.int32(0))
         return state._replace(n=state.n + 1, seen=seen), a_next
 
 

@@ -1,5 +1,7 @@
 """Expected Sarsa: Sarsa without the noise of A' (book, section 6.6; van Seijen et al. 2009)."""
 
+from typing import ClassVar
+
 from jaxrl_tab import tables
 from jaxrl_tab.algorithms.td import TDControl, TDState
 from jaxrl_tab.types import Transition, pytree
@@ -13,6 +15,8 @@ class ExpectedSarsa(TDControl):
 
     A' is drawn from the behaviour policy after the update.
     """
+
+    acts_after_update: ClassVar[bool] = True
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)

@@ -1,5 +1,7 @@
 """Q-learning: off-policy one-step control (book, section 6.5; Watkins 1989)."""
 
+from typing import ClassVar
+
 from jaxrl_tab import tables
 from jaxrl_tab.algorithms.td import TDControl, TDState
 from jaxrl_tab.types import Transition, pytree
@@ -13,6 +15,8 @@ class QLearning(TDControl):
 
     A' is drawn from the behaviour policy after the update.
     """
+
+    acts_after_update: ClassVar[bool] = True
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)

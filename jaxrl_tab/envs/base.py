@@ -64,7 +64,7 @@ class Finite:
             i = s * self.num_actions + a
             i = i if count == 1 else i * count + policies.sample(key, tables.row(prob, i))
             into = tables.entry(entered, i)
-            return Outcome(into >> 1, tables.entry(reward, i), into % 2 == 1)
+            return Outcome(into >> 1, tables.entry(reward, i), (into & 1) == 1)
 
         return step
 
