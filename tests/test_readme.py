@@ -45,6 +45,7 @@ def test_the_sarsa_that_is_shown_is_the_sarsa_that_runs():
 
 def test_ci_runs_the_commands():
     ci = (ROOT / ".ci/run").read_text()
+    assert len(blocks("bash")) == 2
     for command in blocks("bash"):
         for part in command.strip().split(" && "):
             assert part.removesuffix(" --out runs/windy") in ci, part
