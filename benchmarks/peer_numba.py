@@ -15,7 +15,7 @@ Each lane has its own xoshiro256++ generator (Blackman and Vigna 2021), seeded b
 
 import time
 
-import numba
+import numba  # pyright: ignore[reportMissingImports] (of the extra "bench")
 import numpy as np
 
 from benchmarks.task import ALPHA, EPSILON, GOAL, MOVES, SHAPE, START, STEPS, WIND, Round, Timing
