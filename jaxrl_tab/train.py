@@ -5,6 +5,7 @@ words of a step (`rng`) depend on its number alone, so the learner's path does n
 """
 
 from collections.abc import Callable
+from functools import partial
 from numbers import Integral
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -103,6 +104,15 @@ def train(
     check_budget(num_steps, num_episodes, log_every)
     if exact:
         planning.check_finite(env)
+    for what, obj in (("algorithm", algorithm), ("env", env)):
+        if jax.tree_util.all_leaves([obj]):
+            raise InputError(f"{what} is no JAX pytree; decorate its class with jaxrl_tab.types.pytree")
+    return _train(key, algorithm, env, num_steps, num_episodes, log_every, bool(exact))
+
+
+# Compiled by itself where nobody else does, so that a second call is quick; inlined where somebody does.
+@partial(jax.jit, static_argnums=(3, 4, 5, 6), inline=True)
+def _train(key, algorithm, env, num_steps, num_episodes, log_every, exact):
     measure = planning.measurer(env, algorithm.gamma) if exact else None
     log_every = log_every or default_log_every(num_steps)
     stream = rng.stream(key)
@@ -111,7 +121,6 @@ def train(
     if num_steps is not None:
         run, log = _run_steps(step, run, num_steps, log_every, measure)
     else:
-        assert num_episodes is not None
         run, log = _run_episodes(step, run, num_episodes, log_every, measure)
     return run.learner, log
 
