@@ -19,6 +19,7 @@ Two settings must be made before JAX starts its backend:
 import functools
 import os
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -29,7 +30,7 @@ from jax import lax
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
 from jaxrl_tab.train import Log, default_log_every, train
-from jaxrl_tab.types import Algorithm, Environment
+from jaxrl_tab.types import Algorithm, Environment, InputError
 
 LANES = 64
 BLOCKS = 16  # of a device in one call, at most
@@ -41,11 +42,16 @@ _THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
 def set_flags() -> None:
     """Asks XLA for one kernel per loop, unless the environment already says something about it."""
     flags = os.environ.get("XLA_FLAGS", "")
-    if os.environ.get("JAXRL_TAB_XLA") != "0" and _THRESHOLD not in flags:
+    if os.environ.get("JAXRL_TAB_XLA") == "0" or _THRESHOLD in flags:
+        return
+    if _started():
+        warnings.warn(
+            "JAX had computed something before jaxrl_tab was imported, so its loops run several times slower (the "
+            "results are the same): import jaxrl_tab first",
+            stacklevel=2,
+        )
+    else:
         os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={_THRESHOLD}={2**24}".strip()
-
-
-set_flags()
 
 
 def use_all_cores() -> bool:
@@ -58,7 +64,8 @@ def use_all_cores() -> bool:
     if chosen or "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return False
     try:
-        jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+        cores = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))  # Linux alone has it
+        jax.config.update("jax_num_cpu_devices", len(cores(0)))
     except RuntimeError:
         return False
     return True
@@ -143,6 +150,28 @@ def _in_order(x: np.ndarray, blocks: int) -> np.ndarray:
     return x.reshape(-1, *x.shape[3:])
 
 
+def _started() -> bool:
+    """Whether JAX's backend runs, so that flags come too late: it then refuses another number of devices."""
+    try:
+        jax.config.update("jax_num_cpu_devices", jax.config.jax_num_cpu_devices)  # pyright: ignore[reportAttributeAccessIssue]
+    except RuntimeError:
+        return True
+    return False
+
+
+def check_memory(env: Environment, runs: int, budget: Budget) -> None:
+    """Raises InputError where the results of so many runs, held twice while put together, do not fit."""
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return  # not known on this system
+    if (needed := 2 * runs * _bytes_of_a_run(env, budget)) > memory:
+        raise InputError(
+            f"the results of {runs} runs need {needed / 2**30:.0f} GiB, and this machine has "
+            f"{memory / 2**30:.0f}: take fewer seeds, or a larger log_every"
+        )
+
+
 def _bytes_of_a_run(env: Environment, budget: Budget) -> int:
     """About what one run hands back: its table and its log."""
     length = budget.num_steps or budget.num_episodes or 0
@@ -187,3 +216,6 @@ def _compiled(devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tup
     )
     arguments = jax.tree.unflatten(treedef, avals)
     return jax.jit(program).lower(jnp.int32(0), *arguments).compile()
+
+
+set_flags()

@@ -44,7 +44,7 @@ class Group(NamedTuple):
 
 def whole(least: int) -> Any:
     """An annotation of an option that takes a whole number, from `least` to 2**31 - 1."""
-    return _number(int, lambda x: least <= x < 2**31, "N", f"a whole number of at least {least}")
+    return _number(int, lambda x: least <= x < 2**31, "N", f"a whole number from {least} to {2**31 - 1}")
 
 
 def real(low: float, high: float) -> Any:
@@ -189,8 +189,8 @@ def _hint(owned: Mapping[str, describe.Parameter], group: Group) -> str:
 def _value(option: str, token: str, parameter: describe.Parameter) -> Any:
     """`token` as a value of the kind that the parameter's default is."""
     takes_schedule = parameter.type == schedules.Rate
-    if takes_schedule and token in SCHEDULES:
-        return SCHEDULES[token]()
+    if takes_schedule and (name := token.replace("_", "-")) in SCHEDULES:
+        return SCHEDULES[name]()
     like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
     kinds = (type(like),) if type(like) in (int, float, str) else (int, float, str)
     for kind in kinds:

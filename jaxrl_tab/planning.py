@@ -26,7 +26,7 @@ from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab import policies
-from jaxrl_tab.types import Environment, FiniteEnvironment, InputError
+from jaxrl_tab.types import Environment, FiniteEnvironment, InputError, check_pytree
 
 TOLERANCE = 1e-6  # of a sum of probabilities: those written in float32 pass
 GAIN = 1e-11  # policy iteration changes an action for more than this, relative to the largest value
@@ -87,8 +87,7 @@ def exact_model(env: Environment) -> Model:
             message names the first wrong state or (s, a).
     """
     check_finite(env)
-    if jax.tree_util.all_leaves([env]):
-        raise InputError(f"{_name(env)} is not a JAX pytree; decorate its class with jaxrl_tab.types.pytree")
+    check_pytree(_name(env), env)
     # In 64 bits from the first operation on, or 1/3 would be a float32 third. An environment that is written
     # for 32 bits mixes in some 64-bit constants then, which is all right here.
     with jax.enable_x64(), jax.numpy_dtype_promotion("standard"):

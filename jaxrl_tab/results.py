@@ -47,6 +47,11 @@ class SweepResult:
     seconds: float
     compile_seconds: float
 
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
+        seeds = self.log.steps.shape[-2]
+        return f"<SweepResult of {self.algorithm} in {self.environment}: {axes}, {seeds} seeds>"
+
     @property
     def steps_per_second(self) -> float:
         """Environment steps with their updates, per second, compilation apart."""
@@ -88,7 +93,10 @@ class SweepResult:
 
 
 def label(value: Any) -> Any:
-    """A hyperparameter as a coordinate: a number as it is, a schedule as text."""
+    """A hyperparameter as a coordinate: a number as it is, a schedule as text.
+
+    (An axis that holds both is all text.)
+    """
     return repr(value) if isinstance(value, Schedule) else value
 
 
@@ -104,6 +112,9 @@ def describe(obj: Any) -> dict[str, Any]:
         if isinstance(value, (str, bool, int, float, type(None))):
             return value
         array = np.asarray(value)
+        if array.dtype.kind not in "biuf":
+            return repr(value)
         return array.tolist() if array.size <= 64 else f"{array.dtype}{list(array.shape)}"
 
-    return {name: plain(value) for name, value in parameters(obj).items()}
+    fields = parameters(obj) if dataclasses.is_dataclass(obj) else {}
+    return {name: plain(value) for name, value in fields.items()}

@@ -127,10 +127,10 @@ def step_size(rate: Rate, clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) ->
 
 
 def exploration(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
-    """epsilon for the choice of the next action, in state s."""
+    """epsilon for the choice of the next action, in state s; what a schedule gives is clipped to [0, 1]."""
     if not isinstance(rate, Schedule):
         return rate
     if rate.clock == "visit":
         assert clock.visits is not None
-        return rate(tables.row(clock.visits, s).sum() + 1)
-    return rate(1 + (clock.step if rate.clock == "step" else clock.episode))
+        return jnp.clip(rate(tables.row(clock.visits, s).sum() + 1), 0, 1)
+    return jnp.clip(rate(1 + (clock.step if rate.clock == "step" else clock.episode)), 0, 1)

@@ -184,7 +184,8 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
         method has no such); `episodes`, episodes finished in the whole run, mean over seeds;
         `last_tenth_return` with `last_tenth_low` and `last_tenth_high`, the mean return of the last tenth
         and its 95% interval; `seeds`, how many seeds finished an episode there and so were counted;
-        `steps_per_second` of the method's sweep; `optimum`, v* from the start.
+        `steps_per_second` of the method's sweep; where it was recorded, `greedy_value`, the exact value of
+        the greedy policy at the end, median over seeds; `optimum`, v* from the start.
     """
     records, names, results = [], {}, {}
     for method, ds in datasets.items():
@@ -198,8 +199,10 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
             "last_tenth_high": late.high,
             "seeds": late.n,
             "steps_per_second": ds.attrs.get("steps_per_second", np.nan),
-            "optimum": optimum(ds),
         }
+        if "greedy_value" in ds:
+            results["greedy_value"] = ds.greedy_value.isel(row=-1).median("seed")
+        results["optimum"] = optimum(ds)
         table = xr.Dataset(results).expand_dims(method=[method])
         frame = table.to_dataframe(dim_order=["method", *swept]).reset_index()
         records += [constant | record for record in frame.to_dict("records")]

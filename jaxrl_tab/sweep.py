@@ -1,5 +1,6 @@
 """A grid of hyperparameters times seeds, in one call."""
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
@@ -13,7 +14,15 @@ from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.results import SweepResult, label, parameters
 from jaxrl_tab.train import Log, check_budget, default_log_every
-from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError, build, nearest
+from jaxrl_tab.types import (
+    Algorithm,
+    Environment,
+    FiniteEnvironment,
+    InputError,
+    build,
+    check_pytree,
+    nearest,
+)
 
 
 def sweep(
@@ -49,18 +58,24 @@ def sweep(
     """
     check_budget(num_steps, num_episodes, log_every)
     for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0)):
-        if not isinstance(value, Integral) or value < least:
-            raise InputError(f"{name} must be a whole number of at least {least}, not {value!r}")
+        if not isinstance(value, Integral) or not least <= value < 2**31:
+            raise InputError(
+                f"{name} must be a whole number of at least {least} and below 2**31, not {value!r}"
+            )
     if not isinstance(env, Environment):
         raise InputError(f"env must be an environment such as make('windy-gridworld'), not {env!r}")
+    check_pytree("env", env)
     if exact:
         planning.check_finite(env)
+    if isinstance(env, FiniteEnvironment):
+        planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
     axes, configs = configurations(cls, grid or {})
 
-    root = jax.random.key(seed)
-    budget = batch.Budget(num_steps, num_episodes, log_every, exact)
+    budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact))
     total = len(configs) * num_seeds
+    batch.check_memory(env, total, budget)
+    root = jax.random.key(seed)
     q: dict[int, np.ndarray] = {}
     logs: dict[int, Log] = {}
     done, seconds, compile_seconds = 0, 0.0, 0.0
@@ -102,9 +117,9 @@ def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
         if algorithm not in ALGORITHMS:
             raise InputError(f"no method is called {algorithm!r}; {nearest(algorithm, ALGORITHMS)}")
         return ALGORITHMS[algorithm]
-    if not isinstance(algorithm, type):
+    if not isinstance(algorithm, type) or not dataclasses.is_dataclass(algorithm):
         raise InputError(
-            f"algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
+            "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
             f"(got {algorithm!r})"
         )
     return algorithm
@@ -113,12 +128,16 @@ def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
 def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[str, tuple], list[Algorithm]]:
     """The axes (name -> values), and an instance for every point of the grid, in C order."""
     name = _name_in(ALGORITHMS, cls)
+    if not isinstance(grid, Mapping):
+        raise InputError(f"grid must be a dict from hyperparameters to values, not {grid!r}")
     axes, single = {}, {}
     for parameter, values in grid.items():
-        if isinstance(values, Sequence | np.ndarray) and not isinstance(values, str) and np.ndim(values) > 0:
-            axes[parameter] = tuple(v.item() if isinstance(v, np.generic) else v for v in values)
+        if isinstance(values, Sequence | np.ndarray | jax.Array) and np.ndim(values) > 0:
+            if np.ndim(values) > 1:
+                raise InputError(f"the grid of {parameter} must be a flat list, not {values!r}")
+            axes[parameter] = tuple(_plain(value) for value in values)
         else:
-            single[parameter] = values
+            single[parameter] = _plain(values)
     for parameter, values in axes.items():
         labels = [label(v) for v in values]
         repeated = [v for i, v in enumerate(labels) if v in labels[:i]]
@@ -128,6 +147,11 @@ def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[
             raise InputError(f"the grid of {parameter} holds {repeated[0]} more than once")
     points = itertools.product(*axes.values())
     return axes, [build(cls, name, single | dict(zip(axes, point, strict=True))) for point in points]
+
+
+def _plain(value: Any) -> Any:
+    """A NumPy or JAX number as a Python number."""
+    return value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) else value
 
 
 def _leaves_as_arrays(algorithm: Algorithm) -> Algorithm:

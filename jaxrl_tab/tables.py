@@ -46,7 +46,7 @@ def _put_lanes(table: Array, block: Array, *corner: Array) -> Array:
         start = (lane, *(pick(index, keepdims=False) for index in corner))
         return lax.dynamic_update_slice(table, pick(block), start, allow_negative_indices=False)
 
-    return lax.fori_loop(0, table.shape[0], write, table)
+    return lax.fori_loop(jnp.int32(0), jnp.int32(table.shape[0]), write, table)
 
 
 def _with_lanes(axis_size: int, batched: list[bool], *args: Array) -> list[Array]:

@@ -43,6 +43,14 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
     return cls(**parameters)
 
 
+def check_pytree(what: str, obj: Any) -> None:
+    """Raises InputError unless `obj` is an instance of a class that JAX can take apart."""
+    if isinstance(obj, type):
+        raise InputError(f"{what} must be an instance, such as {obj.__name__}(), not the class")
+    if jax.tree_util.all_leaves([obj]):
+        raise InputError(f"{what} is no JAX pytree: decorate its class with jaxrl_tab.types.pytree")
+
+
 # --- frozen dataclasses that are pytrees -------------------------------------------------------------
 
 
@@ -169,8 +177,9 @@ class Algorithm(Protocol[L]):
         gamma: the discount rate, in [0, 1].
 
     A method whose `update` draws A' as its last act, as `policy(key, new state, S')`, and learns nothing from
-    it, may say so by a class attribute `acts_after_update = True`. The driver then draws A' itself, together
-    with the first actions of episodes, which makes a step a quarter faster and changes no decision.
+    it, may say so by `acts_after_update = True` in the class that defines `update`. The driver then draws A'
+    itself, together with the first actions of episodes, which makes a step a quarter faster and changes no
+    decision.
     """
 
     @property

@@ -82,6 +82,14 @@ def test_flags_and_devices_are_set_before_jax_starts_and_never_over_the_users():
     assert python(show + devices) == [f"{flag}16777216", "True True"]
     assert python(show, XLA_FLAGS=f"{flag}5") == [f"{flag}5"]
     assert python(show, JAXRL_TAB_XLA="0") == ["None"]
+    late = (
+        "import warnings, os, jax; jax.numpy.zeros(1).block_until_ready(); warnings.simplefilter('error')\n"
+        "try: import jaxrl_tab\nexcept UserWarning as w: print(w, 'XLA_FLAGS' in os.environ)"
+    )
+    (line,) = python(late)
+    assert line.startswith("JAX had computed something before jaxrl_tab was imported") and line.endswith(
+        "False"
+    )
     started = "jax.numpy.zeros(1).block_until_ready(); print(rl.use_all_cores())"
     assert python(show + started, XLA_FLAGS="--xla_cpu_enable_fast_math=false") == [
         f"--xla_cpu_enable_fast_math=false {flag}16777216",

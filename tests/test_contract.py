@@ -7,7 +7,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch
-from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, Transition
+from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, Transition, pytree
 
 PAIRS = [(m, e) for m in rl.ALGORITHMS for e in rl.ENVS]
 
@@ -68,6 +68,33 @@ def test_methods_that_say_that_they_act_after_their_update_do(name):
     given, drawn, too_early = jax.vmap(both)(jax.random.split(jax.random.key(0), 100))
     np.testing.assert_array_equal(given, drawn)
     assert (given != too_early).any()
+
+
+def test_a_subclass_with_an_update_of_its_own_acts_as_it_says(windy):
+    """Sarsa's update in a class that inherits from Q-learning is Sarsa: A' is not drawn again."""
+
+    @pytree
+    class Borrowed(rl.QLearning):
+        update = rl.Sarsa.update
+
+    run = jax.jit(lambda method: rl.train(jax.random.key(0), method, windy, num_steps=1000, log_every=1000))
+    np.testing.assert_array_equal(run(Borrowed(alpha=0.5))[0].q, run(rl.Sarsa(alpha=0.5))[0].q)
+
+
+@pytest.mark.parametrize(("method", "env_name"), PAIRS)
+def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
+    """Bitwise: a batch of 2 in reverse order on one device against a batch of 200 on two."""
+    env = rl.make(env_name)
+
+    def run(seeds, **kwargs):
+        algorithm = rl.ALGORITHMS[method]()
+        many = jax.tree.map(lambda x: (x + 0.01 * seeds).astype(np.float32), algorithm)
+        budget = batch.Budget(num_steps=100, num_episodes=None, log_every=100, exact=False)
+        return batch.run(env, many, jax.random.key(0), seeds, budget, **kwargs)
+
+    all_runs, few = run(np.arange(200) % 50), run(np.array([33, 7]), devices=jax.devices()[1:])
+    np.testing.assert_array_equal(few.q, all_runs.q[[183, 7]])
+    np.testing.assert_array_equal(few.log.rewards, all_runs.log.rewards[[33, 157]])
 
 
 @pytest.mark.parametrize("name", rl.ALGORITHMS)

@@ -119,6 +119,13 @@ def test_schedules_by_hand():
     np.testing.assert_allclose([linear(jnp.int32(n)) for n in (1, 6, 11, 99)], [1, 0.5, 0, 0])
 
 
+def test_exploration_is_a_probability_whatever_the_schedule_says():
+    """10/k begins above 1: everything is explored then, and nothing has a negative probability."""
+    method = rl.Sarsa(epsilon=schedules.Power(scale=10.0))
+    state = method.init(1, 4)._replace(q=jnp.array([[0.0, 1.0, 0.0, 0.0]]))
+    np.testing.assert_array_equal(method.probs(state, 0), [0.25] * 4)
+
+
 def test_sample_averages_are_means():
     """alpha = 1/N(s, a) makes each entry the mean of its targets: here gamma = 0, so of its rewards."""
     method = rl.Sarsa(alpha=schedules.sample_average(), epsilon=1.0, gamma=0.0)

@@ -1,12 +1,29 @@
 """Sweeps: axes and seeds where they belong, and bad input refused before anything is compiled."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch
+from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.schedules import Power, glie
+from jaxrl_tab.types import Outcome, pytree
+
+
+@pytree
+class Leaky(Finite):
+    """Probabilities that do not add up to 1."""
+
+    num_states, num_actions, max_steps = 2, 1, 10
+
+    def initial(self):
+        return jnp.array([1.0, 0.0])
+
+    def outcomes(self, s, a):
+        return jnp.array([0.9]), Outcome(jnp.array([1]), jnp.zeros(1), jnp.array([True]))
+
 
 BUDGET = {"num_steps": 300, "log_every": 100}
 
@@ -63,6 +80,26 @@ def test_schedules_and_numbers_share_a_grid_and_the_optimum_follows_gamma(windy)
     np.testing.assert_allclose(ds.optimum, [-(1 - 0.5**15) / 0.5, -15])
 
 
+def test_numpy_and_jax_numbers_are_numbers(windy, grid):
+    """On an axis and alone; and the result can still be written down."""
+    result = rl.sweep(
+        windy, "sarsa", {"alpha": jnp.array([0.5, 0.25]), "epsilon": np.float32(0.5)}, num_seeds=4, **BUDGET
+    )
+    np.testing.assert_array_equal(result.q, grid.q[:, 1])
+    assert '"epsilon": 0.5' in result.to_xarray().attrs["fixed"]
+    assert repr(result) == "<SweepResult of sarsa in windy-gridworld: 2 alpha, 4 seeds>"
+
+
+def test_sweeps_in_float64(windy):
+    """The same decisions under x64, where the words are the same and no tie is decided by rounding."""
+    with jax.enable_x64():
+        result = rl.sweep(windy, "sarsa", {"alpha": 0.5, "epsilon": 0.25}, num_seeds=2, **BUDGET, exact=True)
+    assert result.q.dtype == np.float64
+    single = rl.sweep(windy, "sarsa", {"alpha": 0.5, "epsilon": 0.25}, num_seeds=2, **BUDGET)
+    np.testing.assert_array_equal(result.log.rewards, single.log.rewards)
+    np.testing.assert_allclose(result.q, single.q)
+
+
 def test_wind_can_be_batched():
     """The strengths are leaves: one program over several winds, each as in a world of its own."""
     winds = np.array([[0] * 10, [0, 0, 0, 1, 1, 1, 2, 2, 1, 0]])
@@ -83,8 +120,15 @@ def test_wind_can_be_batched():
         ({"grid": {"alpha": []}}, "the grid of alpha is empty"),
         ({"grid": {"alpha": [0.1, 0]}}, "Sarsa: alpha must be greater than 0, not 0"),
         ({"grid": {"epsilon": "much"}}, "Sarsa: epsilon must be between 0 and 1, not 'much'"),
-        ({"num_seeds": 0}, "num_seeds must be a whole number of at least 1, not 0"),
-        ({"seed": -1}, "seed must be a whole number of at least 0, not -1"),
+        ({"num_seeds": 0}, "num_seeds must be a whole number of at least 1 and below 2**31, not 0"),
+        ({"seed": -1}, "seed must be a whole number of at least 0 and below 2**31, not -1"),
+        ({"num_seeds": 2**30}, "the results of 1073741824 runs need"),
+        ({"grid": {"alpha": [[0.1, 0.2]]}}, "the grid of alpha must be a flat list"),
+        ({"grid": [("alpha", 0.1)]}, "grid must be a dict from hyperparameters to values"),
+        ({"grid": {"alpha": abs}}, "Sarsa: alpha is a function; wrap it: schedules.Optax(f, clock='step')"),
+        ({"algorithm": int}, "algorithm must be a class such as Sarsa"),
+        ({"env": rl.WindyGridworld}, "env must be an instance, such as WindyGridworld(), not the class"),
+        ({"env": Leaky()}, "the probabilities of the outcomes of (s, a) = (0, 0) are not a distribution"),
         ({"num_steps": None}, "give either num_steps or num_episodes"),
         ({"algorithm": "sarsaa"}, "no method is called 'sarsaa'; did you mean 'sarsa'?"),
         ({"algorithm": rl.Sarsa()}, "algorithm must be a class such as Sarsa, not an instance"),

@@ -65,12 +65,16 @@ class TDControl:
         """Q(S, A) <- Q(S, A) + alpha delta; and counts the episode where it is over."""
         alpha = schedules.step_size(self.alpha, state.clock, t.s, t.a)
         q = tables.add(state.q, t.s, t.a, alpha * delta)
-        return TDState(q, schedules.end_step(state.clock, t.last))
+        return state._replace(q=q, clock=schedules.end_step(state.clock, t.last))
 
 
 def check_number(obj, name: str, ok, wanted: str) -> None:
     """Raises InputError unless field `name` of `obj` is a schedule, a tracer, or numbers that are `ok`."""
     value = getattr(obj, name)
+    if callable(value) and not isinstance(value, Schedule):
+        raise InputError(
+            f"{type(obj).__name__}: {name} is a function; wrap it: schedules.Optax(f, clock='step')"
+        )
     if isinstance(value, Schedule) or (number := concrete(value)) is None:
         return
     if number.dtype.kind not in "fiu" or not bool(ok(number).all()) or not np.isfinite(number).all():

@@ -22,7 +22,7 @@ class RandomWalk(FixedStart):
 
     Attributes:
         states: number of states between the ends, odd; 19 in example 7.1, 5 in example 6.2.
-        left_reward: reward at the left end; -1 in example 7.1, 0 in example 6.2; a leaf.
+        left_reward: reward at the left end; -1 in example 7.1, 0 in example 6.2.
         max_steps: time limit of an episode, in steps.
     """
 

@@ -20,11 +20,10 @@ class WindyGridworld(Grid):
     The wind of the column that is left carries the walker up by so many cells, in the same step; the edge of
     the grid stops the sum of move and wind. With `stochastic`, the wind of a column that has any is one less,
     as told, or one more, a third each. Actions are up, right, down, left; then, for a king, up-right,
-    down-right, down-left, up-left; then stay.
+    down-right, down-left, up-left; then stay. `wind` is a leaf: `vmap` can batch it.
 
     Attributes:
-        wind: strength of each column, whole numbers [columns], below 0 downwards; a leaf, so `vmap` can
-            batch it.
+        wind: strength of each column, whole numbers [columns], below 0 downwards.
         moves: "four", "king" (also diagonally) or "king+stay".
         stochastic: whether the wind varies.
         shape: (rows, columns).
