@@ -46,8 +46,8 @@ def set_flags() -> None:
         return
     if _started():
         warnings.warn(
-            "JAX had computed something before jaxrl_tab was imported, so its loops run several times slower (the "
-            "results are the same): import jaxrl_tab first",
+            "JAX had computed something before jaxrl_tab was imported, so its loops run several times slower "
+            "(the results are the same): import jaxrl_tab first",
             stacklevel=2,
         )
     else:
@@ -152,8 +152,10 @@ def _in_order(x: np.ndarray, blocks: int) -> np.ndarray:
 
 def _started() -> bool:
     """Whether JAX's backend runs, so that flags come too late: it then refuses another number of devices."""
+    chosen = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
     try:
-        jax.config.update("jax_num_cpu_devices", jax.config.jax_num_cpu_devices)  # pyright: ignore[reportAttributeAccessIssue]
+        jax.config.update("jax_num_cpu_devices", max(chosen, 0) + 1)
+        jax.config.update("jax_num_cpu_devices", chosen)
     except RuntimeError:
         return True
     return False
