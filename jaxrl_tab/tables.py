@@ -34,6 +34,7 @@ def add(
 @custom_vmap
 def put(table: Num[Array, "..."], block: Num[Array, "..."], *corner: Int[Array, ""]) -> Num[Array, "..."]:
     """`table` with `block` (as many axes, none longer) written at `corner`, an index for each axis."""
+    corner = tuple(index.astype(jnp.int32) for index in corner)  # of one type, also under x64
     return lax.dynamic_update_slice(table, block, corner, allow_negative_indices=False)
 
 
@@ -43,7 +44,7 @@ def _put_lanes(table: Array, block: Array, *corner: Array) -> Array:
 
     def write(lane, table):
         pick = partial(lax.dynamic_index_in_dim, index=lane, allow_negative_indices=False)
-        start = (lane, *(pick(index, keepdims=False) for index in corner))
+        start = (lane, *(pick(index, keepdims=False).astype(jnp.int32) for index in corner))
         return lax.dynamic_update_slice(table, pick(block), start, allow_negative_indices=False)
 
     return lax.fori_loop(jnp.int32(0), jnp.int32(table.shape[0]), write, table)
