@@ -26,9 +26,8 @@ from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab import policies
-from jaxrl_tab.types import Environment, FiniteEnvironment, InputError, check_pytree
+from jaxrl_tab.types import TOLERANCE, Environment, FiniteEnvironment, InputError, check_pytree, first
 
-TOLERANCE = 1e-6  # of a sum of probabilities: those written in float32 pass
 GAIN = 1e-11  # policy iteration changes an action for more than this, relative to the largest value
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
 TRACED_SWEEPS = 10_000  # of value iteration inside `train`
@@ -109,15 +108,15 @@ def _check_model(name: str, model: Model) -> None:
             f"initial one of [S], for one environment and not a batch; they give {shapes} and {start.shape}"
         )
     index = np.arange(num_states)
-    if (i := _first(~_is_distribution(prob))) is not None:
+    if (i := first(~_is_distribution(prob))) is not None:
         raise InputError(f"{name}: the probabilities of the outcomes of (s, a) = {i} are not a distribution")
-    if (i := _first(((s_next < 0) | (s_next >= num_states)).any(-1))) is not None:
+    if (i := first(((s_next < 0) | (s_next >= num_states)).any(-1))) is not None:
         raise InputError(f"{name}: an outcome of (s, a) = {i} is not one of the states 0 to {num_states - 1}")
-    if (i := _first(((prob > 0) & ~np.isfinite(reward)).any(-1))) is not None:
+    if (i := first(((prob > 0) & ~np.isfinite(reward)).any(-1))) is not None:
         raise InputError(f"{name}: a reward of (s, a) = {i} is not a finite number")
     stays = (prob == 0) | (terminal & (s_next == index[:, None, None]) & (reward == 0))
     entered = np.isin(index, s_next[terminal & (prob > 0)])
-    if (i := _first(entered[:, None] & ~stays.all(-1))) is not None:
+    if (i := first(entered[:, None] & ~stays.all(-1))) is not None:
         raise InputError(
             f"{name}: state {i[0]} is terminal, so action {i[1]} must lead back to it with reward 0"
         )
@@ -198,7 +197,7 @@ def evaluate(
     v, caught = _policy_value(model, _checked_policy(model, policy_probs), gamma)
     if caught.any():
         raise InputError(
-            f"{_name(env)}: from state {_first(caught)[0]} this policy never ends and rewards go on, so at "
+            f"{_name(env)}: from state {first(caught)[0]} this policy never ends and rewards go on, so at "
             "gamma = 1 it has no finite value; take gamma below 1, or ask policy_value, from the start alone"
         )
     return v
@@ -299,7 +298,7 @@ def _policy_iteration(env: Environment, epsilon: float, gamma: float):
         v, caught = _policy_value(model, probs, gamma)
         if caught.any():
             raise InputError(
-                f"{_name(env)}: from state {_first(caught)[0]} a round trip earns more than it costs, so at "
+                f"{_name(env)}: from state {first(caught)[0]} a round trip earns more than it costs, so at "
                 "gamma = 1 the optimal value is not finite; take gamma below 1"
             )
     raise InputError(
@@ -476,11 +475,6 @@ def _name(env: Any) -> str:
     return type(env).__name__
 
 
-def _first(wrong: np.ndarray) -> Any:
-    """The index of the first True, as a tuple of int, or None."""
-    return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
-
-
 def _is_distribution(prob: np.ndarray) -> Any:
     """Whether the last axis holds probabilities that add up to 1."""
     return (prob >= 0).all(-1) & (abs(prob.sum(-1) - 1) < TOLERANCE)
@@ -491,7 +485,7 @@ def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
     shape = model.prob.shape[:2]
     if probs.shape != shape:
         raise InputError(f"policy_probs must have shape [S, A] = {shape}, not {probs.shape}")
-    if (i := _first(~_is_distribution(probs))) is not None:
+    if (i := first(~_is_distribution(probs))) is not None:
         raise InputError(
             f"policy_probs of state {i[0]} are {probs[i].tolist()}; they must be 0 or more and add up to 1"
         )
@@ -506,6 +500,6 @@ def _check_rate(name: str, value: float) -> None:
 def _refuse_endless(env: Environment, caught: np.ndarray, who: str) -> None:
     if caught.any():
         raise InputError(
-            f"{_name(env)}: from state {_first(caught)[0]} {who} ever ends and rewards go on, so at "
+            f"{_name(env)}: from state {first(caught)[0]} {who} ever ends and rewards go on, so at "
             "gamma = 1 the optimal value is not finite; take gamma below 1"
         )

@@ -43,6 +43,14 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
     return cls(**parameters)
 
 
+TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds written as 0.333 do not
+
+
+def first(wrong: np.ndarray) -> Any:
+    """The index of the first True, as a tuple of int, or None: what a message about an array names."""
+    return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
+
+
 def check_pytree(what: str, obj: Any) -> None:
     """Raises InputError unless `obj` is an instance of a class that JAX can take apart."""
     if isinstance(obj, type):

@@ -8,10 +8,9 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import policies
 from jaxrl_tab.envs.base import MAX_STEPS, Finite, assign, numbers, whole
-from jaxrl_tab.types import InputError, Outcome, pytree, static
+from jaxrl_tab.types import TOLERANCE, InputError, Outcome, first, pytree, static
 
 NAME = "FiniteMDP"
-TOLERANCE = 1e-6  # of a sum of probabilities: float32 tables pass, thirds written as 0.333 do not
 
 
 @pytree
@@ -156,23 +155,23 @@ def _start(start: Any, is_terminal: np.ndarray) -> np.ndarray:
             f"{NAME}: start must be a state or the probabilities of the {num_states} states, "
             f"not {_kind(given)}"
         )
-    if (s := _first(~((prob >= 0) & np.isfinite(prob)))) is not None:
+    if (s := first(~((prob >= 0) & np.isfinite(prob)))) is not None:
         raise InputError(f"{NAME}: the start probability of s = {s[0]} is {prob[s]}, not from 0 to 1")
     if abs(prob.sum() - 1) > TOLERANCE:
         raise InputError(f"{NAME}: the start distribution adds up to {prob.sum():.6g}, not to 1")
-    if (s := _first((prob > 0) & is_terminal)) is not None:
+    if (s := first((prob > 0) & is_terminal)) is not None:
         raise InputError(f"{NAME}: episodes may start in s = {s[0]}, which is terminal")
     return prob / prob.sum()
 
 
 def _check_rows(p: np.ndarray, r: np.ndarray) -> None:
     """Raises InputError unless `p` [S, A, S'] are distributions and `r` [S, A, 1 or S'] finite if p > 0."""
-    if (i := _first(~((p >= 0) & np.isfinite(p)))) is not None:
+    if (i := first(~((p >= 0) & np.isfinite(p)))) is not None:
         raise InputError(f"{NAME}: the probability of s' = {i[2]} {_after(i)} is {p[i]}, not from 0 to 1")
     total = p.sum(axis=-1)
-    if (i := _first(abs(total - 1) > TOLERANCE)) is not None:
+    if (i := first(abs(total - 1) > TOLERANCE)) is not None:
         raise InputError(f"{NAME}: the probabilities {_after(i)} add up to {total[i]:.6g}, not to 1")
-    if (i := _first((p > 0) & ~np.isfinite(r))) is not None:
+    if (i := first((p > 0) & ~np.isfinite(r))) is not None:
         one = np.broadcast_to(r, p.shape)[i]
         raise InputError(f"{NAME}: the reward {_after(i)} is {one}, not a finite number")
 
@@ -185,7 +184,7 @@ def _check_reachable(leads: np.ndarray, is_terminal: np.ndarray, start_prob: np.
     ends = is_terminal
     while (more := ends | leads[:, ends].any(axis=1)).sum() > ends.sum():
         ends = more
-    if is_terminal.any() and (s := _first((start_prob > 0) & ~ends)) is not None:
+    if is_terminal.any() and (s := first((start_prob > 0) & ~ends)) is not None:
         raise InputError(
             f"{NAME}: no terminal state can be reached from start state s = {s[0]}; "
             "a task that is meant to go on for ever has no terminal states"
@@ -193,13 +192,8 @@ def _check_reachable(leads: np.ndarray, is_terminal: np.ndarray, start_prob: np.
 
 
 def _check_states(what: str, states: np.ndarray, num_states: int) -> None:
-    if (i := _first((states < 0) | (states >= num_states))) is not None:
+    if (i := first((states < 0) | (states >= num_states))) is not None:
         raise InputError(f"{NAME}: there is no {what} {states[i]}; states are 0 to {num_states - 1}")
-
-
-def _first(wrong: np.ndarray) -> tuple[int, ...] | None:
-    """The index of the first True, or None."""
-    return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
 
 
 def _after(index: tuple[int, ...]) -> str:
