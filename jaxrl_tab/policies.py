@@ -1,17 +1,25 @@
 """Policies: the exact probabilities of the actions, and one way to draw from them.
 
-A policy is a function from a row of action values Q(s, .) to probabilities, float [A]. What is drawn,
-what Expected Sarsa averages over, and what `planning` evaluates are therefore the same numbers. Ties for the
-maximum share its probability equally, everywhere.
+A policy turns a row of action values Q(s, .) into probabilities, float [A]. What is drawn, what Expected
+Sarsa averages over, what importance sampling divides by and what `planning` evaluates are therefore the same
+numbers. Ties for the maximum share its probability equally, everywhere.
+
+Every method takes one as its `behaviour`, and methods that learn about another policy take one as their
+`target`: `Greedy`, `EpsilonGreedy`, `Softmax`, `UCB`, or any `Table` of probabilities.
 """
 
 from functools import reduce
 from itertools import accumulate
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
+
+from jaxrl_tab import schedules, tables
+from jaxrl_tab.schedules import Clock, Rate, check_number
+from jaxrl_tab.types import TOLERANCE, InputError, concrete, first, pytree
 
 UNROLLED = 16  # rows up to this length are worked through entry by entry
 
@@ -25,6 +33,12 @@ def greedy(q: Float[Array, " A"]) -> Float[Array, " A"]:
 def epsilon_greedy(q: Float[Array, " A"], epsilon: Float[Array, ""] | float) -> Float[Array, " A"]:
     """epsilon / A for every action and the rest for the greedy ones, [A] -> [A] (book, section 5.4)."""
     return epsilon / q.shape[0] + (1 - epsilon) * greedy(q)
+
+
+def softmax(q: Float[Array, " A"], temperature: Float[Array, ""] | float) -> Float[Array, " A"]:
+    """Probabilities proportional to exp(q / temperature), [A] -> [A] (book, equation 2.11)."""
+    weights = jnp.exp((q - _reduce(jnp.maximum, q)) / temperature)
+    return weights / _reduce(jnp.add, weights)
 
 
 def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
@@ -47,3 +61,155 @@ def _reduce(op: Any, x: Array) -> Array:
     entry by entry, each operation runs over all lanes at once.
     """
     return reduce(op, list(x)) if len(x) <= UNROLLED else op.reduce(x)
+
+
+# --- policies as objects -----------------------------------------------------------------------------
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """A rule of choosing actions: a pytree whose numbers are leaves, so that `vmap` batches them."""
+
+    @property
+    def by_visit(self) -> bool:
+        """Whether it needs N(s, a), the table of visits in the clock."""
+        ...
+
+    def check(self, num_states: int, num_actions: int) -> None:
+        """Raises InputError where it does not fit a task of so many states and actions."""
+        ...
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        """pi(. | s), float [A], where `q` is Q(s, .)."""
+        ...
+
+
+def check_policy(obj: Any, name: str) -> None:
+    """Raises InputError unless field `name` of `obj` is a policy, or None."""
+    value = getattr(obj, name)
+    if value is not None and (isinstance(value, type) or not isinstance(value, Policy)):
+        raise InputError(
+            f"{type(obj).__name__}: {name} must be a policy such as policies.Softmax(0.5), not {value!r}"
+        )
+
+
+class _Anywhere:
+    """What policies share that fit every task and, unless they say so, count nothing."""
+
+    @property
+    def by_visit(self) -> bool:
+        return False
+
+    def check(self, num_states: int, num_actions: int) -> None:
+        pass
+
+
+@pytree
+class Greedy(_Anywhere):
+    """A maximal action; ties split equally."""
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return greedy(q)
+
+
+@pytree
+class EpsilonGreedy(_Anywhere):
+    """With probability epsilon any action, else a maximal one (book, section 2.2).
+
+    Attributes:
+        epsilon: probability of exploring, in [0, 1]; a number or a schedule.
+    """
+
+    epsilon: Rate = 0.1
+
+    def __post_init__(self):
+        check_number(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
+
+    @property
+    def by_visit(self) -> bool:
+        return schedules.goes_by_visit(self.epsilon)
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return epsilon_greedy(q, schedules.exploration(self.epsilon, clock, s))
+
+
+@pytree
+class Softmax(_Anywhere):
+    """Probabilities proportional to exp(Q(s, a) / temperature) (book, section 13.1).
+
+    Attributes:
+        temperature: > 0; near 0 it is greedy, large it is random; a number or a schedule.
+    """
+
+    temperature: Rate = 1.0
+
+    def __post_init__(self):
+        check_number(self, "temperature", lambda x: x > 0, "greater than 0")
+
+    @property
+    def by_visit(self) -> bool:
+        return schedules.goes_by_visit(self.temperature)
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return softmax(q, schedules.of_state(self.temperature, clock, s))
+
+
+@pytree
+class UCB(_Anywhere):
+    """The largest upper confidence bound, Q(s, a) + c sqrt(ln t / N(s, a)) (book, equation 2.10).
+
+    t = N(s) + 1 counts the choices made in s, this one included. An action that was never taken comes first.
+
+    Attributes:
+        c: width of the bound, >= 0; in units of the action values.
+    """
+
+    c: float = 2.0
+
+    def __post_init__(self):
+        check_number(self, "c", lambda x: x >= 0, "at least 0")
+
+    @property
+    def by_visit(self) -> bool:
+        return True
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        assert clock.visits is not None
+        visits = tables.row(clock.visits, s)
+        bonus = jnp.sqrt(jnp.log(_reduce(jnp.add, visits) + 1.0) / jnp.maximum(visits, 1))
+        return greedy(jnp.where(visits == 0, jnp.inf, q + self.c * bonus))
+
+
+@pytree
+class Table:
+    """A policy that is given as a table, whatever Q is.
+
+    Attributes:
+        probabilities: pi(a | s), float [S, A]; every row sums to 1, those of terminal states too.
+    """
+
+    probabilities: Any
+
+    def __post_init__(self):
+        pi = concrete(self.probabilities)
+        if pi is None:
+            return
+        if pi.ndim != 2 or pi.dtype.kind not in "biuf":
+            raise InputError(f"Table: probabilities must be numbers [S, A], not of shape {pi.shape}")
+        wrong = ~((pi >= 0).all(1) & (abs(pi.sum(1) - 1) <= TOLERANCE))
+        if (s := first(wrong)) is not None:
+            raise InputError(f"Table: the probabilities in state {s[0]} are not a distribution: {pi[s]}")
+
+    @property
+    def by_visit(self) -> bool:
+        return False
+
+    def check(self, num_states: int, num_actions: int) -> None:
+        if (shape := np.shape(self.probabilities)) != (num_states, num_actions):
+            raise InputError(
+                f"Table: probabilities are of shape {shape}, and the task has {num_states} states and "
+                f"{num_actions} actions"
+            )
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return tables.row(jnp.asarray(self.probabilities, float), s)

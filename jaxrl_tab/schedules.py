@@ -84,6 +84,19 @@ def sample_average() -> Power:
     return Power(clock="visit")
 
 
+def check_number(obj, name: str, ok, wanted: str) -> None:
+    """Raises InputError unless field `name` of `obj` is a schedule, a tracer, or numbers that are `ok`."""
+    value = getattr(obj, name)
+    if callable(value) and not isinstance(value, Schedule):
+        raise InputError(
+            f"{type(obj).__name__}: {name} is a function; wrap it: schedules.Optax(f, clock='step')"
+        )
+    if isinstance(value, Schedule) or (number := concrete(value)) is None:
+        return
+    if number.dtype.kind not in "fiu" or not bool(ok(number).all()) or not np.isfinite(number).all():
+        raise InputError(f"{type(obj).__name__}: {name} must be {wanted}, not {value!r}")
+
+
 class Clock(NamedTuple):
     """What has been experienced so far.
 
@@ -98,11 +111,15 @@ class Clock(NamedTuple):
     visits: Int[Array, "S A"] | None
 
 
-def start(num_states: int, num_actions: int, *rates: Rate) -> Clock:
-    """The clock at zero, with a table of visits where one of `rates` needs it."""
-    counted = any(isinstance(r, Schedule) and r.clock == "visit" for r in rates)
-    visits = jnp.zeros((num_states, num_actions), jnp.int32) if counted else None
+def start(num_states: int, num_actions: int, by_visit: bool) -> Clock:
+    """The clock at zero, with a table of visits where something goes by them."""
+    visits = jnp.zeros((num_states, num_actions), jnp.int32) if by_visit else None
     return Clock(jnp.int32(0), jnp.int32(0), visits)
+
+
+def goes_by_visit(rate: Rate) -> bool:
+    """Whether `rate` needs the table of visits."""
+    return isinstance(rate, Schedule) and rate.clock == "visit"
 
 
 def begin_step(clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) -> Clock:
@@ -126,11 +143,16 @@ def step_size(rate: Rate, clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) ->
     return rate(clock.step if rate.clock == "step" else clock.episode + 1)
 
 
-def exploration(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
-    """epsilon for the choice of the next action, in state s; what a schedule gives is clipped to [0, 1]."""
+def of_state(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
+    """What `rate` is for the choice of the next action, in state s."""
     if not isinstance(rate, Schedule):
         return rate
     if rate.clock == "visit":
         assert clock.visits is not None
-        return jnp.clip(rate(tables.row(clock.visits, s).sum() + 1), 0, 1)
-    return jnp.clip(rate(1 + (clock.step if rate.clock == "step" else clock.episode)), 0, 1)
+        return rate(tables.row(clock.visits, s).sum() + 1)
+    return rate(1 + (clock.step if rate.clock == "step" else clock.episode))
+
+
+def exploration(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
+    """epsilon for the choice of the next action, in state s; what a schedule gives is clipped to [0, 1]."""
+    return jnp.clip(of_state(rate, clock, s), 0, 1) if isinstance(rate, Schedule) else rate

@@ -11,8 +11,10 @@ ROOT = Path(jaxrl_tab.__file__).parent
 # Each module may import only from those in earlier rows (its own row only where it is a package).
 LAYERS = [
     ["types"],
-    ["policies", "tables", "rng"],
-    ["schedules", "planning"],
+    ["tables", "rng"],
+    ["schedules"],
+    ["policies"],
+    ["planning"],
     ["envs", "algorithms"],
     ["train"],
     ["batch", "results"],

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import policies, schedules, tables
-from jaxrl_tab.schedules import Clock, Rate, Schedule
+from jaxrl_tab.policies import EpsilonGreedy, Policy
+from jaxrl_tab.schedules import Clock, Rate, check_number
 from jaxrl_tab.types import InputError, Transition, concrete, pytree
 
 
@@ -25,34 +26,46 @@ class TDState(NamedTuple):
 
 @pytree
 class TDControl:
-    """One-step control with an epsilon-greedy behaviour policy. A method adds its `update`.
+    """One-step control with an epsilon-greedy, or any other, behaviour policy. A method adds its `update`.
 
     Attributes:
         alpha: step size, > 0; a number or a schedule.
         epsilon: probability of exploring, in [0, 1]; a number or a schedule.
         gamma: discount rate, in [0, 1].
         q0: initial value of every entry of Q; above the true values it is optimistic (book, section 2.6).
+        behaviour: how actions are chosen, instead of epsilon-greedy: Softmax, UCB, ... (see `policies`).
     """
 
     alpha: Rate = 0.1
     epsilon: Rate = 0.1
     gamma: float = 1.0
     q0: float = 0.0
+    behaviour: Policy | None = None
 
     def __post_init__(self):
         check_number(self, "alpha", lambda x: x > 0, "greater than 0")
         check_number(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
         check_number(self, "gamma", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
         check_number(self, "q0", lambda x: x == x, "a number")
+        policies.check_policy(self, "behaviour")
+        given = concrete(self.epsilon)
+        if self.behaviour is not None and given is not None and np.any(given != TDControl.epsilon):
+            raise InputError(f"{type(self).__name__}: give epsilon or behaviour, not both")
+
+    @property
+    def selection(self) -> Policy:
+        """The behaviour policy: as given, or else epsilon-greedy."""
+        return EpsilonGreedy(self.epsilon) if self.behaviour is None else self.behaviour
 
     def init(self, num_states: int, num_actions: int) -> TDState:
+        self.selection.check(num_states, num_actions)
         q = jnp.full((num_states, num_actions), self.q0, dtype=float)
-        return TDState(q, schedules.start(num_states, num_actions, self.alpha, self.epsilon))
+        by_visit = schedules.goes_by_visit(self.alpha) or self.selection.by_visit
+        return TDState(q, schedules.start(num_states, num_actions, by_visit))
 
     def probs(self, state: TDState, s: Int[Array, ""]) -> Float[Array, " A"]:
         """The behaviour policy pi(. | s), float [A]."""
-        epsilon = schedules.exploration(self.epsilon, state.clock, s)
-        return policies.epsilon_greedy(tables.row(state.q, s), epsilon)
+        return self.selection.probs(tables.row(state.q, s), state.clock, s)
 
     def policy(self, key: Key[Array, ""], state: TDState, s: Int[Array, ""]) -> Int[Array, ""]:
         return policies.sample(key, self.probs(state, s))
@@ -66,16 +79,3 @@ class TDControl:
         alpha = schedules.step_size(self.alpha, state.clock, t.s, t.a)
         q = tables.add(state.q, t.s, t.a, alpha * delta)
         return state._replace(q=q, clock=schedules.end_step(state.clock, t.last))
-
-
-def check_number(obj, name: str, ok, wanted: str) -> None:
-    """Raises InputError unless field `name` of `obj` is a schedule, a tracer, or numbers that are `ok`."""
-    value = getattr(obj, name)
-    if callable(value) and not isinstance(value, Schedule):
-        raise InputError(
-            f"{type(obj).__name__}: {name} is a function; wrap it: schedules.Optax(f, clock='step')"
-        )
-    if isinstance(value, Schedule) or (number := concrete(value)) is None:
-        return
-    if number.dtype.kind not in "fiu" or not bool(ok(number).all()) or not np.isfinite(number).all():
-        raise InputError(f"{type(obj).__name__}: {name} must be {wanted}, not {value!r}")
