@@ -12,7 +12,19 @@ Importing the package asks XLA for faster loops, as long as JAX has not started:
 from jaxrl_tab import algorithms, batch, envs, planning, policies, schedules
 from jaxrl_tab.algorithms import ALGORITHMS, ExpectedSarsa, QLearning, Sarsa
 from jaxrl_tab.batch import use_all_cores
-from jaxrl_tab.envs import ENVS, CliffWalking, FiniteMDP, RandomWalk, WindyGridworld, make
+from jaxrl_tab.envs import (
+    ENVS,
+    CliffWalking,
+    FiniteMDP,
+    InfiniteVariance,
+    KArmedTestbed,
+    MaximizationBias,
+    RandomWalk,
+    TraceGridworld,
+    TwoDoors,
+    WindyGridworld,
+    make,
+)
 from jaxrl_tab.results import SweepResult
 from jaxrl_tab.sweep import sweep
 from jaxrl_tab.train import Log, train
@@ -26,14 +38,19 @@ __all__ = [
     "CliffWalking",
     "ExpectedSarsa",
     "FiniteMDP",
+    "InfiniteVariance",
     "InputError",
+    "KArmedTestbed",
     "Log",
+    "MaximizationBias",
     "Outcome",
     "QLearning",
     "RandomWalk",
     "Sarsa",
     "SweepResult",
+    "TraceGridworld",
     "Transition",
+    "TwoDoors",
     "WindyGridworld",
     "algorithms",
     "batch",

@@ -7,7 +7,12 @@ from typing import Any
 
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
+from jaxrl_tab.envs.infinite_variance import InfiniteVariance
+from jaxrl_tab.envs.k_armed_testbed import KArmedTestbed
+from jaxrl_tab.envs.maximization_bias import MaximizationBias
 from jaxrl_tab.envs.random_walk import RandomWalk
+from jaxrl_tab.envs.trace_gridworld import TraceGridworld
+from jaxrl_tab.envs.two_doors import TwoDoors
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
 from jaxrl_tab.types import InputError, build, nearest
 
@@ -15,6 +20,11 @@ ENVS = {
     "windy-gridworld": WindyGridworld,
     "cliff-walking": CliffWalking,
     "random-walk": RandomWalk,
+    "two-doors": TwoDoors,
+    "k-armed-testbed": KArmedTestbed,
+    "maximization-bias": MaximizationBias,
+    "infinite-variance": InfiniteVariance,
+    "trace-gridworld": TraceGridworld,
 }
 
 
@@ -29,4 +39,16 @@ def make(name: str, **parameters: Any):
     return build(ENVS[name], name, parameters)
 
 
-__all__ = ["ENVS", "CliffWalking", "FiniteMDP", "RandomWalk", "WindyGridworld", "make"]
+__all__ = [
+    "ENVS",
+    "CliffWalking",
+    "FiniteMDP",
+    "InfiniteVariance",
+    "KArmedTestbed",
+    "MaximizationBias",
+    "RandomWalk",
+    "TraceGridworld",
+    "TwoDoors",
+    "WindyGridworld",
+    "make",
+]

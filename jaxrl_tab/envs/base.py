@@ -158,6 +158,25 @@ def numbers(name: str, what: str, value: Any) -> Any:
     return array
 
 
+def unbatched(name: str, what: str, value: Any, ndim: int, dtype: Any = float) -> Array:
+    """A leaf as a JAX array. Raises InputError where it has not its `ndim` axes but those of a batch."""
+    if np.ndim(value) != ndim:
+        raise InputError(f"{name}: {what} of shape {np.shape(value)} is a batch; vmap over the environment")
+    return jnp.asarray(value, dtype)
+
+
+def check_grid(
+    name: str, shape: Sequence[int], start: Sequence[int], goal: Sequence[int]
+) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
+    """`shape`, `start` and `goal` as pairs of int. Raises InputError unless both are cells, and not one."""
+    shape = check_shape(name, shape)
+    start = check_cell(name, "start", start, shape)
+    goal = check_cell(name, "goal", goal, shape)
+    if start == goal:
+        raise InputError(f"{name}: start and goal are the same cell {start}")
+    return shape, start, goal
+
+
 def check_shape(name: str, shape: Sequence[int], least: tuple[int, int] = (1, 1)) -> tuple[int, int]:
     """`shape` as (rows, columns). Raises InputError unless both are whole numbers and large enough."""
     pair = _pair(shape)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.envs.base import MAX_STEPS, FixedStart, assign, numbers, whole
+from jaxrl_tab.envs.base import MAX_STEPS, FixedStart, assign, numbers, unbatched, whole
 from jaxrl_tab.types import InputError, Outcome, pytree, static
 
 NAME = "random-walk"
@@ -55,11 +55,7 @@ class RandomWalk(FixedStart):
         return (self.states + 1) // 2
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
-        left_reward = jnp.asarray(self.left_reward, float)
-        if left_reward.ndim:
-            raise InputError(
-                f"{NAME}: left_reward of shape {left_reward.shape} is a batch; vmap over the environment"
-            )
+        left_reward = unbatched(NAME, "left_reward", self.left_reward, ndim=0)
         left, right = 0, self.states + 1
         s = jnp.asarray(s, jnp.int32)
         over = (s == left) | (s == right)

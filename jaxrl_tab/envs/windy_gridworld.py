@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_cell, check_shape, numbers, whole
+from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_grid, numbers, unbatched, whole
 from jaxrl_tab.types import InputError, Outcome, nearest, pytree, static
 
 NAME = "windy-gridworld"
@@ -45,11 +45,7 @@ class WindyGridworld(Grid):
             raise InputError(f"{NAME}: moves {self.moves!r} is unknown; {nearest(str(self.moves), MOVES)}")
         if not isinstance(self.stochastic, bool | np.bool_):
             raise InputError(f"{NAME}: stochastic must be True or False, not {self.stochastic!r}")
-        shape = check_shape(NAME, self.shape)
-        start = check_cell(NAME, "start", self.start, shape)
-        goal = check_cell(NAME, "goal", self.goal, shape)
-        if start == goal:
-            raise InputError(f"{NAME}: start and goal are the same cell {start}")
+        shape, start, goal = check_grid(NAME, self.shape, self.start, self.goal)
         wind = _whole_cells(self.wind)
         if wind.shape[-1:] != (shape[1],):
             raise InputError(
@@ -65,9 +61,7 @@ class WindyGridworld(Grid):
         return MOVES[self.moves]
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
-        wind = jnp.asarray(self.wind, jnp.int32)
-        if wind.ndim != 1:
-            raise InputError(f"{NAME}: wind of shape {wind.shape} is a batch; vmap over the environment")
+        wind = unbatched(NAME, "wind", self.wind, ndim=1, dtype=jnp.int32)
         lift, prob = wind[s % self.shape[1]], jnp.ones(1)
         if self.stochastic:
             gust = jnp.array([-1, 0, 1], jnp.int32)

@@ -1,0 +1,30 @@
+"""What bandits share: each play is an episode of one step."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxrl_tab.envs.base import FixedStart
+from jaxrl_tab.types import Outcome
+
+
+class Bandit(FixedStart):
+    """From state 0 every action leads into the terminal state 1; the rewards differ (book, chapter 2)."""
+
+    max_steps = 1
+
+    @property
+    def num_states(self) -> int:
+        return 2
+
+    @property
+    def start_state(self) -> int:
+        return 0
+
+    def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
+        """The K possible rewards of action `a`: their probabilities and they themselves, float [K] each."""
+        raise NotImplementedError
+
+    def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
+        prob, reward = self.rewards(a)
+        entered, terminal = jnp.ones_like(prob, jnp.int32), jnp.ones_like(prob, bool)
+        return prob, Outcome(entered, jnp.where(s == 0, reward, 0), terminal)

@@ -1,0 +1,61 @@
+"""The one-state loop with infinite variance (book, example 5.5)."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxrl_tab.envs.base import MAX_STEPS, FixedStart, assign, numbers, unbatched, whole
+from jaxrl_tab.types import InputError, Outcome, pytree, static
+
+NAME = "infinite-variance"
+
+
+@pytree
+class InfiniteVariance(FixedStart):
+    """Go left round a loop, until it lets go with a reward of 1, or right and end with 0.
+
+    From state 0 left (action 0) leads back with probability `back` and reward 0, and otherwise to the end,
+    state 1, with reward 1. Right (action 1) ends with reward 0. With gamma 1 "always left" has the value 1.
+    Seen from a behaviour that goes either way with probability 1/2, a return of 1 after k steps has the
+    importance ratio 2^k and the probability back^(k-1) (1 - back) / 2^k, so the mean of its square is the
+    sum over k of 2 (1 - back) (2 back)^(k-1): infinite from `back` = 1/2 on. An ordinary importance-sampling
+    average then tends to 1 with certainty, but its error has no variance to shrink.
+
+    Attributes:
+        back: probability that left leads back, below 1; a leaf.
+        max_steps: time limit of an episode, in steps.
+    """
+
+    back: Any = 0.9
+    max_steps: int = static(default=MAX_STEPS)
+
+    def __post_init__(self):
+        back = numbers(NAME, "back", self.back).astype(float)
+        if isinstance(back, np.ndarray) and not ((back >= 0) & (back < 1)).all():
+            raise InputError(f"{NAME}: back must be at least 0 and below 1, not {self.back!r}")
+        assign(self, back=back, max_steps=whole(NAME, "max_steps", self.max_steps))
+
+    @property
+    def num_states(self) -> int:
+        return 2
+
+    @property
+    def num_actions(self) -> int:
+        return 2
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        return "left", "right"
+
+    @property
+    def start_state(self) -> int:
+        return 0
+
+    def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
+        over, left = s == 1, a == 0
+        back = jnp.where(left, unbatched(NAME, "back", self.back, ndim=0), 0)
+        s_next = jnp.where(over, 1, jnp.array([0, 1], jnp.int32))
+        reward = jnp.where(left & ~over, jnp.array([0, 1], float), 0)
+        return jnp.stack([back, 1 - back]), Outcome(s_next, reward, s_next == 1)

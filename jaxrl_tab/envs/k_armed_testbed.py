@@ -1,0 +1,76 @@
+"""The k-armed test bed (book, section 2.3)."""
+
+import dataclasses
+import math
+from typing import Any, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrl_tab import tables
+from jaxrl_tab.envs.bandit import Bandit
+from jaxrl_tab.envs.base import assign, numbers, unbatched, whole
+from jaxrl_tab.types import InputError, Outcome, first, pytree, static
+
+NAME = "k-armed-testbed"
+
+
+@pytree
+class KArmedTestbed(Bandit):
+    """Pull one of several arms, whose rewards are normal around means that are drawn anew for each run.
+
+    The mean q*(a) of each arm is drawn from N(0, 1) once for a problem, and a reward from N(q*(a), 1) for a
+    play. `train` draws a problem for each run, from its key. Before that, `means` are those of the mean
+    problem: 0. `outcomes` gives the mean of the reward, `step` adds the noise.
+
+    Attributes:
+        arms: number of arms.
+        means: q*, the mean reward of each arm, [arms], or one number for all; a leaf.
+    """
+
+    arms: int = static(default=10)
+    means: Any = 0.0
+
+    def __post_init__(self):
+        arms = whole(NAME, "arms", self.arms)
+        means = numbers(NAME, "means", self.means)
+        if isinstance(means, np.ndarray):
+            if (i := first(~np.isfinite(means))) is not None:
+                raise InputError(f"{NAME}: means must be finite numbers, not {means[i]}")
+            means = np.full(arms, means) if means.ndim == 0 else means
+            means = means.astype(np.float64)
+        if means.shape[-1:] != (arms,):
+            raise InputError(
+                f"{NAME}: means must have one number for each of the {arms} arms, not shape {means.shape}"
+            )
+        assign(self, arms=arms, means=means)
+
+    def instance(self, key: Key[Array, ""]) -> Self:
+        """The environment with a problem drawn from `key`: means from N(0, 1), float [arms]."""
+        return dataclasses.replace(self, means=jax.random.normal(key, (self.arms,)))
+
+    @property
+    def num_actions(self) -> int:
+        return self.arms
+
+    def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
+        means = unbatched(NAME, "means", self.means, ndim=1)
+        return jnp.ones(1), tables.entry(means, jnp.asarray(a, jnp.int32))[None]
+
+    def step(self, key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
+        mean = super().step(key, s, a)
+        noise = jax.random.normal(key, dtype=mean.reward.dtype)
+        return mean._replace(reward=mean.reward + jnp.where(s == self.start_state, noise, 0))
+
+    def expected_best_mean(self) -> float:
+        """The mean over problems of max_a q*(a), for comparison with learned rewards; 1.538753 for 10 arms.
+
+        It is the integral of x n phi(x) Phi(x)^(n-1), with the density phi and the distribution Phi of
+        N(0, 1): by the trapezoidal rule, which for such a function is exact to rounding.
+        """
+        x, width = np.linspace(-12, 12, 2401, retstep=True)
+        density = np.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
+        below = np.array([math.erfc(-y / math.sqrt(2)) / 2 for y in x])
+        return float((x * self.arms * density * below ** (self.arms - 1)).sum() * width)
