@@ -29,7 +29,7 @@ import numpy as np
 from jax import lax
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
-from jaxrl_tab.train import Log, default_log_every, train
+from jaxrl_tab.train import Log, Record, default_log_every, train
 from jaxrl_tab.types import Algorithm, Environment, InputError
 
 LANES = 64
@@ -78,6 +78,7 @@ class Budget(NamedTuple):
     num_episodes: int | None
     log_every: int | None
     exact: bool
+    record: Record | None = None
 
 
 class Batch(NamedTuple):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxrl_tab.policies import Policy
 from jaxrl_tab.schedules import Schedule
 from jaxrl_tab.train import Log
 from jaxrl_tab.types import Environment
@@ -60,15 +61,20 @@ class SweepResult:
     def to_xarray(self) -> "xr.Dataset":
         """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
 
-        The fields of the log are its variables, and `q` [*grid, seed, state, action]; what is the same for
-        all runs is in `attrs`.
+        The fields of the log are its variables, with what was recorded, and `q` [*grid, seed, state, action];
+        what is the same for all runs is in `attrs`.
         """
         import xarray as xr
 
         axes = (*self.grid, "seed")
         variables: dict[str, Any] = {
-            name: ((*axes, "row"), x) for name, x in self.log._asdict().items() if x is not None
+            name: ((*axes, "row"), x)
+            for name, x in self.log._asdict().items()
+            if x is not None and name != "recorded"
         }
+        for name, x in (self.log.recorded or {}).items():
+            more = [f"{name}_{i}" for i in range(x.ndim - len(axes) - 1)]
+            variables[name] = ((*axes, "row", *more), x)
         variables["q"] = ((*axes, "state", "action"), self.q)
         if "gamma" in self.grid:
             variables["optimum"] = (("gamma",), self.optimal_value)
@@ -80,7 +86,7 @@ class SweepResult:
             "environment": self.environment,
             "environment_parameters": json.dumps(describe(self.env)),
             "algorithm": self.algorithm,
-            "fixed": json.dumps({name: label(v) for name, v in self.fixed.items()}),
+            "fixed": json.dumps({name: label(v) for name, v in self.fixed.items() if v is not None}),
             **{name: value for name, value in budget.items() if value is not None},
             "log_every": self.log_every,
             "root_seed": self.root_seed,
@@ -93,11 +99,11 @@ class SweepResult:
 
 
 def label(value: Any) -> Any:
-    """A hyperparameter as a coordinate: a number as it is, a schedule as text.
+    """A hyperparameter as a coordinate: a number as it is, a schedule or a policy as it is typed.
 
     (An axis that holds both is all text.)
     """
-    return repr(value) if isinstance(value, Schedule) else value
+    return str(value) if isinstance(value, Schedule | Policy) else value
 
 
 def parameters(obj: Any) -> dict[str, Any]:

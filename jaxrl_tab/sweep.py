@@ -13,7 +13,7 @@ from jaxrl_tab import batch, planning
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.results import SweepResult, label, parameters
-from jaxrl_tab.train import Log, check_budget, default_log_every
+from jaxrl_tab.train import Log, Record, check_budget, default_log_every
 from jaxrl_tab.types import (
     Algorithm,
     Environment,
@@ -36,6 +36,7 @@ def sweep(
     log_every: int | None = None,
     seed: int = 0,
     exact: bool = False,
+    record: Record | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> SweepResult:
     """Runs a method with every combination of hyperparameters, each over the same seeds.
@@ -49,7 +50,7 @@ def sweep(
         grid: for each hyperparameter a list of values (an axis of the result) or a single value. A value
             is a number or a schedule. What is not named keeps its default.
         num_seeds: how many seeds, at least 1.
-        num_steps, num_episodes, log_every, exact: as in `train`.
+        num_steps, num_episodes, log_every, exact, record: as in `train`.
         seed: which sequence of seeds, a whole number >= 0.
         progress: is called with the number of runs finished and of all runs, as blocks of them finish.
 
@@ -72,7 +73,7 @@ def sweep(
     cls = _algorithm_class(algorithm)
     axes, configs = configurations(cls, grid or {})
 
-    budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact))
+    budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     total = len(configs) * num_seeds
     batch.check_memory(env, total, budget)
     root = jax.random.key(seed)

@@ -14,10 +14,16 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, Key, UInt32
 
-from jaxrl_tab import planning, rng, tables
+from jaxrl_tab import planning, policies, rng, tables
 from jaxrl_tab.envs.base import Finite
-from jaxrl_tab.planning import Measure
-from jaxrl_tab.types import Algorithm, Environment, InputError, Transition, check_pytree
+from jaxrl_tab.types import (
+    Algorithm,
+    Environment,
+    InputError,
+    Transition,
+    check_pytree,
+    init_learner,
+)
 
 L = TypeVar("L")
 
@@ -37,6 +43,7 @@ class Log(NamedTuple):
             of the row; -inf where it may go round for ever at a cost; float [rows]. None unless recorded.
         q_error: the largest |Q - Q*| at the end of the row, over the states that can be reached from the
             start and are not terminal, float [rows]. None unless recorded.
+        recorded: what `record` gave at the end of the row, [rows] of each. None unless asked for.
     """
 
     steps: Int[Array, "*rows"]
@@ -46,6 +53,7 @@ class Log(NamedTuple):
     rewards: Float[Array, "*rows"]
     greedy_value: Float[Array, "*rows"] | None = None
     q_error: Float[Array, "*rows"] | None = None
+    recorded: dict[str, Array] | None = None
 
 
 class _Run(NamedTuple):
@@ -60,6 +68,18 @@ class _Run(NamedTuple):
     discount: Float[Array, ""]  # gamma^length
 
 
+class _Start(NamedTuple):
+    """How an episode begins.
+
+    Attributes:
+        state: key -> S.
+        action: (key, state of the learner, S) -> A.
+    """
+
+    state: Callable
+    action: Callable
+
+
 class _Words(NamedTuple):
     """The random words of a step, one for each decision."""
 
@@ -70,6 +90,8 @@ class _Words(NamedTuple):
 
 
 Step: TypeAlias = Callable[[_Run], tuple[_Run, Log]]
+Record: TypeAlias = Callable[[Any], dict[str, Array]]
+Measured: TypeAlias = Callable[[Any], dict[str, Any]]
 
 
 def train(
@@ -81,6 +103,7 @@ def train(
     num_episodes: int | None = None,
     log_every: int | None = None,
     exact: bool = False,
+    record: Record | None = None,
 ) -> tuple[L, Log]:
     """Runs `algorithm` in `env` and returns what it learned and what happened.
 
@@ -96,6 +119,8 @@ def train(
         exact: also record `greedy_value` and `q_error` at the end of every row. This enumerates the
             environment, and solves a linear system in each row: S^3 / 3 multiply-adds (0.06 ms for 70 states
             on one core).
+        record: a function from the state of the learner to a dict of arrays, such as
+            `lambda state: {"q_start": state.q[30].max()}`; recorded at the end of every row.
 
     Returns:
         The state of the learner (`.q` is float [S, A]), and the Log.
@@ -108,17 +133,20 @@ def train(
         planning.check_finite(env)
     check_pytree("algorithm", algorithm)
     check_pytree("env", env)
-    return _train(key, algorithm, env, num_steps, num_episodes, log_every, bool(exact))
+    return _train(key, algorithm, env, num_steps, num_episodes, log_every, bool(exact), record)
 
 
 # Compiled by itself where nobody else does, so that a second call is quick; inlined where somebody does.
-@partial(jax.jit, static_argnums=(3, 4, 5, 6), inline=True)
-def _train(key, algorithm, env, num_steps, num_episodes, log_every, exact):
-    measure = planning.measurer(env, algorithm.gamma) if exact else None
+@partial(jax.jit, static_argnums=(3, 4, 5, 6, 7), inline=True)
+def _train(key, algorithm, env, num_steps, num_episodes, log_every, exact, record):
     log_every = log_every or default_log_every(num_steps)
     stream = rng.stream(key)
-    step = _make_step(stream, algorithm, env)
-    run = _start(stream, algorithm, env)
+    if hasattr(env, "instance"):
+        env = env.instance(rng.as_key(rng.words(stream, jnp.int32(0), 3)[0]))
+    measure = _make_measure(algorithm, env, exact, record)
+    start = _make_start(algorithm, env)
+    step = _make_step(stream, algorithm, env, start)
+    run = _start(stream, algorithm, env, start)
     if num_steps is not None:
         run, log = _run_steps(step, run, num_steps, log_every, measure)
     else:
@@ -143,7 +171,20 @@ def check_budget(num_steps: int | None, num_episodes: int | None, log_every: int
 # --- one step ----------------------------------------------------------------------------------------
 
 
-def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment) -> Step:
+def _make_start(algorithm: Algorithm, env: Environment) -> _Start:
+    """How episodes begin: as the environment and the method say, or, for exploring starts, anyhow."""
+    if not getattr(algorithm, "exploring_starts", False):
+        return _Start(env.reset, algorithm.policy)
+    planning.check_finite(env)
+    states = ~planning.terminal_states(planning.enumerate_model(env))
+    actions = jnp.ones(env.num_actions)
+    return _Start(
+        lambda key: policies.sample(key, states.astype(float)),
+        lambda key, learner, s: policies.sample(key, actions),
+    )
+
+
+def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _Start) -> Step:
     """The step of the agent in its environment: run -> (run, the step's own Log)."""
 
     # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
@@ -168,13 +209,13 @@ def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment) -> St
         t = Transition(run.s, run.a, reward, s_next, discount, last)
         learner, a_next = algorithm.update(key.update, run.learner, t)
 
-        s_start = jnp.asarray(env.reset(key.reset), jnp.int32)
+        s_start = jnp.asarray(start.state(key.reset), jnp.int32)
         s = jnp.where(last, s_start, s_next)
-        if acts_after_update:
+        if acts_after_update and start.action == algorithm.policy:
             # A' and the first action of an episode are drawn alike: one draw serves, whichever is wanted.
             a = algorithm.policy(rng.as_key(jnp.where(last, words.start, words.update)), learner, s)
         else:
-            a = jnp.where(last, algorithm.policy(key.start, learner, s_start), a_next)
+            a = jnp.where(last, start.action(key.start, learner, s_start), a_next)
         g = run.g + run.discount * reward
         log = Log(
             steps=jnp.int32(1),
@@ -197,12 +238,12 @@ def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment) -> St
     return step
 
 
-def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment) -> _Run:
+def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _Start) -> _Run:
     """The run at time 0, in a start state with its first action chosen."""
     reset_key, action_key = map(rng.as_key, rng.words(stream, jnp.int32(0), 2))
-    learner = algorithm.init(env.num_states, env.num_actions)
-    s = jnp.asarray(env.reset(reset_key), jnp.int32)
-    a = algorithm.policy(action_key, learner, s)
+    learner = init_learner(algorithm, env)
+    s = jnp.asarray(start.state(reset_key), jnp.int32)
+    a = start.action(action_key, learner, s)
     zero = jnp.zeros((), learner.q.dtype)
     return _Run(learner, t=jnp.int32(0), s=s, a=a, length=jnp.int32(0), g=zero, discount=zero + 1)
 
@@ -211,7 +252,7 @@ def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment) -> _Run:
 
 
 def _run_steps(
-    step: Step, run: _Run, num_steps: int, log_every: int, measure: Measure | None
+    step: Step, run: _Run, num_steps: int, log_every: int, measure: Measured | None
 ) -> tuple[_Run, Log]:
     """`num_steps` steps, with a row of the log after each `log_every` and after the last."""
 
@@ -222,7 +263,7 @@ def _run_steps(
 
     def row(run: _Run, size: int) -> tuple[_Run, Log]:
         (run, log), _ = lax.scan(one, (run, _zero_log(run)), length=size)
-        return run, _measured(log, run, measure)
+        return run, log._replace(**measure(run.learner)) if measure else log
 
     run, log = lax.scan(lambda run, _: row(run, log_every), run, length=num_steps // log_every)
     if rest := num_steps % log_every:
@@ -232,28 +273,27 @@ def _run_steps(
 
 
 def _run_episodes(
-    step: Step, run: _Run, num_episodes: int, log_every: int, measure: Measure | None
+    step: Step, run: _Run, num_episodes: int, log_every: int, measure: Measured | None
 ) -> tuple[_Run, Log]:
     """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
     rows = -(-num_episodes // log_every)
-    log = jax.tree.map(lambda x: jnp.zeros((rows, 1), x.dtype), _zero_log(run))
+    log = jax.tree.map(lambda x: jnp.zeros(rows, x.dtype), _zero_log(run))
     carry = run, log, jnp.int32(0)
     if measure is None:
         run, log, _ = _run_until(step, carry, num_episodes, log_every)
-        return run, jax.tree.map(lambda x: x[:, 0], log)
+        return run, log
 
     def row(carry, target):
         carry = _run_until(step, carry, target, log_every)
-        return carry, measure(carry[0].learner.q)
+        return carry, measure(carry[0].learner)
 
     targets = jnp.minimum(log_every * jnp.arange(1, rows + 1), num_episodes)
-    (run, log, _), (value, error) = lax.scan(row, carry, targets)
-    log = jax.tree.map(lambda x: x[:, 0], log)
-    return run, log._replace(greedy_value=value, q_error=error)
+    (run, log, _), measured = lax.scan(row, carry, targets)
+    return run, log._replace(**measured)
 
 
 def _run_until(step: Step, carry, target: int | Int[Array, ""], log_every: int):
-    """Runs on until `target` episodes are over. `carry` is (run, log [rows, 1], episodes).
+    """Runs on until `target` episodes are over. `carry` is (run, log [rows], episodes).
 
     Under `vmap` a loop whose length differs from lane to lane keeps the lanes that are done by selecting
     their whole state anew in every iteration. So whole chunks are run first, as long as the target is not
@@ -264,7 +304,7 @@ def _run_until(step: Step, carry, target: int | Int[Array, ""], log_every: int):
         run, log, episodes = carry
         run, now = step(run)
         row = episodes // log_every
-        log = jax.tree.map(lambda table, x: tables.add(table, row, jnp.int32(0), x), log, now)
+        log = tables.lane_by_lane(_add_to_row, log, row, now)
         return run, log, episodes + now.episodes
 
     def chunk(state):
@@ -282,8 +322,24 @@ def _zero_log(run: _Run) -> Log:
     return Log(steps=count, episodes=count, returns=real, lengths=count, rewards=real)
 
 
-def _measured(log: Log, run: _Run, measure: Measure | None) -> Log:
-    if measure is None:
-        return log
-    greedy_value, q_error = measure(run.learner.q)
-    return log._replace(greedy_value=greedy_value, q_error=q_error)
+def _add_to_row(lane: Array, log: Log, row: Array, now: Log) -> Log:
+    """The sums of a step into its row, for `tables.lane_by_lane`."""
+    at = lane, tables.entry(row, lane)
+    return jax.tree.map(
+        lambda table, x: tables.write(table, tables.entry(table, *at) + tables.entry(x, lane), *at), log, now
+    )
+
+
+def _make_measure(algorithm: Algorithm, env: Environment, exact: bool, record: Record | None):
+    """What is measured at the end of a row, from the state of the learner, as fields of the Log."""
+    if not exact and record is None:
+        return None
+    measure_exactly = planning.measurer(env, algorithm.gamma) if exact else None
+
+    def measure(learner) -> dict[str, Any]:
+        exactly = measure_exactly(learner.q) if measure_exactly else (None, None)
+        return dict(
+            zip(("greedy_value", "q_error"), exactly, strict=True), recorded=record and record(learner)
+        )
+
+    return measure

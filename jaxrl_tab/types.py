@@ -6,6 +6,7 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 
 import dataclasses
 import difflib
+import inspect
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar, dataclass_transform, runtime_checkable
 
@@ -194,7 +195,10 @@ class Algorithm(Protocol[L]):
     def gamma(self) -> Any: ...
 
     def init(self, num_states: int, num_actions: int) -> L:
-        """The state of the learner before the first step. It has a field `q`, float [S, A]."""
+        """The state of the learner before the first step. It has a field `q`, float [S, A].
+
+        A method that remembers whole episodes takes a third argument, `max_steps`: how long they may get.
+        """
         ...
 
     def policy(self, key: Key[Array, ""], state: L, s: Int[Array, ""]) -> Int[Array, ""]:
@@ -207,3 +211,10 @@ class Algorithm(Protocol[L]):
         Where the episode ends (`t.last`) A' is not taken: the driver resets and asks `policy`.
         """
         ...
+
+
+def init_learner(algorithm: Algorithm[L], env: Environment) -> L:
+    """The state of the learner before its first step in `env`."""
+    takes = inspect.signature(algorithm.init).parameters
+    longest = {"max_steps": env.max_steps} if "max_steps" in takes else {}
+    return algorithm.init(env.num_states, env.num_actions, **longest)
