@@ -14,7 +14,9 @@ from jaxrl_tab.algorithms import ALGORITHMS, ExpectedSarsa, QLearning, Sarsa
 from jaxrl_tab.batch import use_all_cores
 from jaxrl_tab.envs import (
     ENVS,
+    Blackjack,
     CliffWalking,
+    Easy21,
     FiniteMDP,
     InfiniteVariance,
     KArmedTestbed,
@@ -35,7 +37,9 @@ __version__ = "0.1.0"
 __all__ = [
     "ALGORITHMS",
     "ENVS",
+    "Blackjack",
     "CliffWalking",
+    "Easy21",
     "ExpectedSarsa",
     "FiniteMDP",
     "InfiniteVariance",

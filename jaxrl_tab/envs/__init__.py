@@ -5,7 +5,9 @@ ENVS holds those that can be made from their name alone; `FiniteMDP` needs its a
 
 from typing import Any
 
+from jaxrl_tab.envs.blackjack import Blackjack
 from jaxrl_tab.envs.cliff_walking import CliffWalking
+from jaxrl_tab.envs.easy21 import Easy21
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
 from jaxrl_tab.envs.infinite_variance import InfiniteVariance
 from jaxrl_tab.envs.k_armed_testbed import KArmedTestbed
@@ -20,6 +22,8 @@ ENVS = {
     "windy-gridworld": WindyGridworld,
     "cliff-walking": CliffWalking,
     "random-walk": RandomWalk,
+    "blackjack": Blackjack,
+    "easy21": Easy21,
     "two-doors": TwoDoors,
     "k-armed-testbed": KArmedTestbed,
     "maximization-bias": MaximizationBias,
@@ -41,7 +45,9 @@ def make(name: str, **parameters: Any):
 
 __all__ = [
     "ENVS",
+    "Blackjack",
     "CliffWalking",
+    "Easy21",
     "FiniteMDP",
     "InfiniteVariance",
     "KArmedTestbed",
