@@ -15,7 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import schedules, tables
 from jaxrl_tab.schedules import Clock, Rate, check_number
@@ -53,6 +53,14 @@ def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
         return (u * edges[-1] >= edges[:-1]).sum(dtype=jnp.int32)
     *edges, total = accumulate(list(weights))
     return reduce(jnp.add, ((u * total >= edge).astype(jnp.int32) for edge in edges), jnp.int32(0))
+
+
+def coin(key: Key[Array, ""]) -> Bool[Array, ""]:
+    """A fair coin, bool [], from the lowest bit of the key's word.
+
+    `sample` never looks at that bit, so what both give for one key is independent: a word for two decisions.
+    """
+    return (jax.random.bits(key, dtype=jnp.uint32) & 1) == 1
 
 
 def _reduce(op: Any, x: Array) -> Array:
@@ -213,3 +221,66 @@ class Table:
 
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
         return tables.row(jnp.asarray(self.probabilities, float), s)
+
+
+# --- what off-policy learning assumes ----------------------------------------------------------------
+
+
+def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
+    """Raises InputError where `behaviour` leaves out an action that `target` can take.
+
+    This is the assumption of coverage: pi(a | s) > 0 implies b(a | s) > 0 (book, section 5.5). It is judged
+    for whatever Q may become, and as far as the numbers given decide it: softmax and epsilon-greedy with
+    epsilon > 0 take every action, greedy and UCB leave some out (a greedy behaviour none that a greedy target
+    takes), tables go entry by entry, rows of terminal states included. Other policies, schedules and traced
+    numbers are let through.
+
+    Args:
+        what: who asks, to begin the message.
+        target: pi, which is learned about.
+        behaviour: b, which acts.
+    """
+    out = _left_out(behaviour)
+    if out is None or (_is_greedy(behaviour) and _is_greedy(target)):
+        return
+    can = np.array(True)
+    if isinstance(target, Table) and (pi := concrete(target.probabilities)) is not None:
+        can = pi > 0
+    if can.ndim and out.ndim and can.shape != out.shape:
+        raise InputError(f"{what}: target is a table {can.shape}, and behaviour one {out.shape}")
+    if at := first(can & out):
+        raise InputError(
+            f"{what}: behaviour leaves out action {at[1]} in state {at[0]}, which target can take; "
+            "give it a positive probability"
+        )
+    if at is not None:
+        raise InputError(
+            f"{what}: behaviour leaves out actions that target can take; "
+            "let it take all of them, as EpsilonGreedy(0.1) does"
+        )
+
+
+def _left_out(policy: Policy) -> np.ndarray | None:
+    """Where a policy has, or for some Q can have, probability 0: bool [S, A], or [] where it says nothing
+
+    about single entries. None where the numbers given do not decide it.
+    """
+    match policy:
+        case Table():
+            pi = concrete(policy.probabilities)
+            return None if pi is None else pi == 0
+        case EpsilonGreedy() if isinstance(policy.epsilon, schedules.Schedule):
+            return None
+        case EpsilonGreedy():
+            epsilon = concrete(policy.epsilon)
+            return None if epsilon is None else (epsilon == 0).any()
+        case Softmax():
+            return np.array(False)
+        case Greedy() | UCB():
+            return np.array(True)
+    return None
+
+
+def _is_greedy(policy: Policy) -> bool:
+    """Whether it is the greedy policy, by this name or as epsilon-greedy that never explores."""
+    return isinstance(policy, Greedy) or (isinstance(policy, EpsilonGreedy) and bool(_left_out(policy)))

@@ -1,13 +1,19 @@
 """The control methods, one file each. To add one: write its file, and add its line to ALGORITHMS."""
 
+from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
+from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.sarsa import Sarsa
+from jaxrl_tab.algorithms.target_q_learning import TargetQLearning
 
 ALGORITHMS = {
     "sarsa": Sarsa,
     "q-learning": QLearning,
     "expected-sarsa": ExpectedSarsa,
+    "monte-carlo": MonteCarlo,
+    "double-q-learning": DoubleQLearning,
+    "q-learning-target": TargetQLearning,
 }
 
-__all__ = ["ALGORITHMS", "ExpectedSarsa", "QLearning", "Sarsa"]
+__all__ = ["ALGORITHMS", "DoubleQLearning", "ExpectedSarsa", "QLearning", "Sarsa", "TargetQLearning"]

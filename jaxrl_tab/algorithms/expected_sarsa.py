@@ -3,24 +3,31 @@
 from typing import ClassVar
 
 from jaxrl_tab import tables
-from jaxrl_tab.algorithms.td import TDControl, TDState
+from jaxrl_tab.algorithms.off_policy import OffPolicyControl
+from jaxrl_tab.algorithms.td import TDState
+from jaxrl_tab.policies import Policy
 from jaxrl_tab.types import Transition, pytree
 
 
 @pytree
-class ExpectedSarsa(TDControl):
-    """On-policy control that learns from the mean over A': R + gamma sum_a pi(a | S') Q(S', a).
+class ExpectedSarsa(OffPolicyControl):
+    """Control that learns from the mean over A': R + gamma sum_a pi(a | S') Q(S', a).
 
     Q(S, A) <- Q(S, A) + alpha [R + gamma sum_a pi(a | S') Q(S', a) - Q(S, A)]      (book, equation 6.9)
 
-    A' is drawn from the behaviour policy after the update.
+    pi is the behaviour policy (on-policy, the default) or any other `target`; with the greedy one this is
+    Q-learning. A' is drawn from the behaviour policy after the update.
     """
 
     acts_after_update: ClassVar[bool] = True
 
+    @property
+    def pi(self) -> Policy:
+        return self.selection if self.target is None else self.target
+
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)
-        q_next = self.probs(state, t.s_next) @ tables.row(state.q, t.s_next)
+        q_next = self.target_probs(state, t.s_next) @ tables.row(state.q, t.s_next)
         delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
         state = self.learn(state, t, delta)
         return state, self.policy(key, state, t.s_next)

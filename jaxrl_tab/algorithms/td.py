@@ -1,6 +1,6 @@
 """What the one-step temporal-difference methods share: everything but the target."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +10,19 @@ from jaxrl_tab import policies, schedules, tables
 from jaxrl_tab.policies import EpsilonGreedy, Policy
 from jaxrl_tab.schedules import Clock, Rate, check_number
 from jaxrl_tab.types import InputError, Transition, concrete, pytree
+
+
+class Learner(Protocol):
+    """What every state of a learner has: a NamedTuple with Q and a clock."""
+
+    @property
+    def q(self) -> Float[Array, "S A"]: ...
+    @property
+    def clock(self) -> Clock: ...
+    def _replace(self, **fields: Any) -> Any: ...
+
+
+L = TypeVar("L", bound=Learner)
 
 
 class TDState(NamedTuple):
@@ -57,24 +70,31 @@ class TDControl:
         """The behaviour policy: as given, or else epsilon-greedy."""
         return EpsilonGreedy(self.epsilon) if self.behaviour is None else self.behaviour
 
-    def init(self, num_states: int, num_actions: int) -> TDState:
-        self.selection.check(num_states, num_actions)
+    @property
+    def all_policies(self) -> tuple[Policy, ...]:
+        """All policies that it acts by or learns about."""
+        return (self.selection,)
+
+    def init(self, num_states: int, num_actions: int) -> Any:
+        """A TDState; a method that remembers more makes its own state of it."""
+        for policy in self.all_policies:
+            policy.check(num_states, num_actions)
         q = jnp.full((num_states, num_actions), self.q0, dtype=float)
-        by_visit = schedules.goes_by_visit(self.alpha) or self.selection.by_visit
+        by_visit = schedules.goes_by_visit(self.alpha) or any(policy.by_visit for policy in self.all_policies)
         return TDState(q, schedules.start(num_states, num_actions, by_visit))
 
-    def probs(self, state: TDState, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def probs(self, state: Learner, s: Int[Array, ""]) -> Float[Array, " A"]:
         """The behaviour policy pi(. | s), float [A]."""
         return self.selection.probs(tables.row(state.q, s), state.clock, s)
 
-    def policy(self, key: Key[Array, ""], state: TDState, s: Int[Array, ""]) -> Int[Array, ""]:
+    def policy(self, key: Key[Array, ""], state: Learner, s: Int[Array, ""]) -> Int[Array, ""]:
         return policies.sample(key, self.probs(state, s))
 
-    def begin(self, state: TDState, t: Transition) -> TDState:
+    def begin(self, state: L, t: Transition) -> L:
         """Counts the step and the visit of (S, A), before anything is learned from them."""
         return state._replace(clock=schedules.begin_step(state.clock, t.s, t.a))
 
-    def learn(self, state: TDState, t: Transition, delta: Float[Array, ""]) -> TDState:
+    def learn(self, state: L, t: Transition, delta: Float[Array, ""]) -> L:
         """Q(S, A) <- Q(S, A) + alpha delta; and counts the episode where it is over."""
         alpha = schedules.step_size(self.alpha, state.clock, t.s, t.a)
         q = tables.add(state.q, t.s, t.a, alpha * delta)

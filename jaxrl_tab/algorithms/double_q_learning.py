@@ -1,0 +1,63 @@
+"""Double Q-learning: two tables, for no maximum is its own judge (book, section 6.7; van Hasselt 2010)."""
+
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrl_tab import policies, schedules, tables
+from jaxrl_tab.algorithms.td import TDControl
+from jaxrl_tab.schedules import Clock
+from jaxrl_tab.types import Transition, pytree
+
+
+class DoubleState(NamedTuple):
+    """A learner that keeps two tables of action values.
+
+    Attributes:
+        q1, q2: the tables, float [S, A].
+        clock: what the schedules of alpha and epsilon count; a visit counts whichever table it teaches.
+    """
+
+    q1: Float[Array, "S A"]
+    q2: Float[Array, "S A"]
+    clock: Clock
+
+    @property
+    def q(self) -> Float[Array, "S A"]:
+        """The mean of both tables, which the behaviour policy goes by."""
+        return (self.q1 + self.q2) / 2
+
+
+@pytree
+class DoubleQLearning(TDControl):
+    """Off-policy control without maximisation bias: one table says which action is best, the other its value.
+
+    With probability 1/2 each, Q1 learns by Q2 or Q2 learns by Q1 (book, equation 6.10 and the box after it):
+
+    Q1(S, A) <- Q1(S, A) + alpha [R + gamma Q2(S', argmax_a Q1(S', a)) - Q1(S, A)]
+
+    Where several actions are best, the mean of their values stands for that of one drawn uniformly: the same
+    expectation with less noise. Actions are drawn from the behaviour policy by the mean of Q1 and Q2, after
+    the update.
+    """
+
+    acts_after_update: ClassVar[bool] = True
+
+    def init(self, num_states: int, num_actions: int) -> DoubleState:
+        q, clock = super().init(num_states, num_actions)
+        return DoubleState(q, q, clock)
+
+    def update(self, key, state: DoubleState, t: Transition):
+        clock = schedules.begin_step(state.clock, t.s, t.a)
+        first = policies.coin(key)  # whether Q1 learns; independent of what `policy` draws from this key
+        row1, row2 = tables.row(state.q1, t.s_next), tables.row(state.q2, t.s_next)
+        q_next = jnp.where(first, policies.greedy(row1) @ row2, policies.greedy(row2) @ row1)
+        q = jnp.where(first, tables.entry(state.q1, t.s, t.a), tables.entry(state.q2, t.s, t.a))
+        step = schedules.step_size(self.alpha, clock, t.s, t.a) * (t.r + t.discount * q_next - q)
+        state = DoubleState(
+            q1=tables.add(state.q1, t.s, t.a, jnp.where(first, step, 0)),
+            q2=tables.add(state.q2, t.s, t.a, jnp.where(first, 0, step)),
+            clock=schedules.end_step(clock, t.last),
+        )
+        return state, self.policy(key, state, t.s_next)

@@ -1,0 +1,42 @@
+"""What the one-step methods share that learn about a policy of their own choice: the target policy."""
+
+from jaxtyping import Array, Float, Int
+
+from jaxrl_tab import tables
+from jaxrl_tab.algorithms.td import Learner, TDControl
+from jaxrl_tab.policies import Policy, Table, check_coverage, check_policy
+from jaxrl_tab.types import pytree
+
+
+@pytree
+class OffPolicyControl(TDControl):
+    """One-step control that learns about a target policy pi, while the behaviour policy b acts.
+
+    There is no ratio pi / b in the target of a one-step method for Q: the action A that it learns about was
+    given, and what follows is taken from pi. All it needs is that b tries every action that pi takes. A
+    behaviour that is a table, and so never changes, is checked for that.
+
+    Attributes:
+        target: the policy that is learned about, instead of the default: Greedy, Table, ... (see `policies`).
+    """
+
+    target: Policy | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        check_policy(self, "target")
+        if isinstance(self.behaviour, Table):
+            check_coverage(type(self).__name__, self.pi, self.behaviour)
+
+    @property
+    def pi(self) -> Policy:
+        """The target policy: as given, or else the default of the method."""
+        raise NotImplementedError
+
+    @property
+    def all_policies(self) -> tuple[Policy, ...]:
+        return (*super().all_policies, self.pi)
+
+    def target_probs(self, state: Learner, s: Int[Array, ""]) -> Float[Array, " A"]:
+        """The target policy pi(. | s), float [A]."""
+        return self.pi.probs(tables.row(state.q, s), state.clock, s)
