@@ -8,6 +8,7 @@ import dataclasses
 import difflib
 import inspect
 from collections.abc import Iterable, Mapping
+from numbers import Integral
 from typing import Any, NamedTuple, Protocol, TypeVar, dataclass_transform, runtime_checkable
 
 import jax
@@ -50,6 +51,13 @@ TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds wr
 def first(wrong: np.ndarray) -> Any:
     """The index of the first True, as a tuple of int, or None: what a message about an array names."""
     return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
+
+
+def whole(name: str, what: str, value: Any, least: int = 1) -> int:
+    """`value` as an int. Raises InputError unless it is a whole number, `least` to 2**31 - 1."""
+    if not isinstance(value, Integral) or not least <= int(value) < 2**31:
+        raise InputError(f"{name}: {what} must be a whole number of at least {least}, not {value!r}")
+    return int(value)
 
 
 def check_pytree(what: str, obj: Any) -> None:

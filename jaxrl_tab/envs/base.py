@@ -133,13 +133,6 @@ def assign(obj: Any, **values: Any) -> None:
         object.__setattr__(obj, field, value)
 
 
-def whole(name: str, what: str, value: Any, least: int = 1) -> int:
-    """`value` as an int. Raises InputError unless it is a whole number, `least` to 2**31 - 1."""
-    if not isinstance(value, Integral) or not least <= int(value) < 2**31:
-        raise InputError(f"{name}: {what} must be a whole number of at least {least}, not {value!r}")
-    return int(value)
-
-
 def numbers(name: str, what: str, value: Any) -> Any:
     """`value` as a NumPy array; a tracer, which has no value to check yet, as it is.
 

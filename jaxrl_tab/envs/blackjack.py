@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.envs.base import MAX_STEPS, assign, whole
+from jaxrl_tab.envs.base import MAX_STEPS, assign
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, tabulate
-from jaxrl_tab.types import InputError, nearest, pytree, static
+from jaxrl_tab.types import InputError, nearest, pytree, static, whole
 
 NAME = "blackjack"
 RULES = ("book", "gymnasium", "gymnasium-sab", "natural")

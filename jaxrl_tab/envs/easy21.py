@@ -6,9 +6,9 @@ from numbers import Integral
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.envs.base import MAX_STEPS, assign, whole
+from jaxrl_tab.envs.base import MAX_STEPS, assign
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, tabulate
-from jaxrl_tab.types import InputError, pytree, static
+from jaxrl_tab.types import InputError, pytree, static, whole
 
 NAME = "easy21"
 

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import policies
-from jaxrl_tab.envs.base import MAX_STEPS, Finite, assign, numbers, whole
-from jaxrl_tab.types import TOLERANCE, InputError, Outcome, first, pytree, static
+from jaxrl_tab.envs.base import MAX_STEPS, Finite, assign, numbers
+from jaxrl_tab.types import TOLERANCE, InputError, Outcome, first, pytree, static, whole
 
 NAME = "FiniteMDP"
 

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import tables
 from jaxrl_tab.envs.bandit import Bandit
-from jaxrl_tab.envs.base import assign, numbers, unbatched, whole
-from jaxrl_tab.types import InputError, Outcome, first, pytree, static
+from jaxrl_tab.envs.base import assign, numbers, unbatched
+from jaxrl_tab.types import InputError, Outcome, first, pytree, static, whole
 
 NAME = "k-armed-testbed"
 
