@@ -593,8 +593,8 @@ def _short(x: float) -> str:
 
 
 def _console() -> Console:
-    """Where tables are printed; a pipe or a file is wide enough for all of them."""
-    return Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+    """Where tables are printed, :100: as it is; a pipe or a file is wide enough for all of them."""
+    return Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 160)
 
 
 def _print_json(value: Any) -> None:

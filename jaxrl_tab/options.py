@@ -23,8 +23,6 @@ from tyro.constructors import PrimitiveConstructorSpec
 from jaxrl_tab import describe, schedules
 from jaxrl_tab.types import InputError, nearest
 
-SCHEDULES = {"glie": schedules.glie, "sample-average": schedules.sample_average}
-
 
 class Group(NamedTuple):
     """Options for the parameters of the classes of a registry.
@@ -81,7 +79,7 @@ def parse(prog: str, command: type, argv: Sequence[str], **groups: Group) -> Any
     whole = dataclasses.make_dataclass(
         command.__name__,
         [
-            (name, Annotated[cls, arg(help=groups[name].help)], dataclasses.field(default_factory=cls))
+            (name, Annotated[cls, arg(help=_help(groups[name]))], dataclasses.field(default_factory=cls))
             for name, cls in types.items()
         ],
         bases=(command,),
@@ -149,10 +147,23 @@ def words(value: Any) -> str:
         return "on" if value else "off"
     if isinstance(value, tuple):
         return " ".join(words(x) for x in value)
-    for name, schedule in SCHEDULES.items():
-        if repr(value) == repr(schedule()) or value == repr(schedule()):
-            return name
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _help(group: Group) -> str:
+    """What the group is, and how a schedule is typed if some parameter takes one."""
+    if not any(_takes_schedule(p) for cls in group.registry.values() for p in describe.parameters(cls)):
+        return group.help
+    return f"{group.help} A schedule is one of {_forms()}."
+
+
+def _forms() -> str:
+    forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.FAMILIES)])
+    return f"{forms}, where CLOCK is one of {', '.join(schedules.CLOCKS)}"
+
+
+def _takes_schedule(parameter: describe.Parameter) -> bool:
+    return parameter.type == schedules.Rate
 
 
 def _options(name: str, group: Group) -> type:
@@ -188,17 +199,21 @@ def _hint(owned: Mapping[str, describe.Parameter], group: Group) -> str:
 
 def _value(option: str, token: str, parameter: describe.Parameter) -> Any:
     """`token` as a value of the kind that the parameter's default is."""
-    takes_schedule = parameter.type == schedules.Rate
-    if takes_schedule and (name := token.replace("_", "-")) in SCHEDULES:
-        return SCHEDULES[name]()
     like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
     kinds = (type(like),) if type(like) in (int, float, str) else (int, float, str)
     for kind in kinds:
         with contextlib.suppress(ValueError):
             return kind(token)
     wanted = "a whole number" if kinds == (int,) else "a number"
-    schedule = f" or a schedule ({', '.join(SCHEDULES)})" if takes_schedule else ""
-    raise InputError(f"{option} takes {wanted}{schedule}, not {token!r}")
+    if _takes_schedule(parameter):
+        name = token.replace("_", "-")
+        if ":" in name or name in {*schedules.SHORT, *schedules.FAMILIES}:
+            try:
+                return schedules.parse(name)
+            except InputError as error:
+                raise InputError(f"{option}: {error}") from None
+        wanted += f" or a schedule ({_forms()})"
+    raise InputError(f"{option} takes {wanted}, not {token!r}")
 
 
 def _field(parameter: describe.Parameter) -> str:
