@@ -79,9 +79,7 @@ class Blackjack(CardGame):
         if not isinstance(dealer, Integral) or not ACE <= dealer <= TEN:
             raise InputError(f"{NAME}: dealer must be a card of {ACE} (an ace) to {TEN}, not {dealer!r}")
         if natural and not (player == LIMIT and usable):
-            raise InputError(
-                f"{NAME}: a natural is {LIMIT} with a usable ace, not {player} with usable={usable}"
-            )
+            raise InputError(f"{NAME}: a natural is {LIMIT} with a usable ace, not {player}, usable={usable}")
         hand = NATURAL if natural and len(self.game.hands) == HANDS else _hand(int(player), bool(usable))
         return SHOWN * hand + int(dealer) - 1
 
