@@ -3,6 +3,7 @@
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
+from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.target_q_learning import TargetQLearning
@@ -12,8 +13,17 @@ ALGORITHMS = {
     "q-learning": QLearning,
     "expected-sarsa": ExpectedSarsa,
     "monte-carlo": MonteCarlo,
+    "n-step-sarsa": NStepSarsa,
     "double-q-learning": DoubleQLearning,
     "q-learning-target": TargetQLearning,
 }
 
-__all__ = ["ALGORITHMS", "DoubleQLearning", "ExpectedSarsa", "QLearning", "Sarsa", "TargetQLearning"]
+__all__ = [
+    "ALGORITHMS",
+    "DoubleQLearning",
+    "ExpectedSarsa",
+    "NStepSarsa",
+    "QLearning",
+    "Sarsa",
+    "TargetQLearning",
+]
