@@ -10,7 +10,15 @@ Importing the package asks XLA for faster loops, as long as JAX has not started:
 """
 
 from jaxrl_tab import algorithms, batch, envs, planning, policies, schedules
-from jaxrl_tab.algorithms import ALGORITHMS, ExpectedSarsa, QLearning, Sarsa
+from jaxrl_tab.algorithms import (
+    ALGORITHMS,
+    DoubleQLearning,
+    ExpectedSarsa,
+    NStepSarsa,
+    QLearning,
+    Sarsa,
+    TargetQLearning,
+)
 from jaxrl_tab.batch import use_all_cores
 from jaxrl_tab.envs import (
     ENVS,
@@ -39,6 +47,7 @@ __all__ = [
     "ENVS",
     "Blackjack",
     "CliffWalking",
+    "DoubleQLearning",
     "Easy21",
     "ExpectedSarsa",
     "FiniteMDP",
@@ -47,11 +56,13 @@ __all__ = [
     "KArmedTestbed",
     "Log",
     "MaximizationBias",
+    "NStepSarsa",
     "Outcome",
     "QLearning",
     "RandomWalk",
     "Sarsa",
     "SweepResult",
+    "TargetQLearning",
     "TraceGridworld",
     "Transition",
     "TwoDoors",
