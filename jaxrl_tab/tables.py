@@ -55,7 +55,8 @@ def lane_by_lane(body: Callable[..., T], tables: T, *given: Any) -> T:
     Args:
         body: `body(lane, tables, *given) -> tables`, written with a leading axis of lanes in all arrays: it
             reads with `entry(x, lane, ...)` and `write`s at `lane` and nowhere else. It must not close over
-            anything that is traced.
+            anything that is traced. What it needs of a table it has written it should read from the new one:
+            a use of the old one after the write makes XLA copy the whole table, every time.
         tables: a pytree of arrays.
         given: pytrees of what the body reads.
     """

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrl_tab import policies, tables
 from jaxrl_tab.types import InputError, Outcome, concrete
 
-MAX_STEPS = 100_000  # long enough that no sensible run meets it: it is there so that every episode ends
+MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so that every episode ends
 
 # (row, column) of each move, and how it is drawn. The first four are those of the book's grids.
 COMPASS = ((-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1), (0, 0))

@@ -1,0 +1,135 @@
+"""Monte Carlo control: learn from whole returns (book, sections 5.3 and 5.4; Silver, lecture 5)."""
+
+from functools import partial
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrl_tab import episode, schedules, tables
+from jaxrl_tab.algorithms.td import TDControl
+from jaxrl_tab.episode import Episode
+from jaxrl_tab.schedules import Clock, Rate, sample_average
+from jaxrl_tab.types import InputError, Transition, pytree, static
+
+
+class Step(NamedTuple):
+    """What is remembered of a step: S, A, R, and whether (S, A) occurs in it for the first time."""
+
+    s: Int[Array, "*t"]
+    a: Int[Array, "*t"]
+    r: Float[Array, "*t"]
+    first: Bool[Array, "*t"]
+
+
+class MonteCarloState(NamedTuple):
+    """A learner that waits for the end of the episode.
+
+    Attributes:
+        q: Q, float [S, A].
+        clock: what the schedules count; its visits are the returns that were averaged.
+        episode: the steps of this episode, [max_steps] each.
+        acting: the Q that actions are chosen by, float [S, A]; None where it is always `q`.
+        seen: the last episode in which (s, a) occurred, int32 [S, A]; None for every-visit.
+    """
+
+    q: Float[Array, "S A"]
+    clock: Clock
+    episode: Episode
+    acting: Float[Array, "S A"] | None
+    seen: Int[Array, "S A"] | None
+
+
+@pytree
+class MonteCarlo(TDControl):
+    """Generalised policy iteration on whole returns: G = R_1 + gamma R_2 + ..., Q(S, A) <- mean of the G's.
+
+    At the end of the episode, for its steps from the last to the first:
+
+        G <- R_{t+1} + gamma G
+        N(S_t, A_t) <- N(S_t, A_t) + 1
+        Q(S_t, A_t) <- Q(S_t, A_t) + alpha [G - Q(S_t, A_t)]      (alpha = 1/N unless another is given)
+
+    With `epsilon=schedules.glie()` this is the lecture's GLIE Monte Carlo control. The policy is improved
+    after every `batch` episodes: with many it is policy iteration, each policy evaluated before the next.
+    Where a time limit cuts an episode short, the mean value of the state in which it did counts as the rest.
+
+    Attributes:
+        alpha: step size, > 0; a number or a schedule. By default 1/N(s, a): Q is the mean of the returns.
+        first_visit: only the return from the first time that (s, a) occurs in an episode counts.
+        batch: episodes per improvement of the policy.
+        exploring_starts: every episode starts in any state, with any action, equally likely (book, section
+            5.3); epsilon may then be 0.
+    """
+
+    alpha: Rate = sample_average()
+    first_visit: bool = static(default=False)
+    batch: int = static(default=1)
+    exploring_starts: bool = static(default=False)
+
+    acts_after_update: ClassVar[bool] = True
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not isinstance(self.batch, int) or self.batch < 1:
+            raise InputError(f"MonteCarlo: batch must be a whole number of at least 1, not {self.batch!r}")
+
+    def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> MonteCarloState:
+        q, clock = super().init(num_states, num_actions)
+        step = Step(jnp.int32(0), jnp.int32(0), q[0, 0], jnp.bool(False))
+        return MonteCarloState(
+            q,
+            clock,
+            episode.start(max_steps, step),
+            acting=q if self.batch > 1 else None,
+            seen=jnp.zeros(q.shape, jnp.int32) if self.first_visit else None,
+        )
+
+    def probs(self, state: MonteCarloState, s: Int[Array, ""]) -> Float[Array, " A"]:
+        acting = state.q if state.acting is None else state.acting
+        return self.selection.probs(tables.row(acting, s), state.clock, s)
+
+    def update(self, key, state: MonteCarloState, t: Transition):
+        seen, first = self.look(state, t)
+        step = Step(t.s, t.a, t.r, first)
+        rest = t.discount * (self.probs(state, t.s_next) @ tables.row(state.q, t.s_next))
+        clock = state.clock._replace(step=state.clock.step + 1)
+        (q, visits), remembered = episode.learn(
+            partial(_walk, self.first_visit), (state.q, clock.visits), state.episode, step, t.last,
+            rest, self.alpha, self.gamma, clock._replace(visits=None)
+        )  # fmt: skip
+        clock = schedules.end_step(clock._replace(visits=visits), t.last)
+        acting = state.acting
+        if acting is not None:
+            acting = jnp.where(t.last & (clock.episode % self.batch == 0), q, acting)
+        state = MonteCarloState(q, clock, remembered, acting, seen)
+        return state, self.policy(key, state, t.s_next)
+
+    def look(self, state: MonteCarloState, t: Transition):
+        """Notes the visit of (S, A), and says whether it is the first of this episode."""
+        if state.seen is None:
+            return None, jnp.bool(True)
+        number = state.clock.episode + 1
+        first = tables.entry(state.seen, t.s, t.a) != number
+        return tables.put(state.seen, number[None, None], t.s, t.a), first
+
+
+def _walk(first_visit, lane, learned, steps, length, rest, alpha, gamma, clock):
+    """The box above, for one lane (see `episode.learn`)."""
+    alpha, gamma, clock = jax.tree.map(lambda x: x[lane], (alpha, gamma, clock))
+
+    def back(i, carry):
+        (q, visits), g = carry
+        s, a, r, first = (tables.entry(x, lane, i) for x in steps)
+        g = r + gamma * g
+        n = None
+        if visits is not None:
+            visits = tables.write(visits, tables.entry(visits, lane, s, a) + first, lane, s, a)
+            n = tables.entry(visits, lane, s, a)  # from the new table: see `lane_by_lane`
+        old = tables.entry(q, lane, s, a)
+        new = old + schedules.at_visit(alpha, clock, n) * (g - old)
+        q = tables.write(q, jnp.where(first, new, old) if first_visit else new, lane, s, a)
+        return (q, visits), g
+
+    return episode.backward(back, length, (learned, tables.entry(rest, lane)))[0]
