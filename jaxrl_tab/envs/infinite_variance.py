@@ -21,10 +21,11 @@ class InfiniteVariance(FixedStart):
     Seen from a behaviour that goes either way with probability 1/2, a return of 1 after k steps has the
     importance ratio 2^k and the probability back^(k-1) (1 - back) / 2^k, so the mean of its square is the
     sum over k of 2 (1 - back) (2 back)^(k-1): infinite from `back` = 1/2 on. An ordinary importance-sampling
-    average then tends to 1 with certainty, but its error has no variance to shrink.
+    average then tends to 1 with certainty, but its error has no variance to shrink. `back` is a leaf: `vmap`
+    can batch it.
 
     Attributes:
-        back: probability that left leads back, below 1; a leaf.
+        back: probability that left leads back, below 1.
         max_steps: time limit of an episode, in steps.
     """
 

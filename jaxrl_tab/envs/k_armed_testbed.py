@@ -23,11 +23,12 @@ class KArmedTestbed(Bandit):
 
     The mean q*(a) of each arm is drawn from N(0, 1) once for a problem, and a reward from N(q*(a), 1) for a
     play. `train` draws a problem for each run, from its key. Before that, `means` are those of the mean
-    problem: 0. `outcomes` gives the mean of the reward, `step` adds the noise.
+    problem: 0. `outcomes` gives the mean of the reward, `step` adds the noise. `means` is a leaf: `vmap` can
+    batch it.
 
     Attributes:
         arms: number of arms.
-        means: q*, the mean reward of each arm, [arms], or one number for all; a leaf.
+        means: q*, the mean reward of each arm, [arms], or one number for all.
     """
 
     arms: int = static(default=10)
