@@ -15,8 +15,10 @@ from jaxrl_tab.algorithms import (
     DoubleQLearning,
     ExpectedSarsa,
     NStepSarsa,
+    QLambda,
     QLearning,
     Sarsa,
+    SarsaLambda,
     TargetQLearning,
 )
 from jaxrl_tab.batch import use_all_cores
@@ -58,9 +60,11 @@ __all__ = [
     "MaximizationBias",
     "NStepSarsa",
     "Outcome",
+    "QLambda",
     "QLearning",
     "RandomWalk",
     "Sarsa",
+    "SarsaLambda",
     "SweepResult",
     "TargetQLearning",
     "TraceGridworld",

@@ -1,0 +1,31 @@
+"""Watkins's Q(lambda): Q-learning with eligibility traces (book, section 12.10; Watkins 1989)."""
+
+import jax.numpy as jnp
+
+from jaxrl_tab import tables
+from jaxrl_tab.algorithms.traces import TraceControl, TraceState
+from jaxrl_tab.types import Transition, pytree
+
+
+@pytree
+class QLambda(TraceControl):
+    """Q-learning whose error is credited to earlier pairs too, back to the last action that was not greedy.
+
+    delta = R + gamma max_a Q(S', a) - Q(S, A)
+    z(s, a) <- gamma lambda z(s, a) + 1[(s, a) = (S, A)],  but z = 0 before that if A is not greedy
+    Q(s, a) <- Q(s, a) + alpha delta z(s, a)          (book, 1st edition, section 7.6)
+
+    What follows an exploring action says nothing about the greedy policy, so traces are cut there. A' is
+    drawn from the behaviour policy before the update, and it is by the Q of that moment that it is greedy or
+    not; a tie with the greedy action is greedy.
+    """
+
+    def update(self, key, state: TraceState, t: Transition):
+        state = self.begin(state, t)
+        a_next = self.policy(key, state, t.s_next)
+        row_next = tables.row(state.q, t.s_next)
+        q_next = row_next.max()
+        delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
+        goes_on = tables.entry(row_next, a_next) == q_next
+        state = self.learn(state, t, delta)
+        return state._replace(decay=jnp.where(goes_on, state.decay, 0)), a_next

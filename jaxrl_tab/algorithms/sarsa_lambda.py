@@ -1,0 +1,86 @@
+"""Sarsa(lambda), the backward view: eligibility traces (book, section 12.7; Silver, lecture 5)."""
+
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrl_tab import schedules, tables
+from jaxrl_tab.algorithms.traces import KEPT, TraceControl
+from jaxrl_tab.schedules import Clock
+from jaxrl_tab.types import InputError, Transition, pytree, static
+
+
+class SarsaLambdaState(NamedTuple):
+    """A learner with traces, and what some kinds of them need besides.
+
+    Attributes:
+        q, clock, z, decay: as in `traces.TraceState`.
+        q_old: Q(S', A') as the last update found it, float []; with dutch traces, else None.
+        q_end: Q as it will be when the episode ends here, float [S, A]; off-line, else None.
+    """
+
+    q: Float[Array, "S A"]
+    clock: Clock
+    z: Float[Array, "S A"]
+    decay: Float[Array, ""]
+    q_old: Float[Array, ""] | None
+    q_end: Float[Array, "S A"] | None
+
+
+@pytree
+class SarsaLambda(TraceControl):
+    """Sarsa whose error is credited to all pairs of the episode so far, the more the later they came.
+
+    delta = R + gamma Q(S', A') - Q(S, A)
+    z(s, a) <- gamma lambda z(s, a) + 1[(s, a) = (S, A)]        (accumulating; Silver, lecture 5)
+    Q(s, a) <- Q(s, a) + alpha delta z(s, a)
+
+    A' is drawn from the behaviour policy before the update, and is the action that is then taken. Traces end
+    with the episode, by a terminal state or by the time limit.
+
+    With dutch traces this is true online Sarsa(lambda) (book, box of section 12.7; van Seijen and Sutton
+    2014): for a constant alpha, at every step the very Q of the forward view that looks as far as that step.
+
+    Attributes:
+        trace: "accumulating", "replacing" or "dutch": a pair that comes again gets 1 added to its trace, gets
+            1, or gets 1 added to 1 - alpha of it.
+        offline: act and learn by the Q of the start of the episode, and add all increments at its end; with
+            accumulating traces this is the off-line lambda-return algorithm (Silver, lecture 4).
+    """
+
+    traces: ClassVar[tuple[str, ...]] = tuple(KEPT)
+
+    offline: bool = static(default=False)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not isinstance(self.offline, bool):
+            raise InputError(f"SarsaLambda: offline must be True or False, not {self.offline!r}")
+        if self.offline and self.trace != "accumulating":
+            raise InputError(f"SarsaLambda: offline goes with accumulating traces only, not {self.trace}")
+
+    def init(self, num_states: int, num_actions: int) -> SarsaLambdaState:
+        start = super().init(num_states, num_actions)
+        return SarsaLambdaState(
+            *start,
+            q_old=jnp.zeros_like(start.decay) if self.trace == "dutch" else None,
+            q_end=start.q if self.offline else None,
+        )
+
+    def update(self, key, state: SarsaLambdaState, t: Transition):
+        state = self.begin(state, t)
+        a_next = self.policy(key, state, t.s_next)
+        q, q_next = tables.entry(state.q, t.s, t.a), tables.entry(state.q, t.s_next, a_next)
+        delta = t.r + t.discount * q_next - q
+        if state.q_end is not None:  # off-line
+            end = self.learn(state._replace(q=state.q_end), t, delta)
+            return end._replace(q=jnp.where(t.last, end.q, state.q), q_end=end.q), a_next
+        learned = self.learn(state, t, delta)
+        if state.q_old is not None:  # dutch
+            # Q(S, A) is no longer what the last error counted on: all pairs but this step's own are told.
+            # In the first step of an episode there are none, so q_old may be anything.
+            alpha = schedules.step_size(self.alpha, state.clock, t.s, t.a)
+            earlier = tables.add(learned.z, t.s, t.a, -jnp.ones_like(delta))
+            learned = learned._replace(q=learned.q + alpha * (q - state.q_old) * earlier, q_old=q_next)
+        return learned, a_next
