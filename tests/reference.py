@@ -101,3 +101,135 @@ def td_control(kind, task, num_actions, rates, gamma, num_steps, words, q0=0.0):
         s = task.begin(words.reset[t - 1])
         epsilon = rates.epsilon(t + 1, episode, visits[s].sum() + 1)
         a = draw(epsilon_greedy(q[s], epsilon), words.start[t - 1])
+
+
+# --- one loop, many agents ---------------------------------------------------------------------------
+
+
+def run(agent, task, num_steps, words):
+    """Lets `agent` act and learn for so many steps. Returns the return and length of each finished episode."""
+    finished, g, length = [], F(0), 0
+    s = task.begin(words.first_reset)
+    a = agent.act(s, words.first_action)
+    for t in range(num_steps):
+        s_next, reward, terminal = task.step(s, a, words.step[t])
+        g += F(agent.gamma) ** length * F(reward)
+        length += 1
+        ended = terminal or length == task.max_steps
+        agent.t += 1
+        agent.visits[s, a] += 1
+        a = agent.learn(s, a, F(reward), s_next, terminal, ended, words.update[t])
+        s = s_next
+        if ended:
+            finished.append((g, length))
+            g, length = F(0), 0
+            agent.episode += 1
+            s = task.begin(words.reset[t])
+            a = agent.act(s, words.start[t])
+    return finished
+
+
+class Agent:
+    """Acts epsilon-greedily by `values(s)`, a row of A; `learn` gives A', by the word u or later ones."""
+
+    def __init__(self, shape, rates, gamma, q0=0.0):
+        self.q = np.full(shape, q0, F)
+        self.visits = np.zeros(shape, int)
+        self.rates, self.gamma = rates, gamma
+        self.t, self.episode = 0, 1
+
+    def values(self, s):
+        return self.q[s]
+
+    def act(self, s, u):
+        epsilon = self.rates.epsilon(self.t + 1, self.episode, self.visits[s].sum() + 1)
+        return draw(epsilon_greedy(self.values(s), epsilon), u)
+
+    def alpha(self, s, a):
+        return F(self.rates.alpha(self.t, self.episode, self.visits[s, a]))
+
+    def discount(self, terminal):
+        return F(0) if terminal else F(self.gamma)
+
+
+class OffPolicy(Agent):
+    """Q-learning with A' ~ target(row, s), drawn by words of its own; or, without words, its expectation."""
+
+    def __init__(self, *args, target, words=None, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.target, self.words = target, words
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        row = self.q[s_next]
+        pi = self.target(row, s_next)
+        if self.words is None:
+            bootstrap = sum(F(p) * x for p, x in zip(pi, row, strict=True))
+        else:
+            bootstrap = row[draw(pi, self.words[self.t - 1])]
+        target = r + self.discount(terminal) * bootstrap
+        self.q[s, a] += self.alpha(s, a) * (target - self.q[s, a])
+        return self.act(s_next, u)
+
+
+class DoubleQLearning(Agent):
+    """The box of section 6.7. Heads: Q1 learns. A maximum that several actions have is valued by their mean."""
+
+    def __init__(self, *args, heads, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.q1, self.q2, self.heads = self.q, self.q.copy(), heads
+
+    def values(self, s):
+        return (self.q1[s] + self.q2[s]) / F(2)
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        own, other = (self.q1, self.q2) if self.heads[self.t - 1] else (self.q2, self.q1)
+        best = [b for b, x in enumerate(own[s_next]) if x == max(own[s_next])]
+        bootstrap = sum(other[s_next, b] for b in best) / F(len(best))
+        target = r + self.discount(terminal) * bootstrap
+        own[s, a] += self.alpha(s, a) * (target - own[s, a])
+        return self.act(s_next, u)
+
+
+class NStepSarsa(Agent):
+    """The box of section 7.2, with the whole episode kept in lists; at a time limit the tail bootstraps."""
+
+    def __init__(self, *args, n, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.n, self.steps = n, []
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        self.steps.append((s, a, r, self.alpha(s, a)))
+        a_next = self.act(s_next, u)
+        length = len(self.steps)
+        tau = length - self.n
+        for tau in range(max(tau, 0), length if ended else tau + 1):
+            g = F(0)
+            for i in range(tau, length):
+                g += F(self.gamma) ** (i - tau) * self.steps[i][2]
+            if not terminal:
+                g += F(self.gamma) ** (length - tau) * self.q[s_next, a_next]
+            s, a, _, alpha = self.steps[tau]
+            self.q[s, a] += alpha * (g - self.q[s, a])
+        if ended:
+            self.steps = []
+        return a_next
+
+
+class ConstantAlphaMonteCarlo(Agent):
+    """Every visit, in order, towards its return (book, equation 6.1)."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.steps = []
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        self.steps.append((s, a, r))
+        a_next = self.act(s_next, u)
+        if ended:
+            returns = [F(0)]
+            for _, _, r in reversed(self.steps):
+                returns.append(r + F(self.gamma) * returns[-1])
+            for (s, a, _), g in zip(self.steps, reversed(returns), strict=False):
+                self.q[s, a] += self.alpha(s, a) * (g - self.q[s, a])
+            self.steps = []
+        return a_next
