@@ -116,7 +116,7 @@ class Power(Family):
 
 @pytree
 class Harmonic(Family):
-    """n0 / (n0 + n - 1): 1 at first, 1/2 after n0 counts, and like n0/n in the end.
+    """n0 / (n0 + n - 1): 1 at first, 1/2 after n0 counts, and like n0/n in the end; 1/n for n0 = 1.
 
     As an exploration rate by visit it is N0 / (N0 + N(s)), where N(s) counts the earlier visits of the state
     (Silver, assignment Easy21, with N0 = 100).
@@ -188,17 +188,17 @@ FAMILIES: dict[str, type[Family]] = {
     "linear": Linear,
     "exponential": Exponential,
 }
-SHORT = {"glie": "power:1:1:episode", "sample-average": "power:1:1:visit"}
+SHORT = {"glie": "harmonic:1:episode", "sample-average": "harmonic:1:visit"}
 
 
-def glie() -> Power:
+def glie() -> Harmonic:
     """epsilon_k = 1/k in episode k: greedy in the limit with infinite exploration (Silver, lecture 5)."""
-    return Power(clock="episode")
+    return Harmonic(1.0, clock="episode")
 
 
-def sample_average() -> Power:
+def sample_average() -> Harmonic:
     """alpha = 1/N(s, a): each entry is the mean of its targets (book, section 2.4)."""
-    return Power(clock="visit")
+    return Harmonic(1.0, clock="visit")
 
 
 def parse(text: str) -> Family:

@@ -245,7 +245,7 @@ def test_numbers_with_a_default_may_be_left_off():
         ("power:0.5:visit", "power:0.5:1:visit"),
         ("harmonic:episode", "harmonic:100:episode"),
         ("exponential:1:0.5:step", "exponential:1:0.5:0:step"),
-        ("power:1:visit", "sample-average"),
+        ("harmonic:1:visit", "sample-average"),
     ):
         assert str(schedules.parse(text)) == long
 
