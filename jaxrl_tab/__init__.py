@@ -9,7 +9,7 @@
 Importing the package asks XLA for faster loops, as long as JAX has not started: see `batch`.
 """
 
-from jaxrl_tab import algorithms, batch, envs, planning, policies, schedules
+from jaxrl_tab import algorithms, batch, bridge, envs, planning, policies, schedules
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
     DoubleQLearning,
@@ -73,6 +73,7 @@ __all__ = [
     "WindyGridworld",
     "algorithms",
     "batch",
+    "bridge",
     "envs",
     "make",
     "planning",

@@ -150,13 +150,60 @@ def backup(model: Model, v: Float[Any, " S"], gamma: Any) -> Float[Any, "S A"]:
     return (model.prob * (model.reward + gamma * v_next)).sum(-1)
 
 
+def expectation_backup(
+    env: Environment, q: Float[np.ndarray, "S A"], policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0
+) -> Float[np.ndarray, "S A"]:
+    """One sweep of q-policy iteration: q(s, a) <- E[R + gamma q(S', A') | s, a], A' ~ pi, float64 [S, A].
+
+    The right-hand side of the Bellman expectation equation for q_pi (book, equation 3.14 for v_pi; Silver,
+    lecture 5).
+
+    Args:
+        env: an environment with `outcomes`.
+        q: action values, [S, A].
+        policy_probs: pi, the probability of each action in each state, [S, A].
+        gamma: discount rate, in [0, 1].
+
+    Raises:
+        InputError: a table has the wrong shape, or `policy_probs` is no policy.
+    """
+    _check_rate("gamma", gamma)
+    model = exact_model(env)
+    v = (_checked_policy(model, policy_probs) * checked_values(model, "q", q)).sum(1)
+    return backup(model, v, gamma)
+
+
+def optimality_backup(
+    env: Environment, q: Float[np.ndarray, "S A"], gamma: float = 1.0
+) -> Float[np.ndarray, "S A"]:
+    """One sweep of q-value iteration: q(s, a) <- E[R + gamma max_a' q(S', a') | s, a], float64 [S, A].
+
+    The right-hand side of the Bellman optimality equation for q* (book, equation 3.20). Args and errors: as
+    `expectation_backup`.
+    """
+    _check_rate("gamma", gamma)
+    model = exact_model(env)
+    return backup(model, checked_values(model, "q", q).max(1), gamma)
+
+
+def evaluation_backup(
+    env: Environment, v: Float[np.ndarray, " S"], policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0
+) -> Float[np.ndarray, " S"]:
+    """One sweep of iterative policy evaluation: v(s) <- E[R + gamma v(S') | s], A ~ pi, float64 [S].
+
+    The right-hand side of the Bellman expectation equation for v_pi (book, equation 4.5). Args and errors: as
+    `expectation_backup`, but for `v`, the values, [S].
+    """
+    _check_rate("gamma", gamma)
+    model = exact_model(env)
+    probs = _checked_policy(model, policy_probs)
+    return (probs * backup(model, checked_values(model, "v", v), gamma)).sum(1)
+
+
 def start_value(env: Environment, v: Float[np.ndarray, " S"]) -> float:
     """The mean of the values `v` [S] over the start distribution."""
     model = exact_model(env)
-    v = np.asarray(v, np.float64)
-    if v.shape != model.start.shape:
-        raise InputError(f"v must have one value for each of the {len(model.start)} states, not {v.shape}")
-    return float(_from_start(model, v))
+    return float(_from_start(model, checked_values(model, "v", v)))
 
 
 # --- policies of a table of action values ------------------------------------------------------------
@@ -490,6 +537,16 @@ def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
             f"policy_probs of state {i[0]} are {probs[i].tolist()}; they must be 0 or more and add up to 1"
         )
     return probs / probs.sum(1, keepdims=True)
+
+
+def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
+    """`values` in float64: v [S], or q [S, A]."""
+    array = np.asarray(values, np.float64)
+    shape = model.prob.shape[: 1 if name == "v" else 2]
+    if array.shape != shape:
+        each = f"{shape[0]} states" + "".join(f" and {n} actions" for n in shape[1:])
+        raise InputError(f"{name} must have one value for each of the {each}, not {array.shape}")
+    return array
 
 
 def _check_rate(name: str, value: float) -> None:

@@ -8,6 +8,8 @@ Every method takes one as its `behaviour`, and methods that learn about another 
 `target`: `Greedy`, `EpsilonGreedy`, `Softmax`, `UCB`, or any `Table` of probabilities.
 """
 
+from collections.abc import Callable
+from contextvars import ContextVar
 from functools import reduce
 from itertools import accumulate
 from typing import Any, Protocol, runtime_checkable
@@ -22,6 +24,10 @@ from jaxrl_tab.schedules import Clock, Rate, check_number
 from jaxrl_tab.types import TOLERANCE, InputError, concrete, first, pytree
 
 UNROLLED = 16  # rows up to this length are worked through entry by entry
+
+# Where set, `sample` and `coin` ask it for the index, given the weights, and do not look at the key: so
+# everything that is random in a method can be enumerated (see `bridge`).
+choose: ContextVar[Callable[[Array], Array] | None] = ContextVar("choose", default=None)
 
 
 def greedy(q: Float[Array, " A"]) -> Float[Array, " A"]:
@@ -47,6 +53,8 @@ def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
     By inversion, from one random word of which 24 bits count. The word is scaled to the sum of the weights,
     so an index of weight zero is never drawn, however the sum was rounded.
     """
+    if (chosen := choose.get()) is not None:
+        return chosen(weights)
     u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(weights.dtype) * 2**-24
     if len(weights) > UNROLLED:
         edges = jnp.cumsum(weights)
@@ -60,6 +68,8 @@ def coin(key: Key[Array, ""]) -> Bool[Array, ""]:
 
     `sample` never looks at that bit, so what both give for one key is independent: a word for two decisions.
     """
+    if (chosen := choose.get()) is not None:
+        return chosen(jnp.ones(2)) == 1
     return (jax.random.bits(key, dtype=jnp.uint32) & 1) == 1
 
 

@@ -16,7 +16,7 @@ LAYERS = [
     ["policies"],
     ["planning"],
     ["envs", "algorithms"],
-    ["train"],
+    ["train", "bridge"],
     ["batch", "results"],
     ["sweep", "stats", "describe"],
     ["plot"],

@@ -1,0 +1,215 @@
+"""The bridge to dynamic programming: what a one-step method samples is what dynamic programming sums.
+
+Each method of the table below moves an entry towards a target that it draws: a **sample backup**. The mean of
+that target, over the outcomes of the environment and over whatever the method draws itself, is a **full
+backup** of dynamic programming (Silver, lecture 5, "Relationship between DP and TD"; book, section 8.5).
+
+    print(bridge.table())
+    q_next = bridge.expected_backup(rl.QLearning(gamma=0.9), env, q)     # = planning.optimality_backup(...)
+"""
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.extend as jex
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from jaxrl_tab import planning
+from jaxrl_tab.algorithms.td import TDControl
+from jaxrl_tab.planning import Model
+from jaxrl_tab.policies import choose
+from jaxrl_tab.types import Environment, InputError, Transition, init_learner
+
+
+class Row(NamedTuple):
+    """A row of the lecture's table: a Bellman equation and the two ways to turn it into an update.
+
+    Attributes:
+        equation: the Bellman equation.
+        full, full_update: the method of dynamic programming, and its update.
+        backup: the function of `planning` that is one sweep of it.
+        sample, sample_update: the method of temporal differences, and its update.
+        methods: the names of all registered methods that sample it; those with a target policy of their own
+            sample it for that policy, the others for the policy by which they act.
+    """
+
+    equation: str
+    full: str
+    full_update: str
+    backup: Callable[..., np.ndarray]
+    sample: str
+    sample_update: str
+    methods: tuple[str, ...]
+
+
+TABLE = (
+    Row(
+        "Bellman expectation equation for v_pi",
+        "iterative policy evaluation",
+        "v(s) <- E[R + gamma v(S') | s]",
+        planning.evaluation_backup,
+        "TD(0)",
+        "V(S) <-alpha- R + gamma V(S')",
+        (),
+    ),
+    Row(
+        "Bellman expectation equation for q_pi",
+        "q-policy iteration",
+        "q(s, a) <- E[R + gamma q(S', A') | s, a]",
+        planning.expectation_backup,
+        "Sarsa",
+        "Q(S, A) <-alpha- R + gamma Q(S', A')",
+        ("sarsa", "expected-sarsa", "q-learning-target"),
+    ),
+    Row(
+        "Bellman optimality equation for q*",
+        "q-value iteration",
+        "q(s, a) <- E[R + gamma max_a' q(S', a') | s, a]",
+        planning.optimality_backup,
+        "Q-learning",
+        "Q(S, A) <-alpha- R + gamma max_a' Q(S', a')",
+        ("q-learning", "double-q-learning"),
+    ),
+)
+"""x <-alpha- y stands for x <- x + alpha (y - x)."""
+
+
+def table() -> str:
+    """The lecture's table, to print."""
+    cells = [("Bellman equation", "full backup (DP)", "sample backup (TD)")]
+    for row in TABLE:
+        cells += [(row.equation, row.full, row.sample), ("", row.full_update, row.sample_update)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in cells]
+    return "\n".join([*lines, "", "x <-alpha- y stands for x <- x + alpha (y - x)"])
+
+
+def expected_backup(
+    method: TDControl, env: Environment, q: Float[np.ndarray, "S A"]
+) -> Float[np.ndarray, "S A"]:
+    """The mean of the target that `method` draws for each pair (s, a), float64 [S, A], exact to rounding.
+
+    The `update` of the method itself is run, once for every outcome of the environment together with every
+    outcome of every draw that the method makes by `policies.sample` and `policies.coin`; each is weighted
+    with its probability. Nothing is drawn.
+
+    Args:
+        method: a one-step method. Its schedules stand where they stand in the first step; alpha is not used.
+        env: an environment with `outcomes`.
+        q: the action values that the learner has, [S, A]; Double Q-learning has them in both its tables.
+
+    Raises:
+        InputError: `q` has the wrong shape; `env` can only be sampled; the method remembers more from step to
+            step than tables, so that it learns from more than one transition; or it draws in another way.
+    """
+    if not isinstance(method, TDControl):
+        raise InputError(f"method must be an instance of a one-step method such as Sarsa(), not {method!r}")
+    model = planning.exact_model(env)
+    q = planning.checked_values(model, "q", q)
+    at_once: Any = dataclasses.replace(method, alpha=1.0)
+    with jax.enable_x64():
+        learner = jax.eval_shape(lambda: init_learner(at_once, env))
+        for field, x in learner._asdict().items():
+            if field != "clock" and getattr(x, "shape", None) != q.shape:
+                raise InputError(
+                    f"{type(method).__name__} remembers {field} from step to step, so it learns from more "
+                    "than one transition; a one-step method keeps nothing but tables [S, A]"
+                )
+        return np.asarray(_expected_backup(at_once, model, q))
+
+
+@jax.jit
+def _expected_backup(method: Any, model: Model, q: Float[Array, "S A"]) -> Float[Array, "S A"]:
+    num_states, num_actions, num_outcomes = model.prob.shape
+    start = dataclasses.replace(method, q0=q).init(num_states, num_actions)
+    before = _tables(start)
+
+    def target(s, a, k):
+        s_next, r, terminal = model.s_next[s, a, k], model.reward[s, a, k], model.terminal[s, a, k]
+        t = Transition(s, a, r, s_next, jnp.where(terminal, 0, method.gamma), terminal)
+
+        def draw():
+            after = _tables(method.update(_no_words(), start, t)[0])
+            # With alpha = 1 the table that learned holds the target now; the others are as they were.
+            return q[s, a] + sum(x[s, a] - y[s, a] for x, y in zip(after, before, strict=True))
+
+        return model.prob[s, a, k] * _mean_over_draws(draw)
+
+    actions, outcomes = (jnp.arange(n, dtype=jnp.int32) for n in (num_actions, num_outcomes))
+
+    def pairs(s: Int[Array, ""]) -> Float[Array, " A"]:
+        each = jax.vmap(jax.vmap(partial(target, s), (None, 0)), (0, None))
+        return each(actions, outcomes).sum(1)
+
+    # State by state, for all updates that run at the same time have tables of their own.
+    return lax.map(pairs, jnp.arange(num_states, dtype=jnp.int32))
+
+
+def _tables(state: Any) -> list[Float[Array, "S A"]]:
+    return [x for field, x in state._asdict().items() if field != "clock"]
+
+
+# --- every draw, instead of one ----------------------------------------------------------------------
+
+
+def _mean_over_draws(draw: Callable[[], Float[Array, ""]]) -> Float[Array, ""]:
+    """The mean of `draw()`, over all that `policies.sample` and `policies.coin` may give in it."""
+    sizes: list[int] = []
+
+    def note(weights: Array) -> Array:
+        sizes.append(len(weights))
+        return jnp.int32(0)
+
+    def follow(path: Int[Array, " draws"]) -> Float[Array, ""]:
+        chosen, chance = iter(path), jnp.ones(())
+
+        def take(weights: Array) -> Array:
+            nonlocal chance
+            i = next(chosen)
+            chance *= weights[i] / weights.sum()
+            return i
+
+        with _choosing(take):
+            x = draw()
+        return chance * x
+
+    with _choosing(note):
+        jax.eval_shape(draw)
+    paths = jnp.indices(sizes, dtype=jnp.int32).reshape(len(sizes), -1).T
+    return jax.vmap(follow)(paths).sum()
+
+
+@contextlib.contextmanager
+def _choosing(by: Callable[[Array], Array]) -> Iterator[None]:
+    token = choose.set(by)
+    try:
+        yield
+    finally:
+        choose.reset(token)
+
+
+def _refuse(*_: Any) -> Array:
+    raise InputError("this method draws in another way than by policies.sample and policies.coin")
+
+
+_SILENT = jex.random.define_prng_impl(
+    key_shape=(1,),
+    seed=_refuse,
+    split=lambda key, shape: jnp.zeros((*shape, 1), jnp.uint32),
+    random_bits=_refuse,
+    fold_in=lambda key, data: key,
+    name="jaxrl_tab_silent",
+    tag="silent",
+)
+
+
+def _no_words() -> Array:
+    """A key from which nothing can be drawn: what a method draws without being asked would be no mean."""
+    return jax.random.wrap_key_data(jnp.zeros(1, jnp.uint32), impl=_SILENT)
