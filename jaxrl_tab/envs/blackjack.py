@@ -7,11 +7,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.envs.base import MAX_STEPS, assign
+from jaxrl_tab.envs.base import assign
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, tabulate
 from jaxrl_tab.types import InputError, nearest, pytree, static, whole
 
 NAME = "blackjack"
+MAX_STEPS = 32  # no hand can take more than 20 cards: the sums 12 to 21 with a usable ace, then without
 RULES = ("book", "gymnasium", "gymnasium-sab", "natural")
 
 ACE, TEN = 1, 10
@@ -38,12 +39,13 @@ class Blackjack(CardGame):
     player, dealer, action]. The last state is terminal. It is 200, or 210 where naturals are told apart: they
     are then 200 to 209, by the dealer's card.
 
-    A natural is 21 with the first two cards. Under "book" and "gymnasium" it is a 21 like any other. That is
-    example 5.1 and its figures, and Gymnasium with sab=False, natural=False; they are the same task (there
-    one may also stick below 12, which is never better). Under "gymnasium-sab" a natural that sticks wins, but
-    draws if the dealer has one too. Under "natural", which is Gymnasium with sab=False, natural=True, a
-    natural that wins gets 1.5. Nowhere does a dealer's natural beat a 21. The optimal values from the start,
-    with gamma 1, are -0.046556, -0.046556, -0.043113 and -0.025729.
+    A natural is 21 with the first two cards. Under "book" and "gymnasium" it is a 21 like any other: the two
+    are the same task, Gymnasium's with sab=False, natural=False (where one may also stick below 12, which is
+    never better), and example 5.1 as it is usually programmed. The rule for naturals in the text of example
+    5.1 is "gymnasium-sab": a natural that sticks wins, but draws if the dealer has one too. Under "natural",
+    which is Gymnasium with sab=False, natural=True, a natural that wins gets 1.5. Nowhere does a dealer's
+    natural beat a 21. The optimal values from the start, with gamma 1, are -0.046556, -0.046556, -0.043113
+    and -0.025729.
 
     Attributes:
         rules: "book", "gymnasium", "gymnasium-sab" or "natural": what a 21 with two cards is worth.
