@@ -12,6 +12,7 @@ ROOT = Path(jaxrl_tab.__file__).parent
 LAYERS = [
     ["types"],
     ["tables", "rng"],
+    ["episode"],
     ["schedules"],
     ["policies"],
     ["planning"],

@@ -6,11 +6,12 @@ from numbers import Integral
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.envs.base import MAX_STEPS, assign
+from jaxrl_tab.envs.base import assign
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, tabulate
 from jaxrl_tab.types import InputError, pytree, static, whole
 
 NAME = "easy21"
+MAX_STEPS = 100  # a hand that goes on and on is bust long before
 
 BLACK = 2 / 3  # of all cards are black and add; the others are red and subtract
 CARDS = np.array([*range(-10, 0), *range(1, 11)])  # what a card adds
