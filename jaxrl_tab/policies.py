@@ -111,6 +111,13 @@ def check_policy(obj: Any, name: str) -> None:
         )
 
 
+def _check_table(what: str, table: Any, num_states: int, num_actions: int) -> None:
+    if (shape := np.shape(table)) != (num_states, num_actions):
+        raise InputError(
+            f"{what} are of shape {shape}, and the task has {num_states} states and {num_actions} actions"
+        )
+
+
 class _Anywhere:
     """What policies share that fit every task and, unless they say so, count nothing."""
 
@@ -136,19 +143,39 @@ class EpsilonGreedy(_Anywhere):
 
     Attributes:
         epsilon: probability of exploring, in [0, 1]; a number or a schedule.
+        available: which actions there are in each state, bool [S, A]; None where there are all everywhere.
     """
 
     epsilon: Rate = 0.1
+    available: Any = None
 
     def __post_init__(self):
         check_number(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
+        if self.available is None or (there := concrete(self.available)) is None:
+            return
+        if there.ndim != 2 or not np.isin(there, (0, 1)).all() or not there.any(1).all():
+            raise InputError(
+                "EpsilonGreedy: available must be booleans [S, A], with an action in every state, not "
+                f"{there.dtype} {list(there.shape)}"
+            )
+        object.__setattr__(self, "available", there)  # rows of a list would be leaves by themselves
 
     @property
     def by_visit(self) -> bool:
         return schedules.goes_by_visit(self.epsilon)
 
+    def check(self, num_states: int, num_actions: int) -> None:
+        if self.available is not None:
+            _check_table("EpsilonGreedy: available", self.available, num_states, num_actions)
+
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
-        return epsilon_greedy(q, schedules.exploration(self.epsilon, clock, s))
+        epsilon = schedules.exploration(self.epsilon, clock, s)
+        if self.available is None:
+            return epsilon_greedy(q, epsilon)
+        # A hyperparameter is a float in a sweep, whatever it was.
+        there = tables.row(jnp.asarray(self.available, float), s)
+        best = greedy(jnp.where(there > 0, q, -jnp.inf))
+        return epsilon * there / _reduce(jnp.add, there) + (1 - epsilon) * best
 
 
 @pytree
@@ -217,17 +244,14 @@ class Table:
         wrong = ~((pi >= 0).all(1) & (abs(pi.sum(1) - 1) <= TOLERANCE))
         if (s := first(wrong)) is not None:
             raise InputError(f"Table: the probabilities in state {s[0]} are not a distribution: {pi[s]}")
+        object.__setattr__(self, "probabilities", pi)  # rows of a list would be leaves by themselves
 
     @property
     def by_visit(self) -> bool:
         return False
 
     def check(self, num_states: int, num_actions: int) -> None:
-        if (shape := np.shape(self.probabilities)) != (num_states, num_actions):
-            raise InputError(
-                f"Table: probabilities are of shape {shape}, and the task has {num_states} states and "
-                f"{num_actions} actions"
-            )
+        _check_table("Table: probabilities", self.probabilities, num_states, num_actions)
 
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
         return tables.row(jnp.asarray(self.probabilities, float), s)
