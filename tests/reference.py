@@ -107,7 +107,7 @@ def td_control(kind, task, num_actions, rates, gamma, num_steps, words, q0=0.0):
 
 
 def run(agent, task, num_steps, words):
-    """Lets `agent` act and learn for so many steps. Returns the return and length of each finished episode."""
+    """Lets `agent` act and learn for so many steps; the return and length of each finished episode."""
     finished, g, length = [], F(0), 0
     s = task.begin(words.first_reset)
     a = agent.act(s, words.first_action)
@@ -172,7 +172,7 @@ class OffPolicy(Agent):
 
 
 class DoubleQLearning(Agent):
-    """The box of section 6.7. Heads: Q1 learns. A maximum that several actions have is valued by their mean."""
+    """The box of section 6.7. Heads: Q1 learns. Several maximal actions count with their mean."""
 
     def __init__(self, *args, heads, **kwargs):
         super().__init__(*args, **kwargs)
@@ -201,8 +201,8 @@ class NStepSarsa(Agent):
         self.steps.append((s, a, r, self.alpha(s, a)))
         a_next = self.act(s_next, u)
         length = len(self.steps)
-        tau = length - self.n
-        for tau in range(max(tau, 0), length if ended else tau + 1):
+        oldest = length - self.n
+        for tau in range(max(oldest, 0), length if ended else oldest + 1):
             g = F(0)
             for i in range(tau, length):
                 g += F(self.gamma) ** (i - tau) * self.steps[i][2]
@@ -233,3 +233,139 @@ class ConstantAlphaMonteCarlo(Agent):
                 self.q[s, a] += self.alpha(s, a) * (g - self.q[s, a])
             self.steps = []
         return a_next
+
+
+def trace_control(
+    name,
+    task,
+    num_actions,
+    rates,
+    gamma,
+    lam,
+    num_steps,
+    words,
+    q0=0.0,
+    trace="accumulating",
+    offline=False,
+):
+    """Sarsa(lambda), with dutch traces as in the box of section 12.7, else as in the lecture's; and Watkins's
+
+    Q(lambda), as in the box of section 7.6 of the first edition. In float64. Returns what `td_control` does.
+    """
+    q = np.full((len(task.outcomes), num_actions), q0)
+    visits = np.zeros(q.shape, int)
+    finished = []
+    t, episode = 0, 1
+    s = task.begin(words.first_reset)
+    a = draw(epsilon_greedy(q[s], rates.epsilon(1, 1, 1)), words.first_action)
+    while True:  # each episode
+        g, length, ended = 0.0, 0, False
+        z, increments, q_old = np.zeros_like(q), np.zeros_like(q), 0.0
+        while not ended:
+            if t == num_steps:
+                return q, visits, finished
+            s_next, reward, terminal = task.step(s, a, words.step[t])
+            g += gamma**length * reward
+            length += 1
+            visits[s, a] += 1
+            ended = terminal or length == task.max_steps
+            epsilon = rates.epsilon(t + 2, episode, visits[s_next].sum() + 1)
+            alpha = rates.alpha(t + 1, episode, visits[s, a])
+            a_next = draw(epsilon_greedy(q[s_next], epsilon), words.update[t])
+            is_greedy = q[s_next, a_next] == max(q[s_next])
+            q_now, q_next = q[s, a], q[s_next, a_next] if name == "sarsa-lambda" else max(q[s_next])
+            q_next = 0.0 if terminal else q_next
+            delta = reward + gamma * q_next - q_now
+            if trace == "accumulating":
+                z[s, a] += 1
+            elif trace == "replacing":
+                z[s, a] = 1
+            else:
+                z[s, a] += 1 - alpha * z[s, a]
+            if offline:
+                increments += alpha * delta * z
+            elif trace == "dutch":
+                q += alpha * (delta + q_now - q_old) * z
+                q[s, a] -= alpha * (q_now - q_old)
+            else:
+                q += alpha * delta * z
+            q_old = q_next
+            z *= gamma * lam
+            if name == "q-lambda" and not is_greedy:
+                z[:] = 0
+            s, a = s_next, a_next
+            t += 1
+        q += increments
+        finished.append((g, length))
+        episode += 1
+        s = task.begin(words.reset[t - 1])
+        epsilon = rates.epsilon(t + 1, episode, visits[s].sum() + 1)
+        a = draw(epsilon_greedy(q[s], epsilon), words.start[t - 1])
+
+
+# --- the forward view, in float64 --------------------------------------------------------------------
+
+
+class Episode(NamedTuple):
+    """S, A, R and gamma' of each step, [T] each, and the pair (S', A') from which each is bootstrapped."""
+
+    s: np.ndarray
+    a: np.ndarray
+    r: np.ndarray
+    discount: np.ndarray
+    s_next: np.ndarray
+    a_next: np.ndarray
+
+
+def lambda_return(r, discount, values, lam, t, horizon):
+    """The return of step t from the n-step returns as far as `horizon` (book, equation 12.3 and 12.9).
+
+    values[k] stands for what follows step k.
+    """
+    returns, g, weight = [], 0.0, 1.0
+    for k in range(t, horizon):
+        g += weight * r[k]
+        weight *= discount[k]
+        returns.append(g + weight * values[k])
+    *shorter, longest = returns
+    return (1 - lam) * sum(lam**n * x for n, x in enumerate(shorter)) + lam ** len(shorter) * longest
+
+
+def offline_forward(q, episode, alpha, lam):
+    """Q after an episode by the off-line lambda-return algorithm: all by the Q of its start (section 12.1)."""
+    values = q[episode.s_next, episode.a_next]
+    new = q.copy()
+    for t, (s, a) in enumerate(zip(episode.s, episode.a, strict=True)):
+        g = lambda_return(episode.r, episode.discount, values, lam, t, len(episode.s))
+        new[s, a] += alpha * (g - q[s, a])
+    return new
+
+
+def online_forward(q, episode, alpha, lam):
+    """Q after each step by the on-line lambda-return algorithm (section 12.4): with each new step the updates
+
+    of the whole episode are made again, from the Q of its start, with returns that look as far as that step.
+    """
+    values, after = [], []
+    latest = q
+    for h in range(1, len(episode.s) + 1):
+        values.append(latest[episode.s_next[h - 1], episode.a_next[h - 1]])
+        latest = q.copy()
+        for t in range(h):
+            g = lambda_return(episode.r, episode.discount, values, lam, t, h)
+            pair = episode.s[t], episode.a[t]
+            latest[pair] += alpha * (g - latest[pair])
+        after.append(latest)
+    return after
+
+
+def every_visit_monte_carlo(q, episode, alpha):
+    """Q after the episode: alpha (G - Q) added up over all visits, all by the Q of its start (section 5.1).
+
+    Where a time limit cut the episode, G goes on with the value of the pair at which it was cut.
+    """
+    new, g = q.copy(), q[episode.s_next[-1], episode.a_next[-1]]
+    for t in reversed(range(len(episode.s))):
+        g = episode.r[t] + episode.discount[t] * g
+        new[episode.s[t], episode.a[t]] += alpha * (g - q[episode.s[t], episode.a[t]])
+    return new
