@@ -215,22 +215,22 @@ class NStepSarsa(Agent):
         return a_next
 
 
-class ConstantAlphaMonteCarlo(Agent):
-    """Every visit, in order, towards its return (book, equation 6.1)."""
+class MonteCarlo(Agent):
+    """Every visit, in order, towards its return (book, equation 6.1), with its own step size."""
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
         self.steps = []
 
     def learn(self, s, a, r, s_next, terminal, ended, u):
-        self.steps.append((s, a, r))
+        self.steps.append((s, a, r, self.alpha(s, a)))
         a_next = self.act(s_next, u)
         if ended:
             returns = [F(0)]
-            for _, _, r in reversed(self.steps):
+            for _, _, r, _ in reversed(self.steps):
                 returns.append(r + F(self.gamma) * returns[-1])
-            for (s, a, _), g in zip(self.steps, reversed(returns), strict=False):
-                self.q[s, a] += self.alpha(s, a) * (g - self.q[s, a])
+            for (s, a, _, alpha), g in zip(self.steps, reversed(returns), strict=False):
+                self.q[s, a] += alpha * (g - self.q[s, a])
             self.steps = []
         return a_next
 
