@@ -10,6 +10,7 @@ backup** of dynamic programming (Silver, lecture 5, "Relationship between DP and
 
 import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
@@ -182,7 +183,7 @@ def _mean_over_draws(draw: Callable[[], Float[Array, ""]]) -> Float[Array, ""]:
 
     with _choosing(note):
         jax.eval_shape(draw)
-    paths = jnp.indices(sizes, dtype=jnp.int32).reshape(len(sizes), -1).T
+    paths = jnp.indices(sizes, dtype=jnp.int32).reshape(len(sizes), math.prod(sizes)).T
     return jax.vmap(follow)(paths).sum()
 
 

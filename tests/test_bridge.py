@@ -1,0 +1,233 @@
+"""The mean of the sample backup of a one-step method is the full backup, for every registered one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrl_tab as rl
+from jaxrl_tab import bridge, planning, policies, tables
+from jaxrl_tab.algorithms import ALGORITHMS
+from jaxrl_tab.algorithms.off_policy import OffPolicyControl
+from jaxrl_tab.algorithms.td import TDControl
+from jaxrl_tab.policies import EpsilonGreedy, Greedy, Softmax, Table
+from jaxrl_tab.types import Transition, pytree
+
+GAMMA, EPSILON = 0.9, 0.3
+ENVS = {
+    "windy": rl.WindyGridworld(stochastic=True, shape=(3, 4), wind=(0, 1, 2, 0), start=(2, 0), goal=(1, 3)),
+    "cliff": rl.CliffWalking(shape=(2, 4)),
+    "walk": rl.RandomWalk(states=5),
+}
+ONE_STEP = [(row, name) for row in bridge.TABLE for name in row.methods]
+
+
+def some_q(env):
+    """Whole numbers, so that there are ties; at terminal states too, where they must not be looked at."""
+    return np.random.default_rng(0).integers(0, 4, size=(env.num_states, env.num_actions)).astype(float)
+
+
+def target_probs(method, env, q):
+    """The policy that the method learns about, [S, A]: its target, or else the one by which it acts."""
+    with jax.enable_x64():
+        state = method.init(env.num_states, env.num_actions)._replace(q=jnp.asarray(q))
+        of = getattr(method, "target_probs", method.probs)
+        return np.asarray(jax.vmap(lambda s: of(state, s))(jnp.arange(env.num_states)))
+
+
+def full_backup(row, method, env, q):
+    if row.backup is planning.optimality_backup:
+        return row.backup(env, q, GAMMA)
+    return row.backup(env, q, target_probs(method, env, q), GAMMA)
+
+
+# --- the table ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("env", ENVS.values(), ids=ENVS)
+@pytest.mark.parametrize(("row", "name"), ONE_STEP, ids=[name for _, name in ONE_STEP])
+def test_the_mean_of_the_sample_backup_is_the_full_backup(row, name, env):
+    """Broken once, each -> fails: gamma for `t.discount` in any method; in Sarsa the greedy action for A'."""
+    method, q = ALGORITHMS[name](epsilon=EPSILON, gamma=GAMMA), some_q(env)
+    got = bridge.expected_backup(method, env, q)
+    assert got.dtype == np.float64
+    np.testing.assert_allclose(got, full_backup(row, method, env, q), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_method_is_in_the_table_or_is_no_one_step_method(name):
+    """So that a new line in the registry is looked at."""
+    rows = [row for row in bridge.TABLE if name in row.methods]
+    if not rows:
+        with pytest.raises(rl.InputError, match=r"remembers .* from step to step"):
+            bridge.expected_backup(ALGORITHMS[name](), ENVS["walk"], some_q(ENVS["walk"]))
+    assert len(rows) <= 1
+
+
+def test_the_table_can_be_printed():
+    lines = bridge.table().splitlines()
+    for pair in (
+        ("iterative policy evaluation", "TD(0)"),
+        ("q-policy iteration", "Sarsa"),
+        ("q-value iteration", "Q-learning"),
+    ):
+        assert any(all(name in line for name in pair) for line in lines)
+    assert {name for row in bridge.TABLE for name in row.methods} <= set(ALGORITHMS)
+
+
+# --- any policy --------------------------------------------------------------------------------------
+
+
+def table_policy(env):
+    probs = np.random.default_rng(1).dirichlet(np.ones(env.num_actions), size=env.num_states)
+    return Table(probs)
+
+
+CLIFF = ENVS["cliff"]
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        rl.Sarsa(gamma=GAMMA, behaviour=Softmax(0.5)),
+        rl.Sarsa(gamma=GAMMA, behaviour=table_policy(CLIFF)),
+        rl.ExpectedSarsa(gamma=GAMMA, target=Softmax(0.5)),
+        ALGORITHMS["q-learning-target"](gamma=GAMMA, target=table_policy(CLIFF), behaviour=Softmax(2.0)),
+        ALGORITHMS["q-learning-target"](gamma=GAMMA, target=EpsilonGreedy(0.2)),
+    ],
+    ids=["softmax", "table", "expected, softmax", "target table", "target epsilon-greedy"],
+)
+def test_it_is_the_expectation_under_the_target_policy_whoever_acts(method):
+    q = some_q(CLIFF)
+    want = planning.expectation_backup(CLIFF, q, target_probs(method, CLIFF, q), GAMMA)
+    np.testing.assert_allclose(bridge.expected_backup(method, CLIFF, q), want, atol=1e-12)
+
+
+def test_q_learning_with_the_greedy_target_is_on_both_rows():
+    q, method = some_q(CLIFF), rl.ExpectedSarsa(gamma=GAMMA, target=Greedy())
+    got = bridge.expected_backup(method, CLIFF, q)
+    np.testing.assert_allclose(got, planning.optimality_backup(CLIFF, q, GAMMA), atol=1e-12)
+    np.testing.assert_allclose(
+        got, planning.expectation_backup(CLIFF, q, planning.greedy_policy(q), GAMMA), atol=1e-12
+    )
+
+
+# --- fixed points ------------------------------------------------------------------------------------
+
+
+def test_q_star_and_q_pi_are_the_fixed_points():
+    """And v_pi that of the backup for values; at gamma = 1 too."""
+    for gamma in (GAMMA, 1.0):
+        _, q_star = planning.value_iteration(CLIFF, gamma, tol=1e-12)
+        np.testing.assert_allclose(
+            bridge.expected_backup(rl.QLearning(gamma=gamma), CLIFF, q_star), q_star, atol=1e-9
+        )
+        policy = table_policy(CLIFF)
+        v = planning.evaluate(CLIFF, policy.probabilities, gamma)
+        np.testing.assert_allclose(
+            planning.evaluation_backup(CLIFF, v, policy.probabilities, gamma), v, rtol=1e-9
+        )
+        q = planning.backup(planning.exact_model(CLIFF), v, gamma)
+        np.testing.assert_allclose(
+            bridge.expected_backup(rl.Sarsa(gamma=gamma, behaviour=policy), CLIFF, q), q, rtol=1e-9
+        )
+
+
+# --- that it is the mean of what really happens -------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [name for _, name in ONE_STEP])
+def test_updates_with_real_keys_have_this_mean(name):
+    """4000 updates of one pair; within 5 standard errors. So `choose` stands for what is drawn without it."""
+    env, (s, a) = ENVS["windy"], (5, 1)  # in the first windy column, to the right
+    q, cls = np.random.default_rng(0).normal(size=(env.num_states, env.num_actions)), ALGORITHMS[name]
+    more = {"target": Softmax(1.0)} if issubclass(cls, OffPolicyControl) else {}
+    method = cls(alpha=1.0, epsilon=0.8, gamma=GAMMA, q0=q, **more)
+    start = method.init(env.num_states, env.num_actions)
+    pair = jnp.int32(s), jnp.int32(a)
+
+    def target(key):
+        env_key, key = jax.random.split(key)
+        s_next, reward, terminal = env.step(env_key, *pair)
+        t = Transition(*pair, reward, s_next, jnp.where(terminal, 0, GAMMA), terminal)
+        after, _ = method.update(key, start, t)
+        return (after.q - start.q)[pair]  # half of it where two tables share what is learned
+
+    moved = np.asarray(jax.jit(jax.vmap(target))(jax.random.split(jax.random.key(0), 4000)), np.float64)
+    tables_kept = 2 if name == "double-q-learning" else 1
+    want = (bridge.expected_backup(method, env, q)[s, a] - q[s, a]) / tables_kept
+    assert moved.std() > 0.1
+    assert abs(moved.mean() - want) <= 5 * moved.std() / np.sqrt(4000)
+
+
+@pytree
+class NeverEnds(rl.QLearning):
+    """Bootstraps through terminal states."""
+
+    def update(self, key, state, t):
+        return super().update(key, state, t._replace(discount=jnp.asarray(self.gamma)))
+
+
+@pytree
+class Twice(rl.Sarsa):
+    """Learns from an action of the uniform policy, not from the one that its behaviour would take."""
+
+    def probs(self, state, s):
+        return jnp.full(state.q.shape[1], 1 / state.q.shape[1])
+
+
+@pytest.mark.parametrize(("method", "row"), [(NeverEnds, bridge.TABLE[2]), (Twice, bridge.TABLE[1])])
+def test_a_wrong_update_has_another_mean(method, row):
+    q = some_q(CLIFF)
+    right = method.__mro__[1](epsilon=EPSILON, gamma=GAMMA)
+    want = full_backup(row, right, CLIFF, q)
+    assert abs(bridge.expected_backup(right, CLIFF, q) - want).max() < 1e-12
+    assert abs(bridge.expected_backup(method(epsilon=EPSILON, gamma=GAMMA), CLIFF, q) - want).max() > 0.1
+
+
+# --- what is refused ---------------------------------------------------------------------------------
+
+
+@pytree
+class OwnDice(TDControl):
+    """Draws by itself."""
+
+    def update(self, key, state, t):
+        a_next = jax.random.randint(key, (), 0, state.q.shape[1])
+        return self.learn(state, t, t.r + t.discount * tables.entry(state.q, t.s_next, a_next)), a_next
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda q: bridge.expected_backup(OwnDice(), CLIFF, q),
+            "draws in another way than by policies",
+        ),
+        (
+            lambda q: bridge.expected_backup(rl.Sarsa, CLIFF, q),
+            "an instance of a one-step method such as",
+        ),
+        (
+            lambda q: bridge.expected_backup(rl.Sarsa(), CLIFF, q[:2]),
+            r"q must have one .* not \(2, 4\)",
+        ),
+        (lambda q: planning.optimality_backup(CLIFF, q.T), "for each of the 8 states and 4 actions, not"),
+        (
+            lambda q: planning.evaluation_backup(CLIFF, q, np.full((8, 4), 0.25)),
+            "each of the 8 states, not",
+        ),
+        (lambda q: planning.expectation_backup(CLIFF, q, q), "policy_probs of state 0 are"),
+        (lambda q: planning.expectation_backup(CLIFF, q, q, gamma=2), "gamma must be between 0 and 1"),
+    ],
+)
+def test_what_cannot_be_averaged_is_refused(call, message):
+    with pytest.raises(rl.InputError, match=message) as error:
+        call(some_q(CLIFF))
+    assert "\n" not in str(error.value)
+
+
+def test_drawing_is_as_before_afterwards():
+    with pytest.raises(rl.InputError):
+        bridge.expected_backup(OwnDice(), CLIFF, some_q(CLIFF))
+    assert policies.choose.get() is None
