@@ -235,72 +235,50 @@ class MonteCarlo(Agent):
         return a_next
 
 
-def trace_control(
-    name,
-    task,
-    num_actions,
-    rates,
-    gamma,
-    lam,
-    num_steps,
-    words,
-    q0=0.0,
-    trace="accumulating",
-    offline=False,
-):
+class Traces(Agent):
     """Sarsa(lambda), with dutch traces as in the box of section 12.7, else as in the lecture's; and Watkins's
 
-    Q(lambda), as in the box of section 7.6 of the first edition. In float64. Returns what `td_control` does.
+    Q(lambda), as in the box of section 7.6 of the first edition. In float64.
     """
-    q = np.full((len(task.outcomes), num_actions), q0)
-    visits = np.zeros(q.shape, int)
-    finished = []
-    t, episode = 0, 1
-    s = task.begin(words.first_reset)
-    a = draw(epsilon_greedy(q[s], rates.epsilon(1, 1, 1)), words.first_action)
-    while True:  # each episode
-        g, length, ended = 0.0, 0, False
-        z, increments, q_old = np.zeros_like(q), np.zeros_like(q), 0.0
-        while not ended:
-            if t == num_steps:
-                return q, visits, finished
-            s_next, reward, terminal = task.step(s, a, words.step[t])
-            g += gamma**length * reward
-            length += 1
-            visits[s, a] += 1
-            ended = terminal or length == task.max_steps
-            epsilon = rates.epsilon(t + 2, episode, visits[s_next].sum() + 1)
-            alpha = rates.alpha(t + 1, episode, visits[s, a])
-            a_next = draw(epsilon_greedy(q[s_next], epsilon), words.update[t])
-            is_greedy = q[s_next, a_next] == max(q[s_next])
-            q_now, q_next = q[s, a], q[s_next, a_next] if name == "sarsa-lambda" else max(q[s_next])
-            q_next = 0.0 if terminal else q_next
-            delta = reward + gamma * q_next - q_now
-            if trace == "accumulating":
-                z[s, a] += 1
-            elif trace == "replacing":
-                z[s, a] = 1
-            else:
-                z[s, a] += 1 - alpha * z[s, a]
-            if offline:
-                increments += alpha * delta * z
-            elif trace == "dutch":
-                q += alpha * (delta + q_now - q_old) * z
-                q[s, a] -= alpha * (q_now - q_old)
-            else:
-                q += alpha * delta * z
-            q_old = q_next
-            z *= gamma * lam
-            if name == "q-lambda" and not is_greedy:
-                z[:] = 0
-            s, a = s_next, a_next
-            t += 1
-        q += increments
-        finished.append((g, length))
-        episode += 1
-        s = task.begin(words.reset[t - 1])
-        epsilon = rates.epsilon(t + 1, episode, visits[s].sum() + 1)
-        a = draw(epsilon_greedy(q[s], epsilon), words.start[t - 1])
+
+    def __init__(self, *args, lam, trace="accumulating", offline=False, watkins=False):
+        super().__init__(*args)
+        self.q = self.q.astype(float)
+        self.lam, self.trace, self.offline, self.watkins = lam, trace, offline, watkins
+        self.begin()
+
+    def begin(self):
+        self.z, self.increments, self.q_old = np.zeros_like(self.q), np.zeros_like(self.q), 0.0
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        q, z, alpha = self.q, self.z, float(self.alpha(s, a))
+        a_next = self.act(s_next, u)
+        is_greedy = q[s_next, a_next] == max(q[s_next])
+        q_now, q_next = q[s, a], max(q[s_next]) if self.watkins else q[s_next, a_next]
+        if terminal:
+            q_next = 0.0
+        delta = r + self.gamma * q_next - q_now
+        if self.trace == "accumulating":
+            z[s, a] += 1
+        elif self.trace == "replacing":
+            z[s, a] = 1
+        else:
+            z[s, a] += 1 - alpha * z[s, a]
+        if self.offline:
+            self.increments += alpha * delta * z
+        elif self.trace == "dutch":
+            q += alpha * (delta + q_now - self.q_old) * z
+            q[s, a] -= alpha * (q_now - self.q_old)
+            self.q_old = q_next
+        else:
+            q += alpha * delta * z
+        z *= self.gamma * self.lam
+        if self.watkins and not is_greedy:
+            z[:] = 0
+        if ended:
+            q += self.increments
+            self.begin()
+        return a_next
 
 
 # --- the forward view, in float64 --------------------------------------------------------------------
@@ -332,7 +310,7 @@ def lambda_return(r, discount, values, lam, t, horizon):
 
 
 def offline_forward(q, episode, alpha, lam):
-    """Q after an episode by the off-line lambda-return algorithm: all by the Q of its start (section 12.1)."""
+    """Q after an episode by the off-line lambda-return algorithm, all by its first Q (section 12.1)."""
     values = q[episode.s_next, episode.a_next]
     new = q.copy()
     for t, (s, a) in enumerate(zip(episode.s, episode.a, strict=True)):
