@@ -112,6 +112,25 @@ def test_q_learning_with_the_greedy_target_is_on_both_rows():
     )
 
 
+@pytree
+class Moody(TDControl):
+    """Learns from the best that may follow or from the worst, as a coin falls."""
+
+    def update(self, key, state, t):
+        row = tables.row(state.q, t.s_next)
+        q_next = jnp.where(policies.coin(key), row.max(), row.min())
+        delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
+        return self.learn(state, t, delta), self.policy(key, state, t.s_next)
+
+
+def test_both_sides_of_a_coin_count():
+    """(Double Q-learning does not show it: here both its tables are the same.)"""
+    q = some_q(CLIFF)
+    best, worst = (planning.backup(planning.exact_model(CLIFF), v, GAMMA) for v in (q.max(1), q.min(1)))
+    got = bridge.expected_backup(Moody(gamma=GAMMA), CLIFF, q)
+    np.testing.assert_allclose(got, (best + worst) / 2, atol=1e-12)
+
+
 # --- fixed points ------------------------------------------------------------------------------------
 
 
