@@ -23,6 +23,7 @@ from jaxrl_tab.types import (
     Transition,
     check_pytree,
     init_learner,
+    said_of_update,
 )
 
 L = TypeVar("L")
@@ -191,9 +192,7 @@ def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment, start
     env_step = env.step
     if isinstance(env, Finite) and type(env).step is Finite.step:
         env_step = env.tabulated_step()
-    # Said of an `update` by the class that defines it: a subclass with another must say so again.
-    owner = next(cls for cls in type(algorithm).__mro__ if "update" in vars(cls))
-    acts_after_update = vars(owner).get("acts_after_update", False)
+    acts_after_update = said_of_update(algorithm, "acts_after_update")
 
     def step(run: _Run) -> tuple[_Run, Log]:
         # A deterministic environment never looks at the second pair, and the compiler then drops its call.

@@ -145,9 +145,8 @@ class Transition(NamedTuple):
     last: Bool[Array, ""]
 
 
-@runtime_checkable
-class Environment(Protocol):
-    """A task: a frozen pytree whose numbers are leaves and whose sizes are static.
+class Sizes(Protocol):
+    """How large a task is.
 
     Attributes:
         num_states: the number of states, terminal ones included.
@@ -161,6 +160,11 @@ class Environment(Protocol):
     def num_actions(self) -> int: ...
     @property
     def max_steps(self) -> int: ...
+
+
+@runtime_checkable
+class Environment(Sizes, Protocol):
+    """A task: a frozen pytree whose numbers are leaves and whose sizes are static."""
 
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
         """Draws a start state, int32 []."""
@@ -197,6 +201,10 @@ class Algorithm(Protocol[L]):
     it, may say so by `acts_after_update = True` in the class that defines `update`. The driver then draws A'
     itself, together with the first actions of episodes, which makes a step a quarter faster and changes no
     decision.
+
+    In the same place `learns_from` says what experience of somebody else `update` learns rightly from (see
+    `offline`): "transitions", any of them in any order; or "episodes", in order, where the behaviour policy is
+    a table. A method that does not say can learn only from what it did itself.
     """
 
     @property
@@ -221,8 +229,17 @@ class Algorithm(Protocol[L]):
         ...
 
 
-def init_learner(algorithm: Algorithm[L], env: Environment) -> L:
-    """The state of the learner before its first step in `env`."""
+def init_learner(algorithm: Algorithm[L], task: Sizes) -> L:
+    """The state of the learner before its first step in a task (an environment, say)."""
     takes = inspect.signature(algorithm.init).parameters
-    longest = {"max_steps": env.max_steps} if "max_steps" in takes else {}
-    return algorithm.init(env.num_states, env.num_actions, **longest)
+    longest = {"max_steps": task.max_steps} if "max_steps" in takes else {}
+    return algorithm.init(task.num_states, task.num_actions, **longest)
+
+
+def said_of_update(algorithm: Any, name: str) -> Any:
+    """What the class that defines the `update` of `algorithm` says of it by its attribute `name`, or None.
+
+    A subclass with another `update` must say so again.
+    """
+    owner = next(cls for cls in type(algorithm).__mro__ if "update" in vars(cls))
+    return vars(owner).get(name)

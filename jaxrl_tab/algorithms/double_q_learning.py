@@ -43,6 +43,7 @@ class DoubleQLearning(TDControl):
     """
 
     acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[str] = "transitions"
 
     def init(self, num_states: int, num_actions: int) -> DoubleState:
         q, clock = super().init(num_states, num_actions)

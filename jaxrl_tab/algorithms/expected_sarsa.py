@@ -20,6 +20,7 @@ class ExpectedSarsa(OffPolicyControl):
     """
 
     acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[str] = "transitions"
 
     @property
     def pi(self) -> Policy:

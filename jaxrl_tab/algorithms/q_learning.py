@@ -17,6 +17,7 @@ class QLearning(TDControl):
     """
 
     acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[str] = "transitions"
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)

@@ -22,6 +22,7 @@ class TargetQLearning(OffPolicyControl):
     """
 
     acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[str] = "transitions"
 
     @property
     def pi(self) -> Policy:
