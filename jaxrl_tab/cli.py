@@ -34,14 +34,18 @@ from jaxrl_tab import batch, describe, planning
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Grid
-from jaxrl_tab.figures import FIGURES, Check
+from jaxrl_tab.figures import FIGURES, Check, swept
+from jaxrl_tab.figures import Figure as PublishedFigure
+from jaxrl_tab.figures.page import cells, page, six_digits
 from jaxrl_tab.options import Group, option_of, parse, real, values, whole, words
-from jaxrl_tab.sweep import configurations, sweep
+from jaxrl_tab.sweep import configurations
 from jaxrl_tab.types import FiniteEnvironment, InputError, build, nearest
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
     import xarray as xr
+
+    from jaxrl_tab.figures.figure import Run
 
 Switch = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
@@ -56,13 +60,14 @@ commands:
   list      the environments and the methods, with their parameters
   solve     the exact values and an optimal policy of an environment
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
-  figure    make a published figure again, and check its numbers
+  figure    make published figures again, and check their numbers
 
 examples:
   {PROG} list
   {PROG} solve windy-gridworld --moves king
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
   {PROG} figure cliff-walking --out runs/cliff
+  {PROG} figure --all --out runs/figures
 
 `{PROG} COMMAND --help` says more about each. `{PROG} --version` prints the version.
 """
@@ -197,7 +202,7 @@ def _solve(argv: list[str]) -> int:
     for title, (_, v, q) in solutions.items():
         out.print(
             f"[bold]{options.env}[/], gamma {words(options.gamma)}, {title}: "
-            f"value from the start [bold]{_number(planning.start_value(env, v))}[/]"
+            f"value from the start [bold]{six_digits(planning.start_value(env, v))}[/]"
         )
         out.print(_picture(env, v, q))
     if options.out:
@@ -212,7 +217,7 @@ def _picture(env: Any, v: np.ndarray, q: np.ndarray) -> Table:
     if not isinstance(env, Grid):
         table = Table("state", "value", "best actions")
         for s, value in enumerate(v):
-            table.add_row(str(s), _number(value), best[s])
+            table.add_row(str(s), six_digits(value), best[s])
         return table
     rows, columns = env.shape
     visited = planning.reachable(planning.exact_model(env))
@@ -257,7 +262,7 @@ def _draw_solutions(
             ax.plot(v, "o-")
             ax.set_xlabel("state")
             ax.set_ylabel("value")
-        ax.set_title(f"{title}; value from the start {_number(planning.start_value(env, v))}")
+        ax.set_title(f"{title}; value from the start {six_digits(planning.start_value(env, v))}")
     figure.savefig(folder / "values.png")
 
 
@@ -318,7 +323,8 @@ def _sweep(argv: list[str]) -> int:
     }
 
     with _folder(options.out) as folder:
-        datasets = _run(env, grids, budget, folder, ["sweep", *argv], options.quiet)
+        runs = {name: swept(env, name, grid, **budget) for name, grid in grids.items()}
+        datasets = _run(runs, folder, ["sweep", *argv], options.quiet)
         from jaxrl_tab import stats
 
         table = stats.summary(datasets)
@@ -335,7 +341,7 @@ def _sweep(argv: list[str]) -> int:
         records = jsonlib.loads(str(table.to_json(orient="records")))
         _print_json({"folder": options.out and str(options.out), "summary": records})
     elif options.out and not options.quiet:
-        _say_where(options.out, datasets)
+        _say_where(options.out, options.methods[0])
     return 0
 
 
@@ -358,15 +364,13 @@ def _grid(name: str, given: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
 
 
 def _run(
-    env: Any,
-    grids: Mapping[str, Mapping[str, Any]],
-    budget: Mapping[str, Any],
-    folder: Path | None,
-    command: Sequence[str],
-    quiet: bool,
+    runs: "Mapping[str, Run]", folder: Path | None, command: Sequence[str], quiet: bool, within: str = ""
 ) -> "dict[str, xr.Dataset]":
-    """Sweeps one method after another, with a bar for each, and saves the data of each when it is done."""
-    import xarray  # noqa: F401  Now, because later a Ctrl-C in the second that it takes would lose a method's data.
+    """Makes one run after another, with a bar for each, and saves the data of each when it is done.
+
+    In the file and on the screen its name is that in `runs` after `within`.
+    """
+    import xarray  # noqa: F401  Now, because later a Ctrl-C in the second that it takes would lose a run's data.
 
     datasets = {}
     columns = (
@@ -379,26 +383,27 @@ def _run(
     )
     stderr = Console(stderr=True)
     with Progress(*columns, console=stderr, disable=quiet or not stderr.is_terminal) as bars:
-        for name, grid in grids.items():
-            bar = bars.add_task(f"{name}, compiling", total=None)
+        for name, run in runs.items():
+            group = within + name
+            bar = bars.add_task(f"{group}, compiling", total=None)
 
-            def progress(done: int, total: int, bar=bar, name=name) -> None:
-                bars.update(bar, description=name, completed=done, total=total)
+            def progress(done: int, total: int, bar=bar, group=group) -> None:
+                bars.update(bar, description=group, completed=done, total=total)
 
-            datasets[name] = sweep(env, name, grid, **budget, progress=progress).to_xarray()
+            datasets[name] = run(progress)
             if folder:
-                _save(datasets[name], name, folder / DATA, command)
+                _save(datasets[name], group, folder / DATA, command)
     return datasets
 
 
-def _save(ds: "xr.Dataset", method: str, file: Path, command: Sequence[str]) -> None:
-    """Adds the data of one method to the netCDF file, as a group; the command is in the attributes above."""
+def _save(ds: "xr.Dataset", group: str, file: Path, command: Sequence[str]) -> None:
+    """Adds the data of one run to the netCDF file, as a group; the command is in the attributes above."""
     import xarray as xr
 
     if not file.exists():
         about = {"command": shlex.join([PROG, *command]), "version": jaxrl_tab.__version__}
         xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    ds.to_netcdf(file, mode="a", group=method, engine="h5netcdf")
+    ds.to_netcdf(file, mode="a", group=group, engine="h5netcdf")
 
 
 def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]") -> None:
@@ -437,8 +442,8 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
                 _cell(high - mean, "{:.2f}".format),
                 *([str(row["seeds"])] if few else []),
                 f"{row['steps_per_second'] / 1e6:.1f}",
-                *([_cell(row["greedy_value"], _number)] if exact else []),
-                _cell(row["optimum"], _number),
+                *([_cell(row["greedy_value"], six_digits)] if exact else []),
+                _cell(row["optimum"], six_digits),
                 style="bold" if star else None,
             )
         view.add_section()
@@ -463,7 +468,7 @@ def _cell(value: Any, write: Any) -> str:
 
 @dataclasses.dataclass
 class Figure:
-    """Runs the setting of a published figure again, draws it, and checks its numbers.
+    """Runs the setting of a published figure again, draws it, and checks its numbers; or of all figures.
 
     Prints what was got beside what is expected: from enumeration, or from long simulations with plain loops.
     The exit code is 1 if any number is off by more than four standard errors.
@@ -471,10 +476,13 @@ class Figure:
     Examples:
       jaxrl-tab figure windy-gridworld --out runs/windy-figure
       jaxrl-tab figure cliff-walking --json
+      jaxrl-tab figure --all --out runs/figures
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME", help_behavior_hint="")] = ""
     """Name of the figure; see `jaxrl-tab list`."""
+    all: Switch = False
+    """Make all figures; with --out, also index.html, which shows them."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """New folder for the picture and the data."""
     json: Switch = False
@@ -486,38 +494,42 @@ class Figure:
 def _figure(argv: list[str]) -> int:
     batch.use_all_cores()
     options = parse(f"{PROG} figure", Figure, argv)
-    figure = FIGURES[_known("a figure", options.name, FIGURES)]
-    env = build(ENVS[figure.environment], figure.environment, figure.parameters)
-    grids = dict.fromkeys(figure.methods, figure.hyperparameters)
+    if options.all and options.name:
+        raise InputError("name a figure or give --all, not both")
+    names = tuple(FIGURES) if options.all else (_known("a figure", options.name, FIGURES),)
+    checked, groups = {}, []
     with _folder(options.out) as folder:
-        datasets = _run(env, grids, figure.budget, folder, ["figure", *argv], options.quiet)
-        checks = [number.check(env, datasets) for number in figure.numbers]
-        if folder:
-            figure.draw(datasets, env).savefig(folder / f"{options.name}.png")
+        for name in names:
+            figure = FIGURES[name]
+            within = f"{name}/" if options.all else ""
+            datasets = _run(figure.experiment(), folder, ["figure", *argv], options.quiet, within)
+            groups += [within + run for run in datasets]
+            checked[name] = figure, [number.check(datasets) for number in figure.numbers]
+            if folder:
+                figure.draw(datasets).savefig(folder / f"{name}.png")
+            if not options.json:
+                _console().print(_check_table(*checked[name]))
+        if folder and options.all:
+            (folder / "index.html").write_text(page(checked, jaxrl_tab.__version__), encoding="utf-8")
 
     if options.json:
-        _print_json({"figure": options.name, "numbers": [c._asdict() | {"ok": c.ok} for c in checks]})
-    else:
-        _console().print(_check_table(f"{figure.title} ({figure.source})", checks))
-        if options.out:
-            _say_where(options.out, datasets)
-    return 0 if all(c.ok for c in checks) else 1
+        found = [
+            {"figure": name, "numbers": [c._asdict() | {"ok": c.ok} for c in checks]}
+            for name, (_, checks) in checked.items()
+        ]
+        _print_json({"figures": found} if options.all else found[0])
+    elif options.out:
+        _say_where(options.out, groups[0])
+    return 0 if all(c.ok for _, checks in checked.values() for c in checks) else 1
 
 
-def _check_table(title: str, checks: Sequence[Check]) -> Table:
+def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:
+    title = escape(f"{figure.title} ({figure.source})")
     caption = "expected: from long simulations with plain loops; what is exact, from enumeration"
     table = Table("number", "got", "± SE", "expected", "± SE", "SEs apart", title=title, caption=caption)
-    for c in checks:
-        table.add_row(
-            c.what,
-            _number(c.got),
-            f"{c.standard_error:.2g}" if c.standard_error else "exact",
-            _number(c.expected),
-            f"{c.expected_standard_error:.2g}" if c.standard_error else "exact",
-            (f"{c.apart:.2f}" if c.standard_error else "equal")
-            if c.ok
-            else f"[bold red]{c.apart:.2f}, off[/]",
-        )
+    for check in checks:
+        *row, apart = map(escape, cells(check))
+        table.add_row(*row, apart if check.ok else f"[bold red]{apart}, off[/]")
     return table
 
 
@@ -572,19 +584,13 @@ def _folder(path: Path | None) -> Iterator[Path | None]:
         raise
 
 
-def _say_where(folder: Path, datasets: "Mapping[str, xr.Dataset] | None" = None) -> None:
+def _say_where(folder: Path, group: str | None = None) -> None:
     out = _console()
     files = ", ".join(sorted(file.name for file in folder.iterdir()))
     out.print(f"[bold]{escape(str(folder))}[/]: {files}", soft_wrap=True)
-    if datasets:
-        method = next(iter(datasets))
-        how = f'xarray.open_datatree("{folder / DATA}")["{method}"]'
+    if group:
+        how = f'xarray.open_datatree("{folder / DATA}")["{group}"]'
         out.print(f"Read the data with {how}", markup=False, soft_wrap=True)
-
-
-def _number(x: float) -> str:
-    """`x` with six significant digits; what is rounding around 0 is 0."""
-    return f"{round(x, 9) + 0:.6g}"
 
 
 def _short(x: float) -> str:

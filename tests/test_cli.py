@@ -16,6 +16,7 @@ from jaxrl_tab import cli, describe, options, planning, plot, stats
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.cli import main
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.figures import FIGURES
 from jaxrl_tab.types import InputError, pytree, static
 
 TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
@@ -240,7 +241,7 @@ REFUSALS = {
     "solve cliff-walking --moves king": "cliff-walking has no --moves, which is of windy-gridworld; "
     "cliff-walking has --shape, --max-steps",
     "solve random-walk --states 4": "states must be odd",
-    "figure": "name a figure: windy-gridworld, cliff-walking",
+    "figure": "name a figure: " + ", ".join(FIGURES),
     "figure windy": "did you mean 'windy-gridworld'?",
     "sweep": "name an environment",
     "sweep sarsa": "'sarsa' is not an environment",
@@ -389,7 +390,7 @@ def test_list_names_everything(capsys):
         "help": "step size, > 0; a number or a schedule.",
     }
     assert found["environments"]["windy-gridworld"]["parameters"]["wind"]["default"][6] == 2
-    assert set(found["figures"]) == {"windy-gridworld", "cliff-walking"}
+    assert set(found["figures"]) == set(FIGURES)
     (line,) = [line for line in text.splitlines() if "--wind" in line]
     assert "0 0 0 1 1 1 2 2 1 0  strength of each column" in line
 

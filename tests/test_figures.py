@@ -1,18 +1,30 @@
-"""The published figures: their numbers come out, and a number that is off is seen."""
+"""The published figures: all run, their numbers come out, and a number that is off is seen."""
 
 import dataclasses
+import functools
 import json
+import math
+import re
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from jaxrl_tab.cli import main
-from jaxrl_tab.figures import FIGURES, Number
+from jaxrl_tab.figures import FIGURES, Check, Number
+from jaxrl_tab.figures.page import page
 
 
-def number(measured, expected, standard_error):
-    return Number("a number", expected, standard_error, lambda env, datasets: measured)
+def small(figure, **changes):
+    """The figure with the budget of a trial run."""
+    return dataclasses.replace(
+        figure, experiment=functools.partial(figure.experiment, **figure.small), **changes
+    )
+
+
+def number(measured, expected, standard_error, relation="is"):
+    return Number("a number", expected, standard_error, lambda datasets: np.array(measured), relation)
 
 
 @pytest.mark.parametrize(
@@ -26,50 +38,163 @@ def number(measured, expected, standard_error):
     ],
 )
 def test_distances_are_in_standard_errors_of_the_difference(measured, expected, standard_error, apart):
-    check = number(np.array(measured), expected, standard_error).check(None, {})
+    check = number(measured, expected, standard_error).check({})
     assert check.apart == pytest.approx(apart)
     assert check.ok == (apart <= 4)
 
 
-def test_a_number_that_is_not_there_is_off():
-    assert not number(np.array([1.0, np.nan]), 1.0, 1.0).check(None, {}).ok
+@pytest.mark.parametrize(
+    ("measured", "relation", "bound", "apart"),
+    [
+        (0.004, "at most", 0.005, 0.0),
+        (0.005, "at most", 0.005, 0.0),
+        (0.006, "at most", 0.005, math.inf),
+        (0.006, "at least", 0.005, 0.0),
+        (0.004, "at least", 0.005, math.inf),
+        ([1.0, 3.0], "at most", 7.0, 0.0),  # a mean of 2 with a standard error of 1
+        ([1.0, 3.0], "at most", -0.5, 2.5),
+        ([1.0, 3.0], "at least", 7.0, 5.0),
+        (math.nan, "at most", 0.005, math.inf),
+    ],
+)
+def test_a_bound_is_off_on_its_wrong_side_only(measured, relation, bound, apart):
+    check = number(measured, bound, 0, relation).check({})
+    assert check.apart == pytest.approx(apart)
+    assert check.ok == (apart <= 4)
+
+
+@pytest.mark.parametrize("relation", ["is", "at most", "at least"])
+def test_a_number_that_is_not_there_is_off(relation):
+    assert not number([1.0, np.nan], 1.0, 1.0, relation).check({}).ok
+
+
+@pytest.fixture(scope="session", params=FIGURES)
+def tried(request):
+    """A figure with the datasets of a trial run."""
+    figure = small(FIGURES[request.param])
+    return figure, {name: run(lambda done, total: None) for name, run in figure.experiment().items()}
+
+
+def test_every_figure_runs_is_drawn_and_has_its_numbers(tried, tmp_path):
+    figure, datasets = tried
+    assert figure.title
+    assert figure.source
+    assert datasets
+    assert figure.numbers
+    assert len({n.what for n in figure.numbers}) == len(figure.numbers)
+    assert all(math.isfinite(number.expected) for number in figure.numbers)
+    for number in figure.numbers:
+        number.check(datasets)
+    figure.draw(datasets).savefig(tmp_path / "figure.png")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "seeds"), [("windy-gridworld", 200), ("cliff-walking", 100)])
-def test_the_numbers_of_the_figure_come_out(name, seeds, monkeypatch, tmp_path, capsys):
+@pytest.mark.parametrize("name", FIGURES)
+def test_the_numbers_of_the_figure_come_out(name):
     """Within three standard errors of those in GROUND_TRUTH, at this seed; the program itself allows four."""
     figure = FIGURES[name]
-    assert figure.budget["num_seeds"] >= seeds
-    fewer = dataclasses.replace(figure, budget={**figure.budget, "num_seeds": seeds})
-    monkeypatch.setitem(FIGURES, name, fewer)
-    out = tmp_path / "figure"
-    assert main(["figure", name, "--json", "--out", str(out)]) == 0
-    found = json.loads(capsys.readouterr().out)["numbers"]
-    assert len(found) == len(figure.numbers)
-    assert all(n["ok"] and n["apart"] < 3 for n in found)
-    assert {file.name for file in out.iterdir()} == {"results.nc", f"{name}.png"}
-    assert set(xr.open_datatree(out / "results.nc").children) == set(figure.methods)
+    datasets = {name: run(lambda done, total: None) for name, run in figure.experiment().items()}
+    checks = [number.check(datasets) for number in figure.numbers]
+    assert not [check for check in checks if not check.apart < 3]
 
 
 def test_the_expected_numbers_are_those_known():
     """They are the point of the figures: a change of one is a change of what is claimed."""
-    windy, cliff = ([(n.expected, n.standard_error) for n in f.numbers] for f in FIGURES.values())
-    assert windy == [(160.15, 0.1), (-15, 1e-6), (7, 1e-6)]
-    assert cliff == [(-26.79, 0.1), (-49.94, 0.11), (-13, 1e-6), (-20.7077, 5e-5)]
+    known = {name: [(n.expected, n.standard_error) for n in f.numbers] for name, f in FIGURES.items()}
+    assert known["windy-gridworld"] == [(160.15, 0.1), (15, 1e-6), (7, 1e-6)]
+    assert known["cliff-walking"] == [(-26.79, 0.1), (-49.94, 0.11), (-13, 1e-6), (-20.7077, 5e-5)]
 
 
-def test_the_exit_code_says_that_a_number_is_off(monkeypatch, capsys):
-    figure = FIGURES["windy-gridworld"]
-    wrong = dataclasses.replace(
-        figure,
-        budget={"num_seeds": 4, "num_steps": 50},
-        numbers=(Number("episodes", 160.15, 0.1, figure.numbers[0].measure), figure.numbers[1]),
+@pytest.fixture
+def two_figures(monkeypatch):
+    """Two quick figures in place of all: the first is off, the second is not."""
+    windy, cliff = FIGURES["windy-gridworld"], FIGURES["cliff-walking"]
+    for name in list(FIGURES):
+        monkeypatch.delitem(FIGURES, name)
+    bad = Number("episodes", 160.15, 0.1, windy.numbers[0].measure)
+    monkeypatch.setitem(FIGURES, "windy-gridworld", small(windy, numbers=(bad, windy.numbers[1])))
+    monkeypatch.setitem(
+        FIGURES, "cliff-walking", small(cliff, numbers=cliff.numbers[2:], title="Sarsa <b> & the [cliff]")
     )
-    monkeypatch.setitem(FIGURES, "windy-gridworld", wrong)
+
+
+def test_the_exit_code_says_that_a_number_is_off(two_figures, capsys):
     assert main(["figure", "windy-gridworld"]) == 1
     table = capsys.readouterr().out.splitlines()
     (bad,) = [line for line in table if "│ episodes" in line]
-    (good,) = [line for line in table if "│ optimal value" in line]
+    (good,) = [line for line in table if "│ optimal steps" in line]
     assert "off" in bad
     assert "off" not in good
+    assert main(["figure", "cliff-walking"]) == 0
+
+
+def test_one_figure_leaves_its_picture_and_data(two_figures, tmp_path, capsys):
+    out = tmp_path / "figure"
+    assert main(["figure", "cliff-walking", "--json", "--out", str(out)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["figure"] == "cliff-walking"
+    assert [n["got"] for n in found["numbers"]] == pytest.approx([-13, -20.7077], abs=1e-4)
+    assert {file.name for file in out.iterdir()} == {"results.nc", "cliff-walking.png"}
+    assert set(xr.open_datatree(out / "results.nc").children) == {"sarsa", "q-learning"}
+
+
+class Tags(HTMLParser):
+    """What a page links to, which pictures it shows, and its text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.images, self.links, self.text = [], [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.images += [found["src"]] if tag == "img" else []
+        self.links += [found["href"]] if tag == "a" else []
+        assert tag not in ("script", "link", "b")
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_all_figures_are_made_with_a_page_that_shows_them(two_figures, tmp_path, capsys):
+    out = tmp_path / "figures"
+    assert main(["figure", "--all", "--out", str(out)]) == 1  # one is off
+    printed = capsys.readouterr().out
+    assert "Sarsa on the windy gridworld" in printed
+    assert "Sarsa <b> & the [cliff]" in printed
+    pictures = ["windy-gridworld.png", "cliff-walking.png"]
+    assert {file.name for file in out.iterdir()} == {"results.nc", "index.html", *pictures}
+    tree = xr.open_datatree(out / "results.nc")
+    (how,) = re.findall(r'open_datatree\(.*\)\["(.*)"\]', printed)
+    assert tree[how].episodes.dims == ("seed", "row")
+    assert set(tree["cliff-walking"].children) == {"sarsa", "q-learning"}
+    tags = Tags((out / "index.html").read_text(encoding="utf-8"))
+    assert tags.images == pictures
+    assert tags.links == ["#windy-gridworld", "#cliff-walking", *pictures]
+    assert "1 of 2 numbers off" in tags.text
+    assert "all 2 numbers ok" in tags.text
+    assert "Sarsa <b> & the [cliff]" in tags.text
+
+
+def test_all_figures_as_json(two_figures, capsys):
+    assert main(["figure", "--all", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)["figures"]
+    assert [f["figure"] for f in found] == ["windy-gridworld", "cliff-walking"]
+    assert [[n["ok"] for n in f["numbers"]] for f in found] == [[False, True], [True, True]]
+
+
+def test_a_name_and_all_figures_exclude_each_other(capsys):
+    assert main(["figure", "cliff-walking", "--all"]) == 2
+    assert "not both" in capsys.readouterr().err
+
+
+def test_the_page_says_how_a_number_came_out():
+    checks = [
+        Check("mean", 1.5, 0.1, "is", 1.0, 0.05, 4.47),
+        Check("exact", -13.0, 0.0, "is", -13.0, 1e-6, 0.0),
+        Check("bound", 0.0019, 0.0, "at most", 0.005, 0.0, 0.0),
+    ]
+    text = " ".join(Tags(page({"a": (FIGURES["cliff-walking"], checks)}, "0")).text.split())
+    assert "mean1.50.110.054.47 off" in text
+    assert "exact-13exact-131e-06equal ok" in text
+    assert "bound0.0019exact≤ 0.005boundholds ok" in text

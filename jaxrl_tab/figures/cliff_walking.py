@@ -1,29 +1,36 @@
 """Sarsa and Q-learning on the cliff (book, example 6.6)."""
 
 from jaxrl_tab import planning
-from jaxrl_tab.figures.figure import Figure, Number
+from jaxrl_tab.envs import CliffWalking
+from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
 
 ALPHA = 0.5
 EPSILON = 0.1
 
 
+def _experiment(num_seeds=500, num_episodes=500):
+    grid = {"alpha": ALPHA, "epsilon": EPSILON}
+    budget = {"num_seeds": num_seeds, "num_episodes": num_episodes}
+    return {method: swept(CliffWalking(), method, grid, **budget) for method in ("sarsa", "q-learning")}
+
+
 def _late_return(method):
-    def measure(env, datasets):
-        return datasets[method].returns.isel(row=slice(400, 500)).mean("row")
-
-    return measure
+    return lambda datasets: datasets[method].returns.isel(row=slice(400, 500)).mean("row")
 
 
-def _optimum(env, datasets):
+def optimum() -> float:
+    """v* from the start."""
+    env = CliffWalking()
     return planning.start_value(env, planning.value_iteration(env)[0])
 
 
-def _best_soft(env, datasets):
-    _, v, _ = planning.epsilon_soft(env, EPSILON)
-    return planning.start_value(env, v)
+def best_soft() -> float:
+    """The value from the start of the best epsilon-soft policy."""
+    env = CliffWalking()
+    return planning.start_value(env, planning.epsilon_soft(env, EPSILON)[1])
 
 
-def _draw(datasets, env):
+def _draw(datasets):
     from matplotlib.figure import Figure as Canvas
 
     from jaxrl_tab import plot, stats
@@ -35,9 +42,8 @@ def _draw(datasets, env):
         episode = ds.row + 1
         ax.plot(episode, mean, color=color, lw=1.3, label=method)
         ax.fill_between(episode, low, high, color=color, alpha=0.25, lw=0)
-    lines = {"optimal policy": (_optimum, "--"), f"best ε-soft policy, ε = {EPSILON}": (_best_soft, ":")}
-    for name, (measure, style) in lines.items():
-        value = measure(env, datasets)
+    lines = {"optimal policy": (optimum(), "--"), f"best ε-soft policy, ε = {EPSILON}": (best_soft(), ":")}
+    for name, (value, style) in lines.items():
         ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=f"{name}: {value:.6g}")
     ax.set(xlabel="episodes", ylabel="sum of rewards in the episode", ylim=(-100, 0), xlim=(0, 500))
     seeds = datasets["sarsa"].sizes["seed"]
@@ -50,16 +56,16 @@ def _draw(datasets, env):
 FIGURE = Figure(
     title="Sarsa and Q-learning on the cliff",
     source="Sutton and Barto 2018, example 6.6",
-    environment="cliff-walking",
-    methods=("sarsa", "q-learning"),
-    hyperparameters={"alpha": ALPHA, "epsilon": EPSILON},
-    budget={"num_seeds": 500, "num_episodes": 500},
+    experiment=_experiment,
+    small={"num_seeds": 2, "num_episodes": 5},
     numbers=(
         # From long simulations with plain loops, and by enumeration.
         Number("Sarsa: mean return of episodes 401 to 500", -26.79, 0.10, _late_return("sarsa")),
         Number("Q-learning: mean return of episodes 401 to 500", -49.94, 0.11, _late_return("q-learning")),
-        Number("optimal value from the start", -13, 1e-6, _optimum),
-        Number("best epsilon-soft policy's value from the start", -20.7077, 5e-5, _best_soft),
+        Number("optimal value from the start", -13, EXACT, lambda datasets: optimum()),
+        Number(
+            "best epsilon-soft policy's value from the start", -20.7077, 5e-5, lambda datasets: best_soft()
+        ),
     ),
     draw=_draw,
 )

@@ -1,19 +1,27 @@
-"""What a published figure is here: settings, and the numbers that it must show."""
+"""What a published figure is here: what to run, how to draw it, and the numbers that it must show."""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+
+from jaxrl_tab.sweep import sweep
+from jaxrl_tab.types import Algorithm, Environment
 
 if TYPE_CHECKING:
     import matplotlib.figure
     import xarray as xr
 
     Datasets = Mapping[str, xr.Dataset]
+    Progress = Callable[[int, int], None]
+    Run = Callable[[Progress], xr.Dataset]
 
 MOST_APART = 4.0  # standard errors
+EXACT = 1e-6  # how far an exact number may be rounded
+
+Relation = Literal["is", "at most", "at least"]
 
 
 class Check(NamedTuple):
@@ -22,13 +30,15 @@ class Check(NamedTuple):
     Attributes:
         what: says which number it is.
         got, standard_error: mean over seeds and its standard error; 0 where the number is exact.
+        relation: whether `expected` is the number itself, or a bound.
         expected, expected_standard_error: the same of the published or computed number.
-        apart: how many standard errors of the difference lie between them.
+        apart: how many standard errors of the difference lie between them; 0 on the right side of a bound.
     """
 
     what: str
     got: float
     standard_error: float
+    relation: Relation
     expected: float
     expected_standard_error: float
     apart: float
@@ -44,23 +54,30 @@ class Number:
 
     Attributes:
         what: says which number it is.
-        expected: its value.
-        standard_error: of `expected`; of an exact number, how far it may be rounded.
-        measure: gets the environment and the dataset of each method, and gives the number: one for each
-            seed, [seeds], or an exact one, [].
+        expected: its value, or the bound.
+        standard_error: of `expected`; of an exact number, how far it may be rounded; of a bound, 0.
+        measure: gives the number from the datasets of the figure: one for each seed, [seeds], or an exact
+            one, [].
+        relation: "is", or "at most" or "at least" where `expected` is a bound.
     """
 
     what: str
     expected: float
     standard_error: float
-    measure: "Callable[[Any, Datasets], Any]"
+    measure: "Callable[[Datasets], Any]"
+    relation: Relation = "is"
 
-    def check(self, env: Any, datasets: "Datasets") -> Check:
+    def check(self, datasets: "Datasets") -> Check:
         """Compares what `measure` gives with what is expected."""
-        x = np.asarray(self.measure(env, datasets), float)
+        x = np.asarray(self.measure(datasets), float)
+        got = float(x.mean())
         error = float(x.std(ddof=1) / math.sqrt(x.size)) if x.ndim else 0.0
-        apart = abs(float(x.mean()) - self.expected) / math.hypot(error, self.standard_error)
-        return Check(self.what, float(x.mean()), error, self.expected, self.standard_error, apart)
+        over = got - self.expected
+        wrong = {"is": abs(over), "at most": np.maximum(over, 0), "at least": np.maximum(-over, 0)}
+        unit = math.hypot(error, self.standard_error)
+        distance = float(wrong[self.relation])
+        apart = distance / unit if unit else (0.0 if distance == 0 else math.inf)
+        return Check(self.what, got, error, self.relation, self.expected, self.standard_error, apart)
 
 
 @dataclass(frozen=True)
@@ -70,21 +87,21 @@ class Figure:
     Attributes:
         title: what it shows.
         source: where it was published.
-        environment: name in ENVS.
-        methods: names in ALGORITHMS.
-        hyperparameters: of all methods.
-        budget: arguments of `sweep`: seeds, steps or episodes.
+        experiment: what to run, by name: each gets a `progress(done, total)` to call, and gives a dataset.
+            Most are sweeps, see `swept`. Its keyword arguments, all with defaults, are its budget.
+        small: such arguments for a trial run, which takes a moment and shows nothing.
         numbers: what it must show.
-        draw: makes the picture from the dataset of each method and the environment.
-        parameters: of the environment.
+        draw: makes the picture from the datasets.
     """
 
     title: str
     source: str
-    environment: str
-    methods: tuple[str, ...]
-    hyperparameters: Mapping[str, Any]
-    budget: Mapping[str, Any]
+    experiment: "Callable[..., Mapping[str, Run]]"
     numbers: tuple[Number, ...]
-    draw: "Callable[[Datasets, Any], matplotlib.figure.Figure]"
-    parameters: Mapping[str, Any] = field(default_factory=dict)
+    draw: "Callable[[Datasets], matplotlib.figure.Figure]"
+    small: Mapping[str, Any] = field(default_factory=dict)
+
+
+def swept(env: Environment, method: type[Algorithm] | str, grid: Mapping[str, Any], **given: Any) -> "Run":
+    """A sweep, as what an experiment is made of: arguments as those of `sweep`."""
+    return lambda progress: sweep(env, method, grid, **given, progress=progress).to_xarray()

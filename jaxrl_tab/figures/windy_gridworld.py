@@ -2,25 +2,26 @@
 
 from jaxrl_tab import planning
 from jaxrl_tab.envs import WindyGridworld
-from jaxrl_tab.figures.figure import Figure, Number
+from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
 
 ALPHA, EPSILON = 0.5, 0.1
-EXACT = 1e-6  # how far a number that is whole may come out from it
 
 
-def _episodes(env, datasets):
+def _experiment(num_seeds=200, num_steps=8000):
+    grid = {"alpha": ALPHA, "epsilon": EPSILON}
+    return {"sarsa": swept(WindyGridworld(), "sarsa", grid, num_seeds=num_seeds, num_steps=num_steps)}
+
+
+def _episodes(datasets):
     return datasets["sarsa"].episodes.sum("row")
 
 
-def _optimum(env, datasets):
-    return planning.start_value(env, planning.value_iteration(env)[0])
+def _optimal_steps(moves):
+    env = WindyGridworld(moves=moves)
+    return -planning.start_value(env, planning.value_iteration(env)[0])
 
 
-def _kings_steps(env, datasets):
-    return -_optimum(WindyGridworld(moves="king"), datasets)
-
-
-def _draw(datasets, env):
+def _draw(datasets):
     from matplotlib.figure import Figure as Canvas
 
     from jaxrl_tab import plot
@@ -30,6 +31,7 @@ def _draw(datasets, env):
     plot.episodes_against_steps(curve, datasets)
     seeds = datasets["sarsa"].sizes["seed"]
     curve.set_title(f"α = {ALPHA}, ε = {EPSILON}: mean and 95% interval over {seeds} seeds")
+    env = WindyGridworld()
     v, q = planning.value_iteration(env)
     plot.greedy_path(grid, env, q, "an optimal policy", planning.start_value(env, v))
     return canvas
@@ -38,15 +40,13 @@ def _draw(datasets, env):
 FIGURE = Figure(
     title="Sarsa on the windy gridworld",
     source="Sutton and Barto 2018, example 6.5",
-    environment="windy-gridworld",
-    methods=("sarsa",),
-    hyperparameters={"alpha": ALPHA, "epsilon": EPSILON},
-    budget={"num_seeds": 200, "num_steps": 8000},
+    experiment=_experiment,
+    small={"num_seeds": 2, "num_steps": 100},
     numbers=(
         # From 10 000 seeds of a plain loop.
         Number("episodes finished in 8000 steps", 160.15, 0.10, _episodes),
-        Number("optimal value from the start", -15, EXACT, _optimum),
-        Number("optimal steps with king's moves", 7, EXACT, _kings_steps),
+        Number("optimal steps from the start", 15, EXACT, lambda datasets: _optimal_steps("four")),
+        Number("optimal steps with king's moves", 7, EXACT, lambda datasets: _optimal_steps("king")),
     ),
     draw=_draw,
 )
