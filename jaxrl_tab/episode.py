@@ -68,3 +68,16 @@ def _write_and_walk(walk, lane, changed, step, at, last, *given):
 def backward(step: Callable[[Int[Array, ""], T], T], length: Int[Array, ""], carry: T) -> T:
     """`carry = step(i, carry)` for i = length - 1, ..., 0."""
     return lax.fori_loop(jnp.int32(0), length, lambda i, carry: step(length - 1 - i, carry), carry)
+
+
+def visit(
+    seen: Int[Array, "S A"] | None, number: Int[Array, ""], s: Int[Array, ""], a: Int[Array, ""]
+) -> tuple[Int[Array, "S A"] | None, Bool[Array, ""]]:
+    """Notes that (s, a) occurs in episode `number` = 1, 2, ..., and says whether for the first time, bool [].
+
+    `seen` holds the last episode in which each pair occurred, 0 for none. Where it is None, because every
+    visit counts, the answer is always True.
+    """
+    if seen is None:
+        return None, jnp.bool(True)
+    return tables.put(seen, number[None, None], s, a), tables.entry(seen, s, a) != number

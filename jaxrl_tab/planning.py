@@ -394,6 +394,32 @@ def measurer(env: Environment, gamma: Any) -> Measure:
     return measure
 
 
+def value_measurer(env: Environment, policy_probs: Any, gamma: Any) -> Callable[[Any], Float[Array, ""]]:
+    """A function from V [S] to the root of its mean squared error as v_pi, for use under `jit` and `vmap`.
+
+    The mean is over the states that can be reached from the start and are not terminal; NaN where v_pi is not
+    finite in one of them.
+
+    Args:
+        env: an environment with `outcomes`; its leaves may be tracers.
+        policy_probs: pi, float [S, A]; may be a tracer.
+        gamma: discount rate; may be a tracer.
+
+    Raises:
+        InputError: `env` can only be sampled.
+    """
+    check_finite(env)
+    model = enumerate_model(env)
+    v_pi, _ = _policy_value(model, policy_probs, jnp.asarray(gamma, model.prob.dtype))
+    matters = reachable(model) & ~terminal_states(model)
+
+    def measure(v: Float[Array, " S"]) -> Float[Array, ""]:
+        error = jnp.sqrt(jnp.where(matters, (v - v_pi) ** 2, 0).sum() / matters.sum())
+        return jnp.where(jnp.isfinite(jnp.where(matters, v_pi, 0)).all(), error, jnp.nan)
+
+    return measure
+
+
 # --- shared by both sides: NumPy and JAX arrays ------------------------------------------------------
 
 

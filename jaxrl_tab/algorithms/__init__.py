@@ -4,10 +4,12 @@ from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
+from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
+from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.target_q_learning import TargetQLearning
 
 ALGORITHMS = {
@@ -17,19 +19,24 @@ ALGORITHMS = {
     "monte-carlo": MonteCarlo,
     "n-step-sarsa": NStepSarsa,
     "sarsa-lambda": SarsaLambda,
+    "sarsa-lambda-forward": SarsaLambdaForward,
     "q-lambda": QLambda,
     "double-q-learning": DoubleQLearning,
     "q-learning-target": TargetQLearning,
+    "off-policy-monte-carlo": OffPolicyMonteCarlo,
 }
 
 __all__ = [
     "ALGORITHMS",
     "DoubleQLearning",
     "ExpectedSarsa",
+    "MonteCarlo",
     "NStepSarsa",
+    "OffPolicyMonteCarlo",
     "QLambda",
     "QLearning",
     "Sarsa",
     "SarsaLambda",
+    "SarsaLambdaForward",
     "TargetQLearning",
 ]

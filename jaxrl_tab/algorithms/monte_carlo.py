@@ -1,7 +1,7 @@
 """Monte Carlo control: learn from whole returns (book, sections 5.3 and 5.4; Silver, lecture 5)."""
 
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from jaxrl_tab import episode, schedules, tables
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.episode import Episode
 from jaxrl_tab.schedules import Clock, Rate, sample_average
-from jaxrl_tab.types import InputError, Transition, pytree, static
+from jaxrl_tab.types import Transition, pytree, static, whole
 
 
 class Step(NamedTuple):
@@ -72,8 +72,7 @@ class MonteCarlo(TDControl):
 
     def __post_init__(self):
         super().__post_init__()
-        if not isinstance(self.batch, int) or self.batch < 1:
-            raise InputError(f"MonteCarlo: batch must be a whole number of at least 1, not {self.batch!r}")
+        object.__setattr__(self, "batch", whole(type(self).__name__, "batch", self.batch))
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> MonteCarloState:
         q, clock = super().init(num_states, num_actions)
@@ -86,12 +85,12 @@ class MonteCarlo(TDControl):
             seen=jnp.zeros(q.shape, jnp.int32) if self.first_visit else None,
         )
 
-    def probs(self, state: MonteCarloState, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def probs(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
         acting = state.q if state.acting is None else state.acting
         return self.selection.probs(tables.row(acting, s), state.clock, s)
 
     def update(self, key, state: MonteCarloState, t: Transition):
-        seen, first = self.look(state, t)
+        seen, first = episode.visit(state.seen, state.clock.episode + 1, t.s, t.a)
         step = Step(t.s, t.a, t.r, first)
         rest = t.discount * (self.probs(state, t.s_next) @ tables.row(state.q, t.s_next))
         clock = state.clock._replace(step=state.clock.step + 1)
@@ -105,14 +104,6 @@ class MonteCarlo(TDControl):
             acting = jnp.where(t.last & (clock.episode % self.batch == 0), q, acting)
         state = MonteCarloState(q, clock, remembered, acting, seen)
         return state, self.policy(key, state, t.s_next)
-
-    def look(self, state: MonteCarloState, t: Transition):
-        """Notes the visit of (S, A), and says whether it is the first of this episode."""
-        if state.seen is None:
-            return None, jnp.bool(True)
-        number = state.clock.episode + 1
-        first = tables.entry(state.seen, t.s, t.a) != number
-        return tables.put(state.seen, number[None, None], t.s, t.a), first
 
 
 def _walk(first_visit, lane, learned, steps, length, rest, alpha, gamma, clock):
