@@ -278,7 +278,9 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
     if out is None or (_is_greedy(behaviour) and _is_greedy(target)):
         return
     can = np.array(True)
-    if isinstance(target, Table) and (pi := concrete(target.probabilities)) is not None:
+    if isinstance(target, Table):
+        if (pi := concrete(target.probabilities)) is None:
+            return
         can = pi > 0
     if can.ndim and out.ndim and can.shape != out.shape:
         raise InputError(f"{what}: target is a table {can.shape}, and behaviour one {out.shape}")

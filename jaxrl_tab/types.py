@@ -203,8 +203,8 @@ class Algorithm(Protocol[L]):
     decision.
 
     In the same place `learns_from` says what experience of somebody else `update` learns rightly from (see
-    `offline`): "transitions", any of them in any order; or "episodes", in order, where the behaviour policy is
-    a table. A method that does not say can learn only from what it did itself.
+    `offline`): "transitions", any of them in any order; or "episodes", in order, where the behaviour policy
+    is a table. A method that does not say can learn only from what it did itself.
     """
 
     @property

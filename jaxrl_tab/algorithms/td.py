@@ -37,6 +37,13 @@ class TDState(NamedTuple):
     clock: Clock
 
 
+def check_learning(method: Any) -> None:
+    """Raises InputError unless the fields `alpha`, `gamma` and `q0` of `method` are in range."""
+    check_number(method, "alpha", lambda x: x > 0, "greater than 0")
+    check_number(method, "gamma", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
+    check_number(method, "q0", lambda x: x == x, "a number")
+
+
 @pytree
 class TDControl:
     """One-step control with an epsilon-greedy, or any other, behaviour policy. A method adds its `update`.
@@ -56,10 +63,8 @@ class TDControl:
     behaviour: Policy | None = None
 
     def __post_init__(self):
-        check_number(self, "alpha", lambda x: x > 0, "greater than 0")
+        check_learning(self)
         check_number(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
-        check_number(self, "gamma", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
-        check_number(self, "q0", lambda x: x == x, "a number")
         policies.check_policy(self, "behaviour")
         given = concrete(self.epsilon)
         if self.behaviour is not None and given is not None and np.any(given != TDControl.epsilon):
