@@ -9,11 +9,12 @@
 Importing the package asks XLA for faster loops, as long as JAX has not started: see `batch`.
 """
 
-from jaxrl_tab import algorithms, batch, bridge, envs, planning, policies, schedules
+from jaxrl_tab import algorithms, batch, bridge, envs, offline, planning, policies, schedules
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
     DoubleQLearning,
     ExpectedSarsa,
+    ManyTargets,
     NStepSarsa,
     QLambda,
     QLearning,
@@ -37,6 +38,7 @@ from jaxrl_tab.envs import (
     WindyGridworld,
     make,
 )
+from jaxrl_tab.offline import Experience, collect, learn, replay
 from jaxrl_tab.results import SweepResult
 from jaxrl_tab.sweep import sweep
 from jaxrl_tab.train import Log, train
@@ -52,11 +54,13 @@ __all__ = [
     "DoubleQLearning",
     "Easy21",
     "ExpectedSarsa",
+    "Experience",
     "FiniteMDP",
     "InfiniteVariance",
     "InputError",
     "KArmedTestbed",
     "Log",
+    "ManyTargets",
     "MaximizationBias",
     "NStepSarsa",
     "Outcome",
@@ -74,10 +78,14 @@ __all__ = [
     "algorithms",
     "batch",
     "bridge",
+    "collect",
     "envs",
+    "learn",
     "make",
+    "offline",
     "planning",
     "policies",
+    "replay",
     "schedules",
     "sweep",
     "train",

@@ -18,6 +18,7 @@ LAYERS = [
     ["planning"],
     ["envs", "algorithms"],
     ["train", "bridge"],
+    ["offline"],
     ["batch", "results"],
     ["sweep", "stats", "describe"],
     ["plot"],

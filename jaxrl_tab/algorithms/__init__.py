@@ -1,7 +1,12 @@
-"""The control methods, one file each. To add one: write its file, and add its line to ALGORITHMS."""
+"""The control methods, one file each. To add one: write its file, and add its line to ALGORITHMS.
+
+ALGORITHMS holds those that can be made from their name alone; `ManyTargets` needs its policies, and so is a
+class only.
+"""
 
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
+from jaxrl_tab.algorithms.many_targets import ManyTargets
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
@@ -30,6 +35,7 @@ __all__ = [
     "ALGORITHMS",
     "DoubleQLearning",
     "ExpectedSarsa",
+    "ManyTargets",
     "MonteCarlo",
     "NStepSarsa",
     "OffPolicyMonteCarlo",

@@ -1,0 +1,113 @@
+"""Many target policies from one stream of experience (Silver, lecture 5: off-policy learning)."""
+
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrl_tab import policies, tables
+from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
+from jaxrl_tab.algorithms.td import TDState, check_learning
+from jaxrl_tab.policies import Table
+from jaxrl_tab.schedules import Clock, Rate
+from jaxrl_tab.types import TOLERANCE, InputError, Transition, concrete, first, pytree
+
+
+class ManyTargetsState(NamedTuple):
+    """A learner that keeps a table of action values for each target policy.
+
+    Attributes:
+        q: Q of each policy, float [P, S, A].
+        clock: what the schedules of alpha count; all tables learn at the same visits.
+    """
+
+    q: Float[Array, "P S A"]
+    clock: Clock
+
+
+@pytree
+class ManyTargets:
+    """Learns about P target policies at once, while one behaviour policy acts.
+
+    For every p (Expected Sarsa, book, equation 6.9):
+
+    Q_p(S, A) <- Q_p(S, A) + alpha [R + gamma sum_a pi_p(a | S') Q_p(S', a) - Q_p(S, A)]
+
+    Each Q_p goes to the action values of pi_p, as if it had been learned alone: the behaviour policy only
+    decides which pairs are visited how often.
+
+    Attributes:
+        targets: pi_p(a | s) of each policy, float [P, S, A]; every row sums to 1, those of terminal states
+            too.
+        behaviour: the policy that acts, `policies.Table(b)` with b > 0 wherever some pi_p > 0; None: all
+            actions are equally likely.
+        alpha: step size, > 0; a number or a schedule.
+        gamma: discount rate, in [0, 1].
+        q0: initial value of every entry.
+
+    Raises:
+        InputError: a number is out of range, `targets` are no policies, or the behaviour policy leaves out an
+            action that a target can take; the message names the policy, the state and the action.
+    """
+
+    targets: Any
+    behaviour: Table | None = None
+    alpha: Rate = 0.1
+    gamma: float = 1.0
+    q0: float = 0.0
+
+    acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[str] = "transitions"
+
+    def __post_init__(self):
+        check_learning(self)
+        if not isinstance(self.behaviour, Table | None):
+            raise InputError(
+                "ManyTargets: behaviour must be policies.Table(b), for there is no one Q to choose by, not "
+                f"{self.behaviour!r}"
+            )
+        if (pi := concrete(self.targets)) is None:
+            return
+        if pi.ndim != 3 or not pi.size or pi.dtype.kind not in "biuf":
+            raise InputError(f"ManyTargets: targets must be numbers [P, S, A], not of shape {pi.shape}")
+        wrong = ~((pi >= 0).all(2) & (abs(pi.sum(2) - 1) <= TOLERANCE))
+        if (i := first(wrong)) is not None:
+            raise InputError(
+                f"ManyTargets: the probabilities of policy {i[0]} in state {i[1]} are not a distribution: "
+                f"{pi[i]}"
+            )
+        object.__setattr__(self, "targets", pi)
+        for p, target in enumerate(pi):
+            policies.check_coverage(f"ManyTargets: target {p}", Table(target), self.selection)
+
+    @property
+    def selection(self) -> Table:
+        """The behaviour policy: as given, or else uniform."""
+        if self.behaviour is not None:
+            return self.behaviour
+        _, num_states, num_actions = jnp.shape(self.targets)
+        return Table(np.full((num_states, num_actions), 1 / num_actions))
+
+    def about(self, target: Float[Array, "S A"]) -> ExpectedSarsa:
+        """The method that learns about one of the policies alone."""
+        return ExpectedSarsa(
+            alpha=self.alpha, gamma=self.gamma, q0=self.q0, target=Table(target), behaviour=self.selection
+        )
+
+    def init(self, num_states: int, num_actions: int) -> ManyTargetsState:
+        q, clock = self.about(self.targets[0]).init(num_states, num_actions)
+        return ManyTargetsState(jnp.broadcast_to(q, jnp.shape(self.targets)), clock)
+
+    def policy(self, key: Key[Array, ""], state: ManyTargetsState, s: Int[Array, ""]) -> Int[Array, ""]:
+        return policies.sample(key, self.selection.probs(tables.row(state.q[0], s), state.clock, s))
+
+    def update(self, key, state: ManyTargetsState, t: Transition):
+        def learn(target, q):
+            (q, clock), a_next = self.about(target).update(key, TDState(q, state.clock), t)
+            return q, clock, a_next
+
+        each = jax.vmap(learn, out_axes=(0, None, None))  # one clock and one A' for all
+        q, clock, a_next = each(jnp.asarray(self.targets, state.q.dtype), state.q)
+        return ManyTargetsState(q, clock), a_next
