@@ -67,7 +67,7 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
         ax.plot(*points, lw=2, ms=5, markevery=max(1, len(mean) // 8), label=label, **style)
         band = ax.fill_between if by_steps else ax.fill_betweenx
         band(other, low, high, color=style["color"], alpha=0.2, lw=0)
-    _tidy(ax, "time steps", "episodes finished")
+    tidy(ax, "time steps", "episodes finished")
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=0)
     ax.legend(loc="upper left", frameon=False)
@@ -95,7 +95,7 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
         ax.text(0.5, 0.3, "too few episodes for a curve", transform=ax.transAxes, ha="center", color=GREY)
     ax.set_xlim(0, 1.03 * end)
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
-    _tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
+    tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
     _return_axis(ax, shown, _common_optimum(datasets))
     ax.legend(loc="best", framealpha=0.8, edgecolor="none")
 
@@ -141,9 +141,34 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
         ax.set_xticks(np.unique(x), [f"{v:g}" for v in np.unique(x)])
         ax.xaxis.set_minor_locator(NullLocator())
     what = "step size α" if parameter == "alpha" else GREEK.get(parameter, parameter)
-    _tidy(ax, what, "mean return, last tenth")
+    tidy(ax, what, "mean return, last tenth")
     _return_axis(ax, shown, _common_optimum(datasets))
     ax.legend(loc="best", framealpha=0.8, edgecolor="none")
+
+
+def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, **line: Any) -> None:
+    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its 95% interval.
+
+    Args:
+        ax: where to draw.
+        x: where each lies, as long as the other dimension.
+        values: one number for each seed and place.
+        label: as the legend shows it.
+        color: of the line and of the band.
+        line: how the line is drawn, as in `Axes.plot`.
+    """
+    interval = stats.mean_interval(values)
+    ax.plot(x, interval.mean, label=label, color=color, **{"lw": 2} | line)
+    ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
+
+
+def tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
+    """Names the axes, and leaves no more lines than are needed."""
+    ax.set_xlabel(xlabel)
+    ax.set_ylabel(ylabel)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(alpha=0.25, lw=0.6)
+    ax.set_axisbelow(True)
 
 
 def _readable_curve(
@@ -226,14 +251,6 @@ def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float) -> None:
         margin = 0.1 * (high - low) or 1
         bottom, top = low - margin, high + margin
     ax.set_ylim(bottom, top)
-
-
-def _tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
-    ax.set_xlabel(xlabel)
-    ax.set_ylabel(ylabel)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(alpha=0.25, lw=0.6)
-    ax.set_axisbelow(True)
 
 
 def _number(x: float, digits: int = 6) -> str:
@@ -433,7 +450,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
     panels = _panels(datasets, env)
     columns = 3 if len(panels) == 3 else 2
     rows = -(-len(panels) // columns)
-    figure = _figure(6 * columns, 4.3 * rows + 0.4)
+    figure = canvas(6 * columns, 4.3 * rows + 0.4)
     grid = figure.subplots(rows, columns).ravel()
     for ax, draw in zip(grid, panels.values(), strict=True):
         draw(ax)
@@ -459,7 +476,7 @@ def save_all(datasets: Datasets, env: Environment, folder: Path | str) -> list[P
     folder.mkdir(parents=True, exist_ok=True)
     figures = {}
     for name, draw in _panels(datasets, env).items():
-        figure = _figure(7.2, 4.8)
+        figure = canvas(7.2, 4.8)
         draw(figure.subplots())
         figure.suptitle(_caption(datasets, env), fontsize=TITLE)
         figures[name] = figure
@@ -494,7 +511,7 @@ def _all_paths(datasets: Datasets, env: Grid) -> Figure:
     optimum = _common_optimum(datasets)
     count = len(datasets) + bool(np.isfinite(optimum))
     columns, rows = min(2, count), -(-count // 2)
-    figure = _figure(6 * columns, (1.1 + 5.4 * env.shape[0] / env.shape[1]) * rows)
+    figure = canvas(6 * columns, (1.1 + 5.4 * env.shape[0] / env.shape[1]) * rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, (method, ds) in zip(grid, datasets.items(), strict=False):
         _median_path(ax, env, method, ds)
@@ -517,7 +534,8 @@ def _median_path(ax: Axes, env: Grid, method: str, ds: xr.Dataset) -> None:
     greedy_path(ax, env, ds.q.values[median], title, float(stats.optimum(ds)))
 
 
-def _figure(width: float, height: float) -> Figure:
+def canvas(width: float, height: float) -> Figure:
+    """An empty figure of so many inches."""
     return Figure((width, height), dpi=DPI, layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1))
 
 
