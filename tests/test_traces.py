@@ -1,6 +1,6 @@
 """Sarsa(lambda) and Q(lambda): against their plain loops, against the forward view, and by hand.
 
-Every test was seen to fail on code broken in the way that its docstring tells ("Broken once").
+Each was seen to fail on code broken in the ways that its docstring tells.
 """
 
 import re
@@ -18,13 +18,12 @@ from jaxrl_tab.schedules import Optax, Power
 from jaxrl_tab.types import Transition
 
 TRACES = ("accumulating", "replacing", "dutch")
-SARSA = [(rl.SarsaLambda, {"trace": trace}) for trace in TRACES]
-OFFLINE = (rl.SarsaLambda, {"offline": True})
-WATKINS = [(rl.QLambda, {"trace": trace}) for trace in ("accumulating", "replacing")]
-KINDS = {
-    f"{cls.__name__} {next(iter(fields.values()))}": (cls, fields)
-    for cls, fields in [*SARSA, OFFLINE, *WATKINS]
-}
+METHODS = [
+    *((rl.SarsaLambda, {"trace": trace}) for trace in TRACES),
+    (rl.SarsaLambda, {"offline": True}),
+    *((rl.QLambda, {"trace": trace}) for trace in ("accumulating", "replacing")),
+]
+KINDS = {f"{cls.__name__}, {fields.get('trace', 'offline')}": (cls, fields) for cls, fields in METHODS}
 GAMMAS, LAMBDAS, ALPHAS = (0.0, 0.5, 0.9, 1.0), (0.75, 1.0, 0.5, 0.875), (0.5, 0.25, 0.25, 0.125)
 
 # --- decision for decision ---------------------------------------------------------------------------
@@ -42,7 +41,12 @@ def tasks():
 @pytest.mark.parametrize("env_name", ENVS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_step_agrees_with_the_plain_loop(kind, env_name, tasks):
-    """BROKEN"""
+    """Broken once: traces outlive an episode that a time limit ends; they fade by gamma; a bootstrap through
+
+    terminal states, none at the time limit; A' drawn again, by another word or by the new Q; Watkins never
+    cuts, cuts on a tie, cuts by the new Q; dutch traces that fade like accumulating ones; off-line learning
+    that acts by the Q of the moment, or forgets episodes cut by the time limit -> each fails.
+    """
     (cls, fields), (env, task) = KINDS[kind], tasks[env_name]
 
     def run(key, alpha, gamma, lam):
@@ -71,7 +75,10 @@ CLOCKS = {"step": lambda t, k, n: t, "episode": lambda t, k, n: k, "visit": lamb
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize("trace", ["accumulating", "dutch"])
 def test_the_step_size_is_that_of_the_current_pair(trace, clock, tasks):
-    """BROKEN"""
+    """Broken once: alpha of (S', A'), for all traces or in the dutch correction alone; N(S, A) without this
+
+    visit -> each fails.
+    """
     env, task = tasks["random mdp"]
     alpha = Optax(lambda count: 0.5 ** (2 + count % 3), clock=clock)
     method = rl.SarsaLambda(alpha=alpha, epsilon=Power(clock=clock), gamma=0.5, lam=0.75, trace=trace)
@@ -96,7 +103,7 @@ def learned(method, env):
     return state.q, log
 
 
-@pytest.mark.parametrize("trace", ["accumulating", "replacing", "dutch"])
+@pytest.mark.parametrize("trace", TRACES)
 def test_with_lambda_0_sarsa_lambda_is_sarsa(trace):
     """Bitwise, in float32, in every row of the log, where the time limit is often met.
 
@@ -178,7 +185,10 @@ def offline():
 
 
 def test_offline_backward_view_is_the_offline_forward_view(offline):
-    """BROKEN"""
+    """Broken once: traces that fade by gamma, or outlive the time limit; errors by the Q of the moment; no
+
+    bootstrap at the time limit -> each fails.
+    """
     for _, lam, q, episodes in offline:
         for begin, end, episode in episodes:
             assert (q[begin:end] == q[begin]).all()
@@ -187,7 +197,7 @@ def test_offline_backward_view_is_the_offline_forward_view(offline):
 
 
 def test_offline_with_lambda_1_is_every_visit_monte_carlo(offline):
-    """BROKEN"""
+    """Broken once: episodes cut by the time limit forgotten; a bootstrap through terminal states -> fails."""
     checked = 0
     for _, _, q, episodes in (run for run in offline if run[1] == 1):
         for begin, end, episode in episodes:
@@ -198,7 +208,10 @@ def test_offline_with_lambda_1_is_every_visit_monte_carlo(offline):
 
 
 def test_true_online_is_the_online_forward_view_at_every_step():
-    """BROKEN"""
+    """Broken once: all of the trace of a pair that comes again kept; no correction by Q_old, or one of the
+
+    step's own pair, too; traces marked before they fade -> each fails.
+    """
     for _, lam, q, episodes in play(trace="dutch"):
         for begin, end, episode in episodes:
             want = reference.online_forward(q[begin], episode, ALPHA, lam)
@@ -217,7 +230,11 @@ def transition(s, a, r, s_next, discount=0.5, last=False):
 @pytest.mark.parametrize("discount", [0.0, 0.5])
 @pytest.mark.parametrize("kind", KINDS)
 def test_traces_end_with_the_episode(kind, discount):
-    """By a terminal state (discount 0) and by the time limit. BROKEN"""
+    """By a terminal state (discount 0) and by the time limit.
+
+    Broken once: traces that fade by gamma lambda at the end as well; by gamma' lambda, which ends them at
+    terminal states alone -> each fails.
+    """
     cls, fields = KINDS[kind]
     method = cls(alpha=0.5, gamma=0.5, lam=1.0, behaviour=UNIFORM, **fields)
 
@@ -232,13 +249,13 @@ def test_traces_end_with_the_episode(kind, discount):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_action_that_sarsa_lambda_learns_from_is_the_one_it_takes(kind):
-    """And the one by which Watkins cuts. BROKEN"""
+def test_the_action_that_is_learned_from_is_the_one_that_is_taken(kind):
+    """In Q(lambda), the one by which traces are cut. Broken once: A' drawn again by another word -> fails."""
     cls, fields = KINDS[kind]
     method = cls(alpha=0.5, gamma=0.5, lam=1.0, behaviour=UNIFORM, **fields)
     q = jnp.zeros((3, 4)).at[1].set(jnp.array([1.0, 2.0, 4.0, 8.0]))
     start = method.init(3, 4)._replace(q=q)
-    if method.trace == "accumulating" and getattr(method, "offline", False):
+    if fields.get("offline"):
         start = start._replace(q_end=q)
 
     def update(key):
@@ -257,7 +274,10 @@ def test_the_action_that_sarsa_lambda_learns_from_is_the_one_it_takes(kind):
 
 @pytest.mark.parametrize("trace", ["accumulating", "replacing"])
 def test_watkins_cuts_where_the_next_action_is_not_greedy_and_only_there(trace):
-    """Three steps: the second action is one of two greedy ones, or not greedy. BROKEN"""
+    """Two steps; the second action is one of the two greedy ones, or another.
+
+    Broken once: never cut; cut unless A' is the first greedy action; the error of Sarsa -> each fails.
+    """
     best = jnp.array([2.0, 2.0, 1.0, 0.0])
 
     @jax.jit
