@@ -90,6 +90,8 @@ def exact_model(env: Environment) -> Model:
     # In 64 bits from the first operation on, or 1/3 would be a float32 third. An environment that is written
     # for 32 bits mixes in some 64-bit constants then, which is all right here.
     with jax.enable_x64(), jax.numpy_dtype_promotion("standard"):
+        # A copy, for a live program that closes over an array makes JAX 0.10 remember its value in 32 bits.
+        env = jax.tree.map(lambda x: x.copy() if isinstance(x, np.ndarray) else x, env)
         model = jax.tree.map(np.asarray, _enumerate_jit(env))
     _check_model(_name(env), model)
     return model
