@@ -12,6 +12,7 @@ import numpy as np
 from jaxrl_tab import batch, planning
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import SweepResult, label, parameters
 from jaxrl_tab.train import Log, Record, check_budget, default_log_every
 from jaxrl_tab.types import (
@@ -23,6 +24,8 @@ from jaxrl_tab.types import (
     check_pytree,
     nearest,
 )
+
+METHODS = ALGORITHMS | PREDICTION
 
 
 def sweep(
@@ -46,7 +49,7 @@ def sweep(
 
     Args:
         env: the environment.
-        algorithm: a class such as `Sarsa`, or its name in `ALGORITHMS`.
+        algorithm: a class such as `Sarsa`, or its name in `ALGORITHMS` or `PREDICTION`.
         grid: for each hyperparameter a list of values (an axis of the result) or a single value. A value
             is a number or a schedule. What is not named keeps its default.
         num_seeds: how many seeds, at least 1.
@@ -97,7 +100,7 @@ def sweep(
     log: Log = jax.tree.map(stack, *(logs[i] for i in range(len(configs))))
     return SweepResult(
         environment=_name_in(ENVS, type(env)),
-        algorithm=_name_in(ALGORITHMS, cls),
+        algorithm=_name_in(METHODS, cls),
         env=env,
         grid=axes,
         fixed={name: value for name, value in parameters(configs[0]).items() if name not in axes},
@@ -115,9 +118,9 @@ def sweep(
 
 def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
     if isinstance(algorithm, str):
-        if algorithm not in ALGORITHMS:
-            raise InputError(f"no method is called {algorithm!r}; {nearest(algorithm, ALGORITHMS)}")
-        return ALGORITHMS[algorithm]
+        if algorithm not in METHODS:
+            raise InputError(f"no method is called {algorithm!r}; {nearest(algorithm, METHODS)}")
+        return METHODS[algorithm]
     if not isinstance(algorithm, type) or not dataclasses.is_dataclass(algorithm):
         raise InputError(
             "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
@@ -128,7 +131,7 @@ def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
 
 def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[str, tuple], list[Algorithm]]:
     """The axes (name -> values), and an instance for every point of the grid, in C order."""
-    name = _name_in(ALGORITHMS, cls)
+    name = _name_in(METHODS, cls)
     if not isinstance(grid, Mapping):
         raise InputError(f"grid must be a dict from hyperparameters to values, not {grid!r}")
     axes, single = {}, {}

@@ -28,7 +28,7 @@ from jaxrl_tab.types import (
 
 L = TypeVar("L")
 
-CHUNK = 256  # so many steps are taken at once where a run ends with an episode; see `_run_until`
+CHUNKS = 256, 16  # so many steps are taken at once where a run ends with an episode; see `_run_until`
 
 
 class Log(NamedTuple):
@@ -44,6 +44,8 @@ class Log(NamedTuple):
             of the row; -inf where it may go round for ever at a cost; float [rows]. None unless recorded.
         q_error: the largest |Q - Q*| at the end of the row, over the states that can be reached from the
             start and are not terminal, float [rows]. None unless recorded.
+        v_error: of a method of `prediction`, the root of the mean squared error of V at the end of the row,
+            over the same states, float [rows]. None unless recorded.
         recorded: what `record` gave at the end of the row, [rows] of each. None unless asked for.
     """
 
@@ -54,6 +56,7 @@ class Log(NamedTuple):
     rewards: Float[Array, "*rows"]
     greedy_value: Float[Array, "*rows"] | None = None
     q_error: Float[Array, "*rows"] | None = None
+    v_error: Float[Array, "*rows"] | None = None
     recorded: dict[str, Array] | None = None
 
 
@@ -117,9 +120,9 @@ def train(
         log_every: steps in a row of the log (100), or episodes in a row (1). The last row may be shorter.
             Sums are plain running sums in float32: exact for whole rewards up to 2**24, so do not make rows
             of millions of steps.
-        exact: also record `greedy_value` and `q_error` at the end of every row. This enumerates the
-            environment, and solves a linear system in each row: S^3 / 3 multiply-adds (0.06 ms for 70 states
-            on one core).
+        exact: also record `greedy_value` and `q_error`, or `v_error`, at the end of every row. It enumerates
+            the environment, and for control solves a linear system in each row: S^3 / 3 multiply-adds (0.06
+            ms for 70 states on one core).
         record: a function from the state of the learner to a dict of arrays, such as
             `lambda state: {"q_start": state.q[30].max()}`; recorded at the end of every row.
 
@@ -295,8 +298,8 @@ def _run_until(step: Step, carry, target: int | Int[Array, ""], log_every: int):
     """Runs on until `target` episodes are over. `carry` is (run, log [rows], episodes).
 
     Under `vmap` a loop whose length differs from lane to lane keeps the lanes that are done by selecting
-    their whole state anew in every iteration. So whole chunks are run first, as long as the target is not
-    reached in one; the chunk in which it is, is run again step by step.
+    their whole state anew in every iteration. So whole chunks of steps are run as long as the target is not
+    reached in one; the chunk in which it is, is run again in smaller ones, and in the end step by step.
     """
 
     def one(carry):
@@ -306,13 +309,15 @@ def _run_until(step: Step, carry, target: int | Int[Array, ""], log_every: int):
         log = tables.lane_by_lane(_add_to_row, log, row, now)
         return run, log, episodes + now.episodes
 
-    def chunk(state):
+    def run_chunk(size, state):
         carry, _ = state
-        after = lax.fori_loop(0, CHUNK, lambda _, carry: one(carry), carry)
+        after = lax.fori_loop(0, size, lambda _, carry: one(carry), carry)
         reached = after[-1] >= target
         return jax.tree.map(lambda old, new: jnp.where(reached, old, new), carry, after), reached
 
-    carry, _ = lax.while_loop(lambda state: ~state[1], chunk, (carry, carry[-1] >= target))
+    for size in CHUNKS:
+        state = carry, carry[-1] >= target
+        carry, _ = lax.while_loop(lambda state: ~state[1], partial(run_chunk, size), state)
     return lax.while_loop(lambda carry: carry[-1] < target, one, carry)
 
 
@@ -333,12 +338,17 @@ def _make_measure(algorithm: Algorithm, env: Environment, exact: bool, record: R
     """What is measured at the end of a row, from the state of the learner, as fields of the Log."""
     if not exact and record is None:
         return None
-    measure_exactly = planning.measurer(env, algorithm.gamma) if exact else None
+    measures = []
+    if exact:
+        measures.append(_exact_measurer(algorithm, env))
+    if record:
+        measures.append(lambda learner: {"recorded": record(learner)})
+    return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
 
-    def measure(learner) -> dict[str, Any]:
-        exactly = measure_exactly(learner.q) if measure_exactly else (None, None)
-        return dict(
-            zip(("greedy_value", "q_error"), exactly, strict=True), recorded=record and record(learner)
-        )
 
-    return measure
+def _exact_measurer(algorithm: Any, env: Environment) -> Measured:
+    """The exact numbers beside a method: its own `measurer`, if it learns something else than control."""
+    if hasattr(algorithm, "measurer"):
+        return algorithm.measurer(env)
+    measure = planning.measurer(env, algorithm.gamma)
+    return lambda learner: dict(zip(("greedy_value", "q_error"), measure(learner.q), strict=True))

@@ -17,6 +17,7 @@ LAYERS = [
     ["policies"],
     ["planning"],
     ["envs", "algorithms"],
+    ["prediction"],
     ["train", "bridge"],
     ["offline"],
     ["batch", "results"],
