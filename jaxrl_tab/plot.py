@@ -18,6 +18,7 @@ import numpy as np
 import xarray as xr
 from matplotlib import patheffects
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
@@ -323,6 +324,35 @@ def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
     ax.figure.colorbar(image, ax=ax, label="value", shrink=0.75, pad=0.02)
 
 
+def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
+    """The way that an episode went, from one of `states`, int [steps + 1], to the next.
+
+    Every arrow is drawn a little to the right of where it goes, so that ways back and forth lie side by side.
+    """
+    _draw_grid(ax, env, _Moves.of(env))
+    rows, columns = np.divmod(np.asarray(states), env.shape[1])
+    down, right = np.diff(rows), np.diff(columns)
+    moved = (down != 0) | (right != 0)  # against the edge it stays
+    x, y = columns[:-1] - 0.12 * down, rows[:-1] + 0.12 * right
+    _quiver(ax, x[moved], y[moved], right[moved], down[moved], COLORS[0])
+    _draw_ends(ax, env)
+    ax.set_title(title, fontsize=TITLE)
+
+
+def changes(ax: Axes, env: Grid, change: np.ndarray, title: str) -> None:
+    """An arrow for each action whose value changed, the fainter the less; `change` is float [S, A]."""
+    _draw_grid(ax, env, _Moves.of(env))
+    states, actions = np.nonzero(change)
+    rows, columns = np.divmod(states, env.shape[1])
+    down, right = np.asarray(COMPASS)[actions].T
+    size = np.abs(change[states, actions])
+    faint = 0.3 + 0.7 * size.astype(float) / size.max(initial=0)
+    color = np.column_stack([np.tile(to_rgb(COLORS[1]), (len(size), 1)), faint])
+    _quiver(ax, columns + 0.1 * right, rows + 0.1 * down, 0.4 * right, 0.4 * down, color, width=0.07)
+    _draw_ends(ax, env)
+    ax.set_title(title, fontsize=TITLE)
+
+
 class _Moves(NamedTuple):
     """Where each action leads, by its most likely outcome.
 
@@ -424,9 +454,22 @@ def _draw_arrows(ax: Axes, env: Grid, shown: np.ndarray, color: str, raised: flo
     length = (0.4 - raised) / np.maximum(1, np.hypot(down, right))
     if stays.any():
         ax.plot(columns[stays], rows[stays], "o", color=color, ms=4, zorder=3)
+    _quiver(ax, columns[~stays], rows[~stays], (right * length)[~stays], (down * length)[~stays], color)
+
+
+def _quiver(
+    ax: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    right: np.ndarray,
+    down: np.ndarray,
+    color: Any,
+    width: float = 0.045,
+) -> None:
+    """Arrows from (x, y), as long and as wide as they are in cells; `color` is one for all or [arrows, 4]."""
     ax.quiver(
-        *(columns[~stays], rows[~stays], (right * length)[~stays], (down * length)[~stays]),
-        **{"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": 0.045},
+        *(x, y, right, down),
+        **{"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": width},
         **{"headwidth": 4, "headlength": 4, "headaxislength": 3.6, "color": color, "zorder": 3},
     )
 
