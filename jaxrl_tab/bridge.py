@@ -22,10 +22,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab import planning
+from jaxrl_tab import planning, policies
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.planning import Model
 from jaxrl_tab.policies import choose
+from jaxrl_tab.prediction import Prediction, ValueState
 from jaxrl_tab.types import Environment, InputError, Transition, init_learner
 
 
@@ -37,8 +38,8 @@ class Row(NamedTuple):
         full, full_update: the method of dynamic programming, and its update.
         backup: the function of `planning` that is one sweep of it.
         sample, sample_update: the method of temporal differences, and its update.
-        methods: the names of all registered methods that sample it; those with a target policy of their own
-            sample it for that policy, the others for the policy by which they act.
+        methods: the names of all registered methods that sample it, in ALGORITHMS and PREDICTION; those with
+            a target policy of their own sample it for that policy, the others for the policy that acts.
     """
 
     equation: str
@@ -58,7 +59,7 @@ TABLE = (
         planning.evaluation_backup,
         "TD(0)",
         "V(S) <-alpha- R + gamma V(S')",
-        (),
+        ("td", "off-policy-td"),
     ),
     Row(
         "Bellman expectation equation for q_pi",
@@ -93,9 +94,9 @@ def table() -> str:
 
 
 def expected_backup(
-    method: TDControl, env: Environment, q: Float[np.ndarray, "S A"]
-) -> Float[np.ndarray, "S A"]:
-    """The mean of the target that `method` draws for each pair (s, a), float64 [S, A], exact to rounding.
+    method: TDControl | Prediction, env: Environment, values: Float[np.ndarray, "S *A"]
+) -> Float[np.ndarray, "S *A"]:
+    """The mean of the target that `method` draws, float64, exact to rounding: [S, A] of Q, or [S] of V.
 
     The `update` of the method itself is run, once for every outcome of the environment together with every
     outcome of every draw that the method makes by `policies.sample` and `policies.coin`; each is weighted
@@ -104,57 +105,72 @@ def expected_backup(
     Args:
         method: a one-step method. Its schedules stand where they stand in the first step; alpha is not used.
         env: an environment with `outcomes`.
-        q: the action values that the learner has, [S, A]; Double Q-learning has them in both its tables.
+        values: what the learner believes: Q [S, A], in all tables that it has; for a method of prediction V
+            [S]. It gives the mean for each pair (s, a); in prediction for each s, over the actions of the
+            policy that acts.
 
     Raises:
-        InputError: `q` has the wrong shape; `env` can only be sampled; the method remembers more from step to
-            step than tables, so that it learns from more than one transition; or it draws in another way.
+        InputError: `values` has the wrong shape; `env` can only be sampled; the method remembers more from
+            step to step than tables, so that it learns from more than one transition; or it draws in another
+            way.
     """
-    if not isinstance(method, TDControl):
+    if not isinstance(method, TDControl | Prediction):
         raise InputError(f"method must be an instance of a one-step method such as Sarsa(), not {method!r}")
     model = planning.exact_model(env)
-    q = planning.checked_values(model, "q", q)
-    at_once: Any = dataclasses.replace(method, alpha=1.0)
+    of_states = isinstance(method, Prediction)
+    values = planning.checked_values(model, "v" if of_states else "q", values)
+    belief = {"v0": values[:, None]} if of_states else {"q0": values}
     with jax.enable_x64():
-        learner = jax.eval_shape(lambda: init_learner(at_once, env))
-        for field, x in learner._asdict().items():
-            if field != "clock" and getattr(x, "shape", None) != q.shape:
-                raise InputError(
-                    f"{type(method).__name__} remembers {field} from step to step, so it learns from more "
-                    "than one transition; a one-step method keeps nothing but tables [S, A]"
-                )
-        return np.asarray(_expected_backup(at_once, model, q))
+        at_once: Any = dataclasses.replace(method, alpha=1.0, **belief)
+        start = jax.eval_shape(lambda: init_learner(at_once, env))
+        _check_one_step(type(method).__name__, start, np.shape(*belief.values()))
+        return values + np.asarray(_expected_moves(at_once, model, of_states))
 
 
-@jax.jit
-def _expected_backup(method: Any, model: Model, q: Float[Array, "S A"]) -> Float[Array, "S A"]:
-    num_states, num_actions, num_outcomes = model.prob.shape
-    start = dataclasses.replace(method, q0=q).init(num_states, num_actions)
-    before = _tables(start)
+@partial(jax.jit, static_argnames="of_states")
+def _expected_moves(method: Any, model: Model, of_states: bool) -> Float[Array, "S *A"]:
+    """How far an update with alpha = 1 moves each entry, on average."""
+    num_states, num_actions, _ = model.prob.shape
+    start = method.init(num_states, num_actions)
+    key = _no_words()
 
-    def target(s, a, k):
+    def move(s, a):
+        k = policies.sample(key, model.prob[s, a])
         s_next, r, terminal = model.s_next[s, a, k], model.reward[s, a, k], model.terminal[s, a, k]
         t = Transition(s, a, r, s_next, jnp.where(terminal, 0, method.gamma), terminal)
+        after, _ = method.update(key, start, t)
+        entry = s, 0 if of_states else a
+        # Of several tables the one that learned is moved to its target; the others are as they were.
+        moves = [x[entry] - y[entry] for x, y in zip(_tables(after), _tables(start), strict=True)]
+        return jnp.stack(moves).sum()
 
-        def draw():
-            after = _tables(method.update(_no_words(), start, t)[0])
-            # With alpha = 1 the table that learned holds the target now; the others are as they were.
-            return q[s, a] + sum(x[s, a] - y[s, a] for x, y in zip(after, before, strict=True))
-
-        return model.prob[s, a, k] * _mean_over_draws(draw)
-
-    actions, outcomes = (jnp.arange(n, dtype=jnp.int32) for n in (num_actions, num_outcomes))
-
-    def pairs(s: Int[Array, ""]) -> Float[Array, " A"]:
-        each = jax.vmap(jax.vmap(partial(target, s), (None, 0)), (0, None))
-        return each(actions, outcomes).sum(1)
+    def mean(s):
+        if of_states:
+            return _mean_over_draws(lambda: move(s, method.policy(key, start, s)))
+        actions = jnp.arange(num_actions, dtype=jnp.int32)
+        return jax.vmap(lambda a: _mean_over_draws(lambda: move(s, a)))(actions)
 
     # State by state, for all updates that run at the same time have tables of their own.
-    return lax.map(pairs, jnp.arange(num_states, dtype=jnp.int32))
+    return lax.map(mean, jnp.arange(num_states, dtype=jnp.int32))
+
+
+def _memory(state: Any) -> dict[str, Any]:
+    """What a learner keeps from step to step, apart from its clock."""
+    kept = state.learner if isinstance(state, ValueState) else state
+    return {field: x for field, x in kept._asdict().items() if field != "clock"}
 
 
 def _tables(state: Any) -> list[Float[Array, "S A"]]:
-    return [x for field, x in state._asdict().items() if field != "clock"]
+    return list(_memory(state).values())
+
+
+def _check_one_step(name: str, state: Any, shape: tuple[int, ...]) -> None:
+    for field, x in _memory(state).items():
+        if getattr(x, "shape", None) != shape:
+            raise InputError(
+                f"{name} remembers {field} from step to step, so it learns from more than one transition; "
+                "a one-step method keeps nothing but tables"
+            )
 
 
 # --- every draw, instead of one ----------------------------------------------------------------------
@@ -179,7 +195,7 @@ def _mean_over_draws(draw: Callable[[], Float[Array, ""]]) -> Float[Array, ""]:
 
         with _choosing(take):
             x = draw()
-        return chance * x
+        return jnp.where(chance > 0, chance * x, 0)  # what cannot happen may be no number
 
     with _choosing(note):
         jax.eval_shape(draw)

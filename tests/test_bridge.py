@@ -11,6 +11,7 @@ from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.policies import EpsilonGreedy, Greedy, Softmax, Table
+from jaxrl_tab.prediction import PREDICTION, TD
 from jaxrl_tab.types import Transition, pytree
 
 GAMMA, EPSILON = 0.9, 0.3
@@ -19,7 +20,7 @@ ENVS = {
     "cliff": rl.CliffWalking(shape=(2, 4)),
     "walk": rl.RandomWalk(states=5),
 }
-ONE_STEP = [(row, name) for row in bridge.TABLE for name in row.methods]
+ONE_STEP = [(row, name) for row in bridge.TABLE for name in row.methods if name in ALGORITHMS]
 
 
 def some_q(env):
@@ -54,6 +55,26 @@ def test_the_mean_of_the_sample_backup_is_the_full_backup(row, name, env):
     np.testing.assert_allclose(got, full_backup(row, method, env, q), atol=1e-12)
 
 
+@pytest.mark.parametrize("name", PREDICTION)
+def test_the_mean_of_td_0_is_iterative_policy_evaluation(name):
+    """Off-policy too, where b never does what pi never does: that is no 0 / 0. Broken once, each -> fails:
+
+    no ratio; the ratio of the next action; gamma for `t.discount`.
+    """
+    env = ENVS["windy"]
+    pi = np.random.default_rng(1).dirichlet(np.ones(4), size=env.num_states) * [0, 1, 1, 1]
+    pi /= pi.sum(1, keepdims=True)
+    b = (pi > 0) / 3
+    method = PREDICTION[name](pi=pi, gamma=GAMMA, **({"behaviour": b} if name.startswith("off") else {}))
+    v = np.random.default_rng(0).normal(size=env.num_states)
+    if name in bridge.TABLE[0].methods:
+        want = planning.evaluation_backup(env, v, pi, GAMMA)
+        np.testing.assert_allclose(bridge.expected_backup(method, env, v), want, atol=1e-12)
+    else:
+        with pytest.raises(rl.InputError, match=r"remembers .* from step to step"):
+            bridge.expected_backup(method, env, v)
+
+
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_every_method_is_in_the_table_or_is_no_one_step_method(name):
     """So that a new line in the registry is looked at."""
@@ -72,7 +93,7 @@ def test_the_table_can_be_printed():
         ("q-value iteration", "Q-learning"),
     ):
         assert any(all(name in line for name in pair) for line in lines)
-    assert {name for row in bridge.TABLE for name in row.methods} <= set(ALGORITHMS)
+    assert {name for row in bridge.TABLE for name in row.methods} <= {*ALGORITHMS, *PREDICTION}
 
 
 # --- any policy --------------------------------------------------------------------------------------
@@ -230,6 +251,10 @@ class OwnDice(TDControl):
         (
             lambda q: bridge.expected_backup(rl.Sarsa(), CLIFF, q[:2]),
             r"q must have one .* not \(2, 4\)",
+        ),
+        (
+            lambda q: bridge.expected_backup(TD(), CLIFF, q),
+            "v must have one value for each of the 8 states",
         ),
         (lambda q: planning.optimality_backup(CLIFF, q.T), "for each of the 8 states and 4 actions, not"),
         (
