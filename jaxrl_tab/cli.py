@@ -403,7 +403,8 @@ def _save(ds: "xr.Dataset", group: str, file: Path, command: Sequence[str]) -> N
     if not file.exists():
         about = {"command": shlex.join([PROG, *command]), "version": jaxrl_tab.__version__}
         xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    ds.to_netcdf(file, mode="a", group=group, engine="h5netcdf")
+    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in ds.items() if x.ndim}
+    ds.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
 
 
 def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]") -> None:

@@ -197,4 +197,4 @@ def test_the_page_says_how_a_number_came_out():
     text = " ".join(Tags(page({"a": (FIGURES["cliff-walking"], checks)}, "0")).text.split())
     assert "mean1.50.110.054.47 off" in text
     assert "exact-13exact-131e-06equal ok" in text
-    assert "bound0.0019exact≤ 0.005boundholds ok" in text
+    assert "bound0.0019exact≤ 0.005exactholds ok" in text

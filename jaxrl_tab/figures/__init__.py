@@ -1,11 +1,22 @@
 """Published figures, one file each. To add one: write its file, and add its line to FIGURES."""
 
-from jaxrl_tab.figures import cliff_walking, windy_gridworld
+from jaxrl_tab.figures import (
+    cliff_alpha,
+    cliff_walking,
+    k_armed_testbed,
+    maximization_bias,
+    two_doors,
+    windy_gridworld,
+)
 from jaxrl_tab.figures.figure import Check, Figure, Number, swept
 
 FIGURES = {
+    "k-armed-testbed": k_armed_testbed.FIGURE,
+    "two-doors": two_doors.FIGURE,
     "windy-gridworld": windy_gridworld.FIGURE,
     "cliff-walking": cliff_walking.FIGURE,
+    "cliff-alpha": cliff_alpha.FIGURE,
+    "maximization-bias": maximization_bias.FIGURE,
 }
 
 __all__ = ["FIGURES", "Check", "Figure", "Number", "swept"]

@@ -31,24 +31,19 @@ def best_soft() -> float:
 
 
 def _draw(datasets):
-    from matplotlib.figure import Figure as Canvas
+    from jaxrl_tab import plot
 
-    from jaxrl_tab import plot, stats
-
-    canvas = Canvas(figsize=(7.5, 5), dpi=plot.DPI, layout="constrained")
+    canvas = plot.canvas(7.5, 5)
     ax = canvas.subplots()
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
-        mean, low, high, _ = stats.mean_interval(ds.rewards)
-        episode = ds.row + 1
-        ax.plot(episode, mean, color=color, lw=1.3, label=method)
-        ax.fill_between(episode, low, high, color=color, alpha=0.25, lw=0)
+        plot.mean_curve(ax, ds.row + 1, ds.returns, method, color, lw=1.3)
     lines = {"optimal policy": (optimum(), "--"), f"best ε-soft policy, ε = {EPSILON}": (best_soft(), ":")}
     for name, (value, style) in lines.items():
         ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=f"{name}: {value:.6g}")
-    ax.set(xlabel="episodes", ylabel="sum of rewards in the episode", ylim=(-100, 0), xlim=(0, 500))
+    plot.tidy(ax, "episodes", "sum of rewards in the episode")
+    ax.set(ylim=(-100, 0), xlim=(0, 500))
     seeds = datasets["sarsa"].sizes["seed"]
     ax.set_title(f"cliff-walking, α = {ALPHA}, ε = {EPSILON}: mean and 95% interval over {seeds} seeds")
-    ax.spines[["top", "right"]].set_visible(False)
     ax.legend(loc="lower right", frameon=False)
     return canvas
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from jaxrl_tab.figures.figure import Check, Figure
+from jaxrl_tab.figures.figure import EXACT, Check, Figure
 
 
 def page(checked: Mapping[str, tuple[Figure, Sequence[Check]]], version: str) -> str:
@@ -27,17 +27,16 @@ def cells(check: Check) -> tuple[str, ...]:
     return (
         check.what,
         six_digits(check.got),
-        f"{check.standard_error:.2g}" if check.standard_error else "exact",
+        _error(check.standard_error),
         bound + six_digits(check.expected),
-        _expected_error(check),
+        # An exact number is compared up to the rounding of the one expected, which then is no standard error.
+        _error(check.expected_standard_error if check.standard_error else 0),
         apart,
     )
 
 
-def _expected_error(check: Check) -> str:
-    if check.relation != "is":
-        return "bound"
-    return f"{check.expected_standard_error:.2g}" if check.standard_error else "exact"
+def _error(standard_error: float) -> str:
+    return f"{standard_error:.2g}" if standard_error > EXACT else "exact"
 
 
 def six_digits(x: float) -> str:

@@ -22,11 +22,9 @@ def _optimal_steps(moves):
 
 
 def _draw(datasets):
-    from matplotlib.figure import Figure as Canvas
-
     from jaxrl_tab import plot
 
-    canvas = Canvas(figsize=(12, 4.8), dpi=plot.DPI, layout="constrained")
+    canvas = plot.canvas(12, 4.8)
     curve, grid = canvas.subplots(1, 2)
     plot.episodes_against_steps(curve, datasets)
     seeds = datasets["sarsa"].sizes["seed"]
