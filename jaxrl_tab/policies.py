@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import schedules, tables
-from jaxrl_tab.schedules import Clock, Rate, check_number
+from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
 from jaxrl_tab.types import TOLERANCE, InputError, concrete, first, pytree
 
 UNROLLED = 16  # rows up to this length are worked through entry by entry
@@ -150,7 +150,7 @@ class EpsilonGreedy(_Anywhere):
     available: Any = None
 
     def __post_init__(self):
-        check_number(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
+        check_rate(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
         if self.available is None or (there := concrete(self.available)) is None:
             return
         if there.ndim != 2 or not np.isin(there, (0, 1)).all() or not there.any(1).all():
@@ -189,7 +189,7 @@ class Softmax(_Anywhere):
     temperature: Rate = 1.0
 
     def __post_init__(self):
-        check_number(self, "temperature", lambda x: x > 0, "greater than 0")
+        check_rate(self, "temperature", lambda x: x > 0, "greater than 0")
 
     @property
     def by_visit(self) -> bool:

@@ -104,7 +104,7 @@ class Power(Family):
     def __post_init__(self):
         _check_clock(self.clock)
         for name in ("power", "scale"):
-            _check_plain(self, name, lambda x: x > 0, "a positive number")
+            check_number(self, name, lambda x: x > 0, "a positive number")
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
         return self.scale * jnp.asarray(n, float) ** -jnp.asarray(self.power, float)
@@ -127,7 +127,7 @@ class Harmonic(Family):
 
     def __post_init__(self):
         _check_clock(self.clock)
-        _check_plain(self, "n0", lambda x: x > 0, "a positive number")
+        check_number(self, "n0", lambda x: x > 0, "a positive number")
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
         return self.n0 / (self.n0 + jnp.asarray(n - 1, float))
@@ -148,8 +148,8 @@ class Linear(Family):
     def __post_init__(self):
         _check_clock(self.clock)
         for name in ("start", "end"):
-            _check_plain(self, name, lambda x: x >= 0, "a number of at least 0")
-        _check_plain(self, "steps", lambda x: x >= 1, "a number of at least 1")
+            check_number(self, name, lambda x: x >= 0, "a number of at least 0")
+        check_number(self, "steps", lambda x: x >= 1, "a number of at least 1")
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
         done = jnp.minimum(jnp.asarray(n - 1, float) / self.steps, 1)
@@ -170,9 +170,9 @@ class Exponential(Family):
 
     def __post_init__(self):
         _check_clock(self.clock)
-        _check_plain(self, "start", lambda x: x > 0, "a positive number")
-        _check_plain(self, "rate", lambda x: (x > 0) & (x < 1), "a number between 0 and 1, both excluded")
-        _check_plain(self, "end", lambda x: x >= 0, "a number of at least 0")
+        check_number(self, "start", lambda x: x > 0, "a positive number")
+        check_number(self, "rate", lambda x: (x > 0) & (x < 1), "a number between 0 and 1, both excluded")
+        check_number(self, "end", lambda x: x >= 0, "a number of at least 0")
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
         decayed = self.start * jnp.asarray(self.rate, float) ** jnp.asarray(n - 1, float)
@@ -259,7 +259,7 @@ class Optax:
         return jnp.asarray(self.schedule(n - 1), float)
 
 
-def check_number(obj, name: str, ok, wanted: str) -> None:
+def check_rate(obj, name: str, ok, wanted: str) -> None:
     """Raises InputError unless field `name` of `obj` is a schedule, a tracer, or numbers that are `ok`."""
     value = getattr(obj, name)
     if callable(value) and not isinstance(value, Schedule):
@@ -267,10 +267,11 @@ def check_number(obj, name: str, ok, wanted: str) -> None:
             f"{type(obj).__name__}: {name} is a function; wrap it: schedules.Optax(f, clock='step')"
         )
     if not isinstance(value, Schedule):
-        _check_plain(obj, name, ok, wanted)
+        check_number(obj, name, ok, wanted)
 
 
-def _check_plain(obj, name: str, ok, wanted: str) -> None:
+def check_number(obj, name: str, ok, wanted: str) -> None:
+    """Raises InputError unless field `name` of `obj` is a tracer, or numbers that are `ok`."""
     value = getattr(obj, name)
     if (number := concrete(value)) is None:
         return

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import policies, schedules, tables
 from jaxrl_tab.policies import EpsilonGreedy, Policy
-from jaxrl_tab.schedules import Clock, Rate, check_number
+from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
 from jaxrl_tab.types import InputError, Transition, concrete, pytree
 
 
@@ -39,7 +39,7 @@ class TDState(NamedTuple):
 
 def check_learning(method: Any) -> None:
     """Raises InputError unless the fields `alpha`, `gamma` and `q0` of `method` are in range."""
-    check_number(method, "alpha", lambda x: x > 0, "greater than 0")
+    check_rate(method, "alpha", lambda x: x > 0, "greater than 0")
     check_number(method, "gamma", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
     check_number(method, "q0", lambda x: x == x, "a number")
 
@@ -64,7 +64,7 @@ class TDControl:
 
     def __post_init__(self):
         check_learning(self)
-        check_number(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
+        check_rate(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
         policies.check_policy(self, "behaviour")
         given = concrete(self.epsilon)
         if self.behaviour is not None and given is not None and np.any(given != TDControl.epsilon):
