@@ -9,17 +9,20 @@
 Importing the package asks XLA for faster loops, as long as JAX has not started: see `batch`.
 """
 
-from jaxrl_tab import algorithms, batch, bridge, envs, offline, planning, policies, schedules
+from jaxrl_tab import algorithms, batch, bridge, envs, offline, planning, policies, prediction, schedules
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
     DoubleQLearning,
     ExpectedSarsa,
     ManyTargets,
+    MonteCarlo,
     NStepSarsa,
+    OffPolicyMonteCarlo,
     QLambda,
     QLearning,
     Sarsa,
     SarsaLambda,
+    SarsaLambdaForward,
     TargetQLearning,
 )
 from jaxrl_tab.batch import use_all_cores
@@ -39,6 +42,7 @@ from jaxrl_tab.envs import (
     make,
 )
 from jaxrl_tab.offline import Experience, collect, learn, replay
+from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import SweepResult
 from jaxrl_tab.sweep import sweep
 from jaxrl_tab.train import Log, train
@@ -49,6 +53,7 @@ __version__ = "0.1.0"
 __all__ = [
     "ALGORITHMS",
     "ENVS",
+    "PREDICTION",
     "Blackjack",
     "CliffWalking",
     "DoubleQLearning",
@@ -62,13 +67,16 @@ __all__ = [
     "Log",
     "ManyTargets",
     "MaximizationBias",
+    "MonteCarlo",
     "NStepSarsa",
+    "OffPolicyMonteCarlo",
     "Outcome",
     "QLambda",
     "QLearning",
     "RandomWalk",
     "Sarsa",
     "SarsaLambda",
+    "SarsaLambdaForward",
     "SweepResult",
     "TargetQLearning",
     "TraceGridworld",
@@ -85,6 +93,7 @@ __all__ = [
     "offline",
     "planning",
     "policies",
+    "prediction",
     "replay",
     "schedules",
     "sweep",
