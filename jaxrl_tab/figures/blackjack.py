@@ -1,0 +1,128 @@
+"""Blackjack: what Monte Carlo control learns beside the exact optimum (book, figure 5.2)."""
+
+import numpy as np
+
+from jaxrl_tab import planning
+from jaxrl_tab.envs import Blackjack
+from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
+
+STICK, HIT = 0, 1
+EPSILON = 0.1
+RUN = "monte-carlo"
+USABLE = {1: "usable ace", 0: "no usable ace"}
+SUMS, SHOWN = np.arange(12, 22), np.arange(1, 11)
+CARDS = ["A", *map(str, SHOWN[1:])]
+
+
+def _experiment(num_seeds=20, num_episodes=500_000):
+    budget = {"num_seeds": num_seeds, "num_episodes": num_episodes, "log_every": num_episodes, "exact": True}
+    return {RUN: swept(Blackjack(), "monte-carlo", {"epsilon": EPSILON}, **budget)}
+
+
+def _by_hand(q):
+    """A table of S states as one of hands: [..., usable ace, player's sum, dealer's card, action]."""
+    return np.asarray(q)[..., :-1, :].reshape(*q.shape[:-2], 2, len(SUMS), len(SHOWN), 2)
+
+
+def _optimal():
+    """q* by hand."""
+    return _by_hand(planning.value_iteration(Blackjack())[1])
+
+
+def _sticks_from(usable):
+    """The lowest sum to stick on, for each card that the dealer may show."""
+    return SUMS[(_optimal()[usable].argmax(-1) == STICK).argmax(0)]
+
+
+def _sticks_unlike(usable, known):
+    return lambda datasets: (_sticks_from(usable) != known).sum()
+
+
+def _optimal_value(datasets):
+    return planning.start_value(Blackjack(), planning.value_iteration(Blackjack())[0])
+
+
+def _learned_value(datasets):
+    """The exact value of the policy that each seed learned."""
+    return datasets[RUN].greedy_value.isel(row=-1)
+
+
+def _draw(datasets):
+    from jaxrl_tab import plot
+
+    ds = datasets[RUN]
+    learned, exact = _by_hand(ds.q.values), _optimal()
+    hits = (learned[..., HIT] > learned[..., STICK]).mean(0)
+    best = exact[..., HIT] > exact[..., STICK]
+    canvas = plot.canvas(15, 7.4)
+    grid = canvas.add_gridspec(2, 4, width_ratios=(1, 1, 1.35, 1.35))
+    for row, (usable, name) in enumerate(USABLE.items()):
+        panels = {
+            f"learned: share of {ds.sizes['seed']} seeds that hit": hits,
+            "exact, with its border": best,
+        }
+        for column, (title, hit) in enumerate(panels.items()):
+            ax = canvas.add_subplot(grid[row, column])
+            _policy(ax, hit[usable], best[usable])
+            ax.set_title(f"{name}\n{title}", fontsize=plot.TITLE)
+        surfaces = {"learned by one seed, max Q(s, a)": learned[0], "exact, v*(s)": exact}
+        for column, (title, q) in enumerate(surfaces.items(), start=2):
+            ax = canvas.add_subplot(grid[row, column], projection="3d")
+            _surface(ax, q[usable].max(-1))
+            ax.set_title(f"{name}\n{title}", fontsize=plot.TITLE)
+    canvas.suptitle(
+        f"blackjack: every-visit Monte Carlo, step 1/N, ε = {EPSILON}, {ds.attrs['num_episodes']:,} episodes"
+    )
+    return canvas
+
+
+def _policy(ax, hit, best):
+    """How far the player hits, from 0 to 1, for each sum and card; and the border of the best policy."""
+    from jaxrl_tab import plot
+
+    ax.pcolormesh(SHOWN, SUMS, hit, cmap="Blues", vmin=0, vmax=1.6, shading="nearest", ec="white", lw=0.5)
+    border = SUMS[(~best).argmax(0)] - 0.5
+    edges = np.append(SHOWN - 0.5, SHOWN[-1] + 0.5)
+    ax.stairs(border, edges, baseline=None, color=plot.ALARM, lw=2)
+    for text, total in {"stick": 20, "hit": 14}.items():
+        ax.text(9, total, text, ha="center", va="center")
+    ax.set_xticks(SHOWN, CARDS)
+    ax.set_yticks(SUMS)
+    ax.set(xlabel="dealer shows", ylabel="player's sum", aspect="equal")
+
+
+def _surface(ax, v):
+    """Values over the dealer's card and the player's sum."""
+    at = np.meshgrid(SHOWN, SUMS)
+    ax.plot_surface(*at, v, cmap="viridis", vmin=-1, vmax=1, ec="#00000055", lw=0.5)
+    ax.set_xticks(SHOWN[::3], CARDS[::3])
+    ax.set_yticks(SUMS[::3])
+    ax.set(xlabel="dealer shows", ylabel="player's sum", zlim=(-1, 1))
+    ax.set_box_aspect((1, 1, 0.6), zoom=1.15)
+    ax.view_init(elev=28, azim=-50)
+
+
+FIGURE = Figure(
+    title="Blackjack: policy and values, learned and exact",
+    source="Sutton and Barto 2018, figure 5.2; Silver, lecture 5",
+    experiment=_experiment,
+    small={"num_seeds": 2, "num_episodes": 200},
+    numbers=(
+        # The optimum by enumeration, and as published; what is learned from 1000 seeds of a plain loop.
+        Number("optimal value from the start", -0.046556, EXACT, _optimal_value),
+        Number(
+            "usable ace: cards for which the lowest sum to stick on is not the known one",
+            0,
+            EXACT,
+            _sticks_unlike(1, (19, 18, 18, 18, 18, 18, 18, 18, 19, 19)),
+        ),
+        Number(
+            "no usable ace: the same",
+            0,
+            EXACT,
+            _sticks_unlike(0, (17, 13, 13, 12, 12, 12, 17, 17, 17, 17)),
+        ),
+        Number("exact value of the learned policy, mean", -0.04894, 0.00009, _learned_value),
+    ),
+    draw=_draw,
+)
