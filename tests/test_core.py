@@ -84,6 +84,9 @@ def test_a_word_is_a_key_like_any_other():
 
 
 def test_policies_split_ties():
+    """Broken once: the first maximal action instead of all -> fails. Behaviour, target and `planning` have
+    their tie rule from here.
+    """
     q = jnp.array([1.0, 3.0, 3.0, -jnp.inf])
     np.testing.assert_array_equal(policies.greedy(q), [0, 0.5, 0.5, 0])
     np.testing.assert_allclose(policies.epsilon_greedy(q, 0.2), [0.05, 0.45, 0.45, 0.05], rtol=1e-6)

@@ -269,6 +269,7 @@ def test_walk_batches_of_left_reward():
     [("windy-gridworld", -15), ("king", -7), ("king+stay", -7), ("cliff-walking", -13)],
 )
 def test_optimal_value(name, value):
+    """Broken once: reward 0 on the step into the goal of the windy gridworld -> fails (V* = -14)."""
     assert optimal_values(name)[ENVIRONMENTS[name].start_state] == pytest.approx(value, abs=1e-9)
 
 

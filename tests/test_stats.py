@@ -77,7 +77,10 @@ def test_interval_covers_the_mean():
 
 
 def test_interval_is_over_the_dimension_named():
-    """Values differ between rows and not at all between seeds: over seeds the interval is a point."""
+    """Values differ between rows and not at all between seeds: over seeds the interval is a point.
+
+    Broken once: sums over the last axis, whatever `dim` -> fails.
+    """
     x = xr.DataArray(np.tile([1.0, 2.0, 4.0], (5, 1)), dims=("seed", "row"))
     interval = stats.mean_interval(x)
     np.testing.assert_array_equal(interval.mean, [1, 2, 4])

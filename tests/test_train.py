@@ -54,6 +54,9 @@ def walk():
 
 
 def test_termination_and_time_limit_are_told_apart(walk):
+    """Broken once: bootstrapping through a terminal state, as if it were a time limit -> fails; a time limit
+    that ends bootstrapping, as if it were terminal -> fails.
+    """
     _, t, _, _ = walk
     terminal = np.isin(t.s_next, [0, 6])
     np.testing.assert_array_equal(t.discount, np.where(terminal, 0.0, 0.5))
@@ -65,6 +68,7 @@ def test_termination_and_time_limit_are_told_apart(walk):
 
 
 def test_s_next_is_the_state_before_the_reset(walk):
+    """Broken once: S' taken after the automatic reset -> fails."""
     _, t, _, _ = walk
     ended = t.last[:-1] == 1
     assert (t.s[1:][ended] == 3).all()  # the middle: the reset happened
@@ -73,6 +77,7 @@ def test_s_next_is_the_state_before_the_reset(walk):
 
 
 def test_the_action_that_update_gave_is_the_action_taken(windy):
+    """Broken once: A' drawn again after Sarsa's update -> fails, and so do the plain loops of Sarsa."""
     t, a_next, _ = record(windy)
     goes_on = t.last[:-1] == 0
     np.testing.assert_array_equal(t.a[1:][goes_on], a_next[:-1][goes_on])
