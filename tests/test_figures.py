@@ -58,6 +58,7 @@ def test_distances_are_in_standard_errors_of_the_difference(measured, expected, 
     ],
 )
 def test_a_bound_is_off_on_its_wrong_side_only(measured, relation, bound, apart):
+    """Broken once: the sides exchanged; a bound without standard errors divided by 0 -> fails."""
     check = number(measured, bound, 0, relation).check({})
     assert check.apart == pytest.approx(apart)
     assert check.ok == (apart <= 4)
@@ -70,7 +71,7 @@ def test_a_number_that_is_not_there_is_off(relation):
 
 @pytest.fixture(scope="session", params=FIGURES)
 def tried(request):
-    """A figure with the datasets of a trial run."""
+    """A figure with the datasets of a trial run: of two seeds, say, so of no worth, but all is there."""
     figure = small(FIGURES[request.param])
     return figure, {name: run(lambda done, total: None) for name, run in figure.experiment().items()}
 
@@ -84,7 +85,7 @@ def test_every_figure_runs_is_drawn_and_has_its_numbers(tried, tmp_path):
     assert len({n.what for n in figure.numbers}) == len(figure.numbers)
     assert all(math.isfinite(number.expected) for number in figure.numbers)
     for number in figure.numbers:
-        number.check(datasets)
+        assert math.isfinite(number.check(datasets).got), number.what
     figure.draw(datasets).savefig(tmp_path / "figure.png")
 
 
@@ -103,6 +104,11 @@ def test_the_expected_numbers_are_those_known():
     known = {name: [(n.expected, n.standard_error) for n in f.numbers] for name, f in FIGURES.items()}
     assert known["windy-gridworld"] == [(160.15, 0.1), (15, 1e-6), (7, 1e-6)]
     assert known["cliff-walking"] == [(-26.79, 0.1), (-49.94, 0.11), (-13, 1e-6), (-20.7077, 5e-5)]
+    best, *learned = known["k-armed-testbed"][:4]
+    assert best == (1.538753, 1e-6)
+    for (expected, error), truth in zip(learned, [1.032, 1.315, 1.367], strict=True):
+        assert abs(expected - truth) < 3 * error
+    assert known["two-doors"][:2] == [(2 / 3, 1e-6), (2 / 3, 1e-6)]
 
 
 @pytest.fixture
@@ -111,7 +117,7 @@ def two_figures(monkeypatch):
     windy, cliff = FIGURES["windy-gridworld"], FIGURES["cliff-walking"]
     for name in list(FIGURES):
         monkeypatch.delitem(FIGURES, name)
-    bad = Number("episodes", 160.15, 0.1, windy.numbers[0].measure)
+    bad = Number("episodes", 500, 0.1, windy.numbers[0].measure)
     monkeypatch.setitem(FIGURES, "windy-gridworld", small(windy, numbers=(bad, windy.numbers[1])))
     monkeypatch.setitem(
         FIGURES, "cliff-walking", small(cliff, numbers=cliff.numbers[2:], title="Sarsa <b> & the [cliff]")
@@ -157,6 +163,7 @@ class Tags(HTMLParser):
 
 
 def test_all_figures_are_made_with_a_page_that_shows_them(two_figures, tmp_path, capsys):
+    """Broken once: `autoescape` off; the title's brackets taken for markup of the terminal -> fails."""
     out = tmp_path / "figures"
     assert main(["figure", "--all", "--out", str(out)]) == 1  # one is off
     printed = capsys.readouterr().out
@@ -195,6 +202,6 @@ def test_the_page_says_how_a_number_came_out():
         Check("bound", 0.0019, 0.0, "at most", 0.005, 0.0, 0.0),
     ]
     text = " ".join(Tags(page({"a": (FIGURES["cliff-walking"], checks)}, "0")).text.split())
-    assert "mean1.50.110.054.47 off" in text
-    assert "exact-13exact-131e-06equal ok" in text
-    assert "bound0.0019exact≤ 0.005exactholds ok" in text
+    assert "mean1.50.110.054.47off" in text
+    assert "exact-13exact-13exactequalok" in text
+    assert "bound0.0019exact≤ 0.005exactholdsok" in text

@@ -52,7 +52,7 @@ FIGURE = Figure(
     title="Sarsa and Q-learning on the cliff",
     source="Sutton and Barto 2018, example 6.6",
     experiment=_experiment,
-    small={"num_seeds": 2, "num_episodes": 5},
+    small={"num_seeds": 2},
     numbers=(
         # From long simulations with plain loops, and by enumeration.
         Number("Sarsa: mean return of episodes 401 to 500", -26.79, 0.10, _late_return("sarsa")),

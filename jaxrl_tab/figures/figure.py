@@ -89,7 +89,7 @@ class Figure:
         source: where it was published.
         experiment: what to run, by name: each gets a `progress(done, total)` to call, and gives a dataset.
             Most are sweeps, see `swept`. Its keyword arguments, all with defaults, are its budget.
-        small: such arguments for a trial run, which takes a moment and shows nothing.
+        small: such arguments for a trial run: quick, with every number there, and none of any worth.
         numbers: what it must show.
         draw: makes the picture from the datasets.
     """

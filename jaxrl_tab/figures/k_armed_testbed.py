@@ -67,7 +67,7 @@ FIGURE = Figure(
     title="The ten-armed test bed: how much exploration pays",
     source="Sutton and Barto 2018, figures 2.2 to 2.4",
     experiment=_experiment,
-    small={"num_problems": 2, "num_plays": 10},
+    small={"num_problems": 2},
     numbers=(
         # By integration; the others from 40 000 problems, with plain loops.
         Number("mean of the best arm", 1.538753, EXACT, _best_arm),

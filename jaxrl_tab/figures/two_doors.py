@@ -66,7 +66,7 @@ FIGURE = Figure(
     title="Greedy behaviour locks on to the worse of two doors",
     source="Silver 2015, lecture 5, greedy action selection",
     experiment=_experiment,
-    small={"num_seeds": 2, "num_plays": 20},
+    small={"num_seeds": 2},
     numbers=(
         # By hand: the door that is first to pay is the choice for ever; one pays always, the other every
         # second time: 1 / (1 + 1/2). The others from 100 000 runs of a plain loop.
