@@ -5,9 +5,12 @@ Sarsa averages over, what importance sampling divides by and what `planning` eva
 numbers. Ties for the maximum share its probability equally, everywhere.
 
 Every method takes one as its `behaviour`, and methods that learn about another policy take one as their
-`target`: `Greedy`, `EpsilonGreedy`, `Softmax`, `UCB`, or any `Table` of probabilities.
+`target`: `Greedy`, `EpsilonGreedy`, `Softmax`, `UCB`, or any `Table` of probabilities. All but tables are
+written as they are typed on the command line (`str`, `parse`): "softmax:0.5".
 """
 
+import dataclasses
+import zlib
 from collections.abc import Callable
 from contextvars import ContextVar
 from functools import reduce
@@ -21,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import schedules, tables
 from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
-from jaxrl_tab.types import TOLERANCE, InputError, concrete, first, pytree
+from jaxrl_tab.types import TOLERANCE, InputError, concrete, first, nearest, pytree
 
 UNROLLED = 16  # rows up to this length are worked through entry by entry
 
@@ -119,7 +122,10 @@ def _check_table(what: str, table: Any, num_states: int, num_actions: int) -> No
 
 
 class _Anywhere:
-    """What policies share that fit every task and, unless they say so, count nothing."""
+    """What policies share that fit every task and, unless they say so, count nothing.
+
+    Their `str` is what is typed for them.
+    """
 
     @property
     def by_visit(self) -> bool:
@@ -127,6 +133,15 @@ class _Anywhere:
 
     def check(self, num_states: int, num_actions: int) -> None:
         pass
+
+    def __str__(self) -> str:
+        name = next((name for name, cls in POLICIES.items() if cls is type(self)), None)
+        if name is None:
+            return repr(self)
+        if (field := _number_of(name)) is None:
+            return name
+        number = schedules.typed(getattr(self, field.name))
+        return repr(self) if number is None else f"{name}:{number}"
 
 
 @pytree
@@ -163,6 +178,10 @@ class EpsilonGreedy(_Anywhere):
     @property
     def by_visit(self) -> bool:
         return schedules.goes_by_visit(self.epsilon)
+
+    def __str__(self) -> str:
+        there = "" if self.available is None else f", available {_brief(self.available)}"
+        return super().__str__() + there
 
     def check(self, num_states: int, num_actions: int) -> None:
         if self.available is not None:
@@ -250,11 +269,71 @@ class Table:
     def by_visit(self) -> bool:
         return False
 
+    def __str__(self) -> str:
+        return f"table {_brief(self.probabilities)}"
+
     def check(self, num_states: int, num_actions: int) -> None:
         _check_table("Table: probabilities", self.probabilities, num_states, num_actions)
 
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
         return tables.row(jnp.asarray(self.probabilities, float), s)
+
+
+POLICIES: dict[str, type] = {
+    "greedy": Greedy,
+    "epsilon-greedy": EpsilonGreedy,
+    "softmax": Softmax,
+    "ucb": UCB,
+}
+
+
+def parse(text: str) -> Policy:
+    """A policy from what is typed: its name, and its number or schedule where it has one.
+
+    So "greedy", "ucb:2", "softmax:0.5", "epsilon-greedy:harmonic:100:visit". The number may be left off.
+
+    Raises:
+        InputError: `text` is none of these; the message says what would be right.
+    """
+    name, colon, number = text.partition(":")
+    if name not in POLICIES:
+        raise InputError(f"there is no policy {text!r}; {nearest(name, POLICIES)}")
+    if not colon:
+        return POLICIES[name]()
+    field = _number_of(name)
+    if field is None:
+        raise InputError(f"{text!r} is not of the form {form(name)}")
+    takes_schedule = field.type == Rate
+    if takes_schedule and schedules.is_named(number):
+        return POLICIES[name](schedules.parse(number))
+    try:
+        value = float(number)
+    except ValueError:
+        what = "a number or a schedule" if takes_schedule else "a number"
+        raise InputError(
+            f"{text!r} is not of the form {form(name)}, where {field.name.upper()} is {what}"
+        ) from None
+    return POLICIES[name](value)
+
+
+def form(name: str) -> str:
+    """How the policy `name` is typed: "softmax[:TEMPERATURE]"."""
+    field = _number_of(name)
+    return f"{name}[:{field.name.upper()}]" if field else name
+
+
+def _brief(table: Any) -> str:
+    """The size of a table and a checksum: tables that are not equal do not look so."""
+    there = concrete(table)
+    if there is None:
+        return "traced"
+    size = "x".join(map(str, there.shape))
+    return f"{size}:{zlib.crc32(there.astype(np.float64).tobytes()):08x}"
+
+
+def _number_of(name: str) -> dataclasses.Field | None:
+    """The field that is typed with the policy `name`: the first, if it has any."""
+    return next(iter(dataclasses.fields(POLICIES[name])), None)
 
 
 # --- what off-policy learning assumes ----------------------------------------------------------------

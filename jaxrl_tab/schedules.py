@@ -76,12 +76,10 @@ class Family:
         raise NotImplementedError
 
     def __str__(self) -> str:
-        digits = []
-        for field in _numbers(type(self)):
-            x = concrete(getattr(self, field))
-            if x is None or x.ndim:
-                return repr(self)  # a batch, or traced: nobody typed it
-            digits.append(np.format_float_positional(x.flat[0], trim="-"))
+        fields = _numbers(type(self))
+        digits = [text for field in fields if (text := typed(getattr(self, field)))]
+        if len(digits) < len(fields):
+            return repr(self)  # a batch, or traced: nobody typed it
         (name,) = (name for name, cls in FAMILIES.items() if cls is type(self))
         long = ":".join([name, *digits, self.clock])
         return next((short for short, other in SHORT.items() if other == long), long)
@@ -201,6 +199,11 @@ def sample_average() -> Harmonic:
     return Harmonic(1.0, clock="visit")
 
 
+def is_named(text: str) -> bool:
+    """Whether `text` is meant to be a schedule: it has numbers with colons, or a schedule's name."""
+    return ":" in text or text in SHORT or text in FAMILIES
+
+
 def parse(text: str) -> Family:
     """A schedule from what is typed: "glie", "sample-average", or a family, its numbers and its clock.
 
@@ -224,6 +227,16 @@ def parse(text: str) -> Family:
             f"{text!r} is not of the form {form(name)}, where CLOCK is one of {', '.join(CLOCKS)}"
         )
     return build(FAMILIES[name], name, {**given, "clock": clock})
+
+
+def typed(rate: Rate) -> str | None:
+    """A number or a schedule as it is typed, "0.1"; None where it is a batch of numbers, or traced."""
+    if isinstance(rate, Schedule):
+        return str(rate)
+    number = concrete(rate)
+    if number is None or number.ndim:
+        return None
+    return np.format_float_positional(number.flat[0], trim="-")
 
 
 def form(name: str) -> str:
