@@ -360,7 +360,8 @@ def _longest_episode(experience: Experience) -> int:
     return int(np.diff(np.flatnonzero(last), prepend=-1).max())
 
 
-@partial(jax.jit, static_argnums=(3, 4), inline=True)
+# How often is no constant of the programs, so another number needs no new one.
+@partial(jax.jit, static_argnums=3, inline=True)
 def _learn(key, algorithm, experience, sizes, passes):
     learner = init_learner(algorithm, sizes)
     transitions = experience.transitions(algorithm.gamma, learner.q.dtype)
@@ -372,26 +373,26 @@ def _learn(key, algorithm, experience, sizes, passes):
         learner, _ = algorithm.update(rng.as_key(word), learner, t)
         return learner, None
 
-    def one_pass(learner, k):
-        return lax.scan(update, learner, (k * size + jnp.arange(size), transitions))
+    def one_pass(k, learner):
+        return lax.scan(update, learner, (k * size + jnp.arange(size), transitions))[0]
 
-    return lax.scan(one_pass, learner, jnp.arange(passes))[0]
+    return lax.fori_loop(0, passes, one_pass, learner)
 
 
-@partial(jax.jit, static_argnums=(3, 4), inline=True)
+@partial(jax.jit, static_argnums=3, inline=True)
 def _replay(key, algorithm, experience, sizes, num_updates):
     learner = init_learner(algorithm, sizes)
     transitions = experience.transitions(algorithm.gamma, learner.q.dtype)
     stream, size = rng.stream(key), len(transitions.s)
 
-    def update(learner, i):
+    def update(i, learner):
         update_key, draw_key = map(rng.as_key, rng.words(stream, i, 0))
         drawn = jax.random.randint(draw_key, (), 0, size)
         t = jax.tree.map(lambda x: tables.entry(x, drawn), transitions)
         learner, _ = algorithm.update(update_key, learner, t)
-        return learner, None
+        return learner
 
-    return lax.scan(update, learner, jnp.arange(num_updates))[0]
+    return lax.fori_loop(0, num_updates, update, learner)
 
 
 # --- logging a run -----------------------------------------------------------------------------------
