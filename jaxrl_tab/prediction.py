@@ -13,7 +13,9 @@ Off-policy, b acts while v_pi is learned; ratios rho = pi(A | S) / b(A | S) then
 
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import planning, policies, tables
@@ -96,6 +98,12 @@ class Prediction:
         learner, _ = self.control().update(key, state.learner, t._replace(a=jnp.zeros_like(t.a)))
         state = state._replace(learner=learner)
         return state, self.policy(key, state, t.s_next)
+
+    def exact_value(self, env: Environment) -> float:
+        """v_pi from the start distribution, float64; -inf where pi may go round for ever at a cost."""
+        with jax.enable_x64():
+            pi = np.asarray(_probabilities(self.pi, env.num_states, env.num_actions))
+        return planning.policy_value(env, pi, self.gamma)
 
     def measurer(self, env: Environment):
         """What `train(exact=True)` records: the root of the mean squared error of V, from the state."""

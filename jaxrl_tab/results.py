@@ -2,12 +2,13 @@
 
 import dataclasses
 import json
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxrl_tab.policies import Policy
-from jaxrl_tab.schedules import Schedule
+from jaxrl_tab.schedules import Schedule, typed
 from jaxrl_tab.train import Log
 from jaxrl_tab.types import Environment
 
@@ -26,8 +27,9 @@ class SweepResult:
         fixed: the other hyperparameters.
         log: what happened, NumPy [*grid, seeds, rows] each; see `train.Log`.
         q: the final tables, float [*grid, seeds, S, A].
-        optimal_value: v* from the start distribution, float64 [gammas] where gamma is swept, else [];
-            NaN where the environment does not state its outcomes or has no finite optimum.
+        optimal_value: v* from the start distribution, for prediction v_pi; float64 [gammas] where gamma is
+            swept, else []. Where each run has a problem of its own, the mean over problems. NaN where
+            the environment does not say, or there is no finite v*, or no single such number.
         root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), i)`.
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
@@ -78,7 +80,7 @@ class SweepResult:
         variables["q"] = ((*axes, "state", "action"), self.q)
         if "gamma" in self.grid:
             variables["optimum"] = (("gamma",), self.optimal_value)
-        coords: dict[str, Any] = {name: [label(v) for v in values] for name, values in self.grid.items()}
+        coords: dict[str, Any] = {name: labels(values) for name, values in self.grid.items()}
         coords["seed"] = np.arange(self.q.shape[len(self.grid)])
         coords["row"] = np.arange(self.log.steps.shape[-1])
         budget = {"num_steps": self.num_steps, "num_episodes": self.num_episodes}
@@ -99,11 +101,16 @@ class SweepResult:
 
 
 def label(value: Any) -> Any:
-    """A hyperparameter as a coordinate: a number as it is, a schedule or a policy as it is typed.
-
-    (An axis that holds both is all text.)
-    """
+    """A hyperparameter as a coordinate: a number as it is, a schedule or a policy as it is typed."""
     return str(value) if isinstance(value, Schedule | Policy) else value
+
+
+def labels(values: Iterable[Any]) -> list[Any]:
+    """The coordinates of an axis. Where any is a schedule or a policy all are as typed: text like "0.1"."""
+    found = [label(value) for value in values]
+    if any(isinstance(x, str) for x in found):
+        return [typed(x) if isinstance(x, float) else str(x) for x in found]
+    return found
 
 
 def parameters(obj: Any) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from jaxrl_tab import batch, planning
 from jaxrl_tab.algorithms import ALGORITHMS
@@ -51,7 +52,7 @@ def sweep(
         env: the environment.
         algorithm: a class such as `Sarsa`, or its name in `ALGORITHMS` or `PREDICTION`.
         grid: for each hyperparameter a list of values (an axis of the result) or a single value. A value
-            is a number or a schedule. What is not named keeps its default.
+            is a number, a schedule or a policy. What is not named keeps its default.
         num_seeds: how many seeds, at least 1.
         num_steps, num_episodes, log_every, exact, record: as in `train`.
         seed: which sequence of seeds, a whole number >= 0.
@@ -95,6 +96,8 @@ def sweep(
             own = slice(place * num_seeds, (place + 1) * num_seeds)
             q[i], logs[i] = out.q[own], jax.tree.map(lambda x, own=own: x[own], out.log)
 
+    # Where a behaviour policy is given epsilon is not looked at, and it would mislead to show it.
+    unused = {"epsilon"} if getattr(configs[0], "behaviour", None) is not None else set()
     shape = tuple(len(values) for values in axes.values())
     stack = lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape)
     log: Log = jax.tree.map(stack, *(logs[i] for i in range(len(configs))))
@@ -103,10 +106,10 @@ def sweep(
         algorithm=_name_in(METHODS, cls),
         env=env,
         grid=axes,
-        fixed={name: value for name, value in parameters(configs[0]).items() if name not in axes},
+        fixed={k: value for k, value in parameters(configs[0]).items() if k not in axes and k not in unused},
         log=log,
         q=stack(*(q[i] for i in range(len(configs)))),
-        optimal_value=_optimal_value(env, axes.get("gamma", configs[0].gamma)),
+        optimal_value=_exact_value(env, axes, configs),
         root_seed=int(seed),
         num_steps=num_steps,
         num_episodes=num_episodes,
@@ -177,15 +180,36 @@ def _name_in(registry: Mapping[str, type], cls: type) -> str:
     return next((name for name, value in registry.items() if value is cls), cls.__name__)
 
 
-def _optimal_value(env: Environment, gamma: Any) -> np.ndarray:
-    """v* from the start, float64, for one gamma or for each; NaN where there is no finite exact answer."""
+def _exact_value(
+    env: Environment, axes: Mapping[str, tuple], configs: Sequence[Algorithm]
+) -> Float[np.ndarray, "*gammas"]:
+    """What the runs are measured by, as `SweepResult.optimal_value` has it."""
 
-    def solve(gamma: float) -> float:
-        if not isinstance(env, FiniteEnvironment):
-            return np.nan
-        try:
-            return planning.start_value(env, planning.value_iteration(env, gamma)[0])
-        except InputError:
-            return np.nan
+    def value(gamma: float) -> float:
+        found = {_judge(env, config) for config in _different(configs, gamma)}
+        return found.pop() if len(found) == 1 else np.nan  # one for each pi, say
 
-    return np.vectorize(solve, otypes=[float])(np.asarray(gamma, float))
+    if "gamma" in axes:
+        return np.array([value(gamma) for gamma in axes["gamma"]])
+    return np.array(value(configs[0].gamma))
+
+
+def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
+    """Those with this gamma whose exact values may differ: of control one."""
+    same = [config for config in configs if config.gamma == gamma]
+    return same if hasattr(same[0], "exact_value") else same[:1]
+
+
+def _judge(env: Environment, config: Any) -> float:
+    """The exact value from the start of what `config` learns; NaN where there is no finite answer."""
+    if hasattr(env, "instance"):  # a problem for each run: an environment may know the mean over them
+        mean = getattr(env, "mean_optimal_value", None)
+        return np.nan if mean is None or hasattr(config, "exact_value") else mean(config.gamma)
+    if not isinstance(env, FiniteEnvironment):
+        return np.nan
+    if hasattr(config, "exact_value"):
+        return config.exact_value(env)
+    try:
+        return planning.start_value(env, planning.value_iteration(env, config.gamma)[0])
+    except InputError:
+        return np.nan

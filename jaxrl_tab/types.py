@@ -164,7 +164,11 @@ class Sizes(Protocol):
 
 @runtime_checkable
 class Environment(Sizes, Protocol):
-    """A task: a frozen pytree whose numbers are leaves and whose sizes are static."""
+    """A task: a frozen pytree whose numbers are leaves and whose sizes are static.
+
+    It may have a method `instance(key) -> Environment`, which draws the problem of one run; `train` calls it
+    once. `mean_optimal_value(gamma) -> float` may then say the mean over problems of v* from the start.
+    """
 
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
         """Draws a start state, int32 []."""

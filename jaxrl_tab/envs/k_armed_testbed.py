@@ -65,6 +65,10 @@ class KArmedTestbed(Bandit):
         noise = jax.random.normal(key, dtype=mean.reward.dtype)
         return mean._replace(reward=mean.reward + jnp.where(s == self.start_state, noise, 0))
 
+    def mean_optimal_value(self, gamma: float) -> float:
+        """The mean over problems of v* from the start; a play is one step, so gamma does not matter."""
+        return self.expected_best_mean()
+
     def expected_best_mean(self) -> float:
         """The mean over problems of max_a q*(a), for comparison with learned rewards; 1.538753 for 10 arms.
 
