@@ -147,7 +147,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
     ax.legend(loc="best", framealpha=0.8, edgecolor="none")
 
 
-def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, **line: Any) -> None:
+def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, lw: float = 2) -> None:
     """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its 95% interval.
 
     Args:
@@ -156,10 +156,10 @@ def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, *
         values: one number for each seed and place.
         label: as the legend shows it.
         color: of the line and of the band.
-        line: how the line is drawn, as in `Axes.plot`.
+        lw: width of the line, points.
     """
     interval = stats.mean_interval(values)
-    ax.plot(x, interval.mean, label=label, color=color, **{"lw": 2} | line)
+    ax.plot(x, interval.mean, label=label, color=color, lw=lw)
     ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
 
 

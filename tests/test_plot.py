@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
@@ -72,6 +73,18 @@ def texts(ax):
 
 
 # --- curves ------------------------------------------------------------------------------------------
+
+
+def test_a_mean_curve_is_the_mean_with_its_interval(ax):
+    values = xr.DataArray([[1.0, 4.0], [3.0, 4.0]], dims=("seed", "row"))
+    plot.mean_curve(ax, [10, 20], values, "sarsa", plot.COLORS[1])
+    (line,) = ax.get_lines()
+    assert line.get_label() == "sarsa"
+    np.testing.assert_array_equal(line.get_xydata(), [[10, 2], [20, 4]])
+    band = ax.collections[0].get_paths()[0].vertices
+    half = 12.7062047  # Student's t with one degree of freedom, times a standard error of 1
+    assert {*np.round(band[band[:, 0] == 10, 1], 4)} == {*np.round([2 - half, 2 + half], 4)}
+    assert {*band[band[:, 0] == 20, 1]} == {4.0}
 
 
 def test_episodes_against_steps(ax, datasets):

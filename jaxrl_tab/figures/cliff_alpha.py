@@ -70,9 +70,16 @@ def _draw(datasets):
         f"mean and 95% interval over {seeds} seeds",
         fontsize=plot.TITLE,
     )
-    curves_last = ax.get_legend_handles_labels()
-    handles, labels = (x[len(exact) :] + x[: len(exact)] for x in curves_last)
-    canvas.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    # Matplotlib names lines first; here they come last, in a column of their own.
+    handles, labels = ax.get_legend_handles_labels()
+    order = np.roll(np.arange(len(handles)), -len(exact))
+    canvas.legend(
+        [handles[i] for i in order],
+        [labels[i] for i in order],
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+    )
     return canvas
 
 
