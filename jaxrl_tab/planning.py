@@ -169,7 +169,7 @@ def expectation_backup(
     Raises:
         InputError: a table has the wrong shape, or `policy_probs` is no policy.
     """
-    _check_rate("gamma", gamma)
+    check_rate("gamma", gamma)
     model = exact_model(env)
     v = (_checked_policy(model, policy_probs) * checked_values(model, "q", q)).sum(1)
     return backup(model, v, gamma)
@@ -183,7 +183,7 @@ def optimality_backup(
     The right-hand side of the Bellman optimality equation for q* (book, equation 3.20). Args and errors: as
     `expectation_backup`.
     """
-    _check_rate("gamma", gamma)
+    check_rate("gamma", gamma)
     model = exact_model(env)
     return backup(model, checked_values(model, "q", q).max(1), gamma)
 
@@ -196,7 +196,7 @@ def evaluation_backup(
     The right-hand side of the Bellman expectation equation for v_pi (book, equation 4.5). Args and errors: as
     `expectation_backup`, but for `v`, the values, [S].
     """
-    _check_rate("gamma", gamma)
+    check_rate("gamma", gamma)
     model = exact_model(env)
     probs = _checked_policy(model, policy_probs)
     return (probs * backup(model, checked_values(model, "v", v), gamma)).sum(1)
@@ -219,7 +219,7 @@ def greedy_policy(q: Float[np.ndarray, "S A"]) -> Float[np.ndarray, "S A"]:
 
 def epsilon_greedy_policy(q: Float[np.ndarray, "S A"], epsilon: float) -> Float[np.ndarray, "S A"]:
     """The policy that is epsilon-greedy to `q`, ties split equally, float64 [S, A] (book, section 5.4)."""
-    _check_rate("epsilon", epsilon)
+    check_rate("epsilon", epsilon)
     with jax.enable_x64():
         return np.asarray(jax.vmap(partial(policies.epsilon_greedy, epsilon=epsilon))(jnp.asarray(q, float)))
 
@@ -241,7 +241,7 @@ def evaluate(
         InputError: `policy_probs` is no policy; or gamma is 1 and from some state the policy never ends while
             rewards go on, so that its value is not finite. (Where no reward ever comes again it is 0.)
     """
-    _check_rate("gamma", gamma)
+    check_rate("gamma", gamma)
     model = exact_model(env)
     v, caught = _policy_value(model, _checked_policy(model, policy_probs), gamma)
     if caught.any():
@@ -260,7 +260,7 @@ def policy_value(env: Environment, policy_probs: Float[np.ndarray, "S A"], gamma
 
     Args and errors: as `evaluate`.
     """
-    _check_rate("gamma", gamma)
+    check_rate("gamma", gamma)
     model = exact_model(env)
     return float(_from_start(model, _policy_value(model, _checked_policy(model, policy_probs), gamma)[0]))
 
@@ -281,7 +281,7 @@ def value_iteration(
         InputError: gamma is 1 and from some state no policy ever ends while rewards go on, or a round trip
             earns more than it costs; or `max_sweeps` were not enough.
     """
-    _check_rate("gamma", gamma)
+    check_rate("gamma", gamma)
     if not (isinstance(tol, Real) and tol > 0):
         raise InputError(f"tol must be greater than 0, not {tol!r}")
     model = exact_model(env)
@@ -320,7 +320,7 @@ def epsilon_soft(
     Raises:
         InputError: epsilon is not in [0, 1], or as `value_iteration`.
     """
-    _check_rate("epsilon", epsilon)
+    check_rate("epsilon", epsilon)
     return _policy_iteration(env, epsilon, gamma)
 
 
@@ -331,7 +331,7 @@ def _policy_iteration(env: Environment, epsilon: float, gamma: float):
     can be caught, unless in a loop that earns more than it costs: along a loop without gain all actions were
     equal, and stayed.
     """
-    _check_rate("gamma", gamma)
+    check_rate("gamma", gamma)
     model = exact_model(env)
     uniform = np.full(model.prob.shape[:2], 1 / model.prob.shape[1])
     probs = uniform if epsilon else _ending_policy(model)
@@ -474,15 +474,30 @@ def _policy_value(model: Model, probs: Float[Any, "S A"], gamma: Any) -> tuple[A
 def _solve(model: Model, weight: Float[Any, "S A K"], reward: Float[Any, " S"]) -> Any:
     """Solves v(s) = reward(s) + sum over (a, k) of weight v(s_next): dense in JAX, sparse in NumPy."""
     n = len(reward)
-    rows = np.arange(n)[:, None, None]
     if _namespace(model) is jnp:
+        rows = np.arange(n)[:, None, None]
         return _solve_dense(jnp.eye(n).at[rows, model.s_next].add(-weight), reward)
+    return solve_sparse(from_state_to_state(model, weight), reward)
+
+
+def from_state_to_state(model: Model, weight: Float[np.ndarray, "S A K"]) -> Any:
+    """The sparse matrix, float64 [S, S], of the weights of all outcomes that lead from one state to another.
+
+    Where `weight` is a probability, of action and outcome, it is the matrix of a Markov chain.
+    """
     from scipy import sparse  # here, because it takes 0.3 s
+
+    n = len(weight)
+    rows = np.broadcast_to(np.arange(n)[:, None, None], weight.shape)
+    return sparse.csc_array((weight.ravel(), (rows.ravel(), model.s_next.ravel())), shape=(n, n))
+
+
+def solve_sparse(matrix: Any, constant: Float[np.ndarray, " S"]) -> Any:
+    """Solves x = constant + matrix x, for a sparse matrix [S, S]; float64 [S]."""
+    from scipy import sparse
     from scipy.sparse.linalg import spsolve
 
-    entries = np.broadcast_to(rows, weight.shape).ravel(), np.asarray(model.s_next).ravel()
-    steps = sparse.csc_array((np.asarray(weight).ravel(), entries), shape=(n, n))
-    return spsolve(sparse.eye_array(n, format="csc") - steps, reward)
+    return spsolve(sparse.eye_array(len(constant), format="csc") - matrix, constant)
 
 
 @sequential_vmap
@@ -577,7 +592,8 @@ def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
     return array
 
 
-def _check_rate(name: str, value: float) -> None:
+def check_rate(name: str, value: float) -> None:
+    """Raises InputError unless `value` is a number in [0, 1]."""
     if not (isinstance(value, Real) and 0 <= value <= 1):
         raise InputError(f"{name} must be between 0 and 1, not {value!r}")
 
