@@ -80,4 +80,6 @@ def visit(
     """
     if seen is None:
         return None, jnp.bool(True)
-    return tables.put(seen, number[None, None], s, a), tables.entry(seen, s, a) != number
+    before = tables.entry(seen, s, a)
+    now = jnp.maximum(before, number)  # which is `number`: what is written needs what is read, so no copy
+    return tables.put(seen, now[None, None], s, a), before != number

@@ -92,13 +92,13 @@ class MonteCarlo(TDControl):
     def update(self, key, state: MonteCarloState, t: Transition):
         seen, first = episode.visit(state.seen, state.clock.episode + 1, t.s, t.a)
         step = Step(t.s, t.a, t.r, first)
+        state = state._replace(clock=state.clock._replace(step=state.clock.step + 1))
         rest = t.discount * (self.probs(state, t.s_next) @ tables.row(state.q, t.s_next))
-        clock = state.clock._replace(step=state.clock.step + 1)
         (q, visits), remembered = episode.learn(
-            partial(_walk, self.first_visit), (state.q, clock.visits), state.episode, step, t.last,
-            rest, self.alpha, self.gamma, clock._replace(visits=None)
+            partial(_walk, self.first_visit), (state.q, state.clock.visits), state.episode, step, t.last,
+            rest, self.alpha, self.gamma, state.clock._replace(visits=None)
         )  # fmt: skip
-        clock = schedules.end_step(clock._replace(visits=visits), t.last)
+        clock = schedules.end_step(state.clock._replace(visits=visits), t.last)
         acting = state.acting
         if acting is not None:
             acting = jnp.where(t.last & (clock.episode % self.batch == 0), q, acting)

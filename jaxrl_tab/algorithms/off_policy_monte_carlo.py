@@ -107,13 +107,13 @@ class OffPolicyMonteCarlo(OffPolicyControl):
         b = tables.entry(self.probs(state, t.s), t.a)
         seen, first = episode.visit(state.seen, state.clock.episode + 1, t.s, self.column(t.a))
         step = Step(t.s, t.a, t.r, b, first)
-        clock = state.clock._replace(step=state.clock.step + 1)
+        state = state._replace(clock=state.clock._replace(step=state.clock.step + 1))
         (q, visits, mean_weight), remembered = episode.learn(
             partial(_walk, self.weighting, self.first_visit, self.of_states),
-            (state.q, clock.visits, state.mean_weight), state.episode, step, t.last,
-            self.rest(state, t), self.pi, self.alpha, self.gamma, clock._replace(visits=None),
+            (state.q, state.clock.visits, state.mean_weight), state.episode, step, t.last,
+            self.rest(state, t), self.pi, self.alpha, self.gamma, state.clock._replace(visits=None),
         )  # fmt: skip
-        clock = schedules.end_step(clock._replace(visits=visits), t.last)
+        clock = schedules.end_step(state.clock._replace(visits=visits), t.last)
         state = OffPolicyMonteCarloState(q, clock, remembered, mean_weight, seen)
         return state, self.policy(key, state, t.s_next)
 
@@ -132,35 +132,38 @@ def _walk(weighting, first_visit, of_states, lane, learned, steps, length, rest,
     C is kept as the mean weight: with alpha = 1/N, alpha W / mean = W / sum. A weight multiplies the return:
     all of it at once, or, per decision, what follows its action.
     """
-    pi, alpha, gamma, clock = jax.tree.map(lambda x: x[lane], (pi, alpha, gamma, clock))
+    alpha, gamma, clock = jax.tree.map(lambda x: x[lane], (alpha, gamma, clock))
 
     def back(i, carry):
         (q, visits, mean_weight), g, w = carry
         s, a, r, b, first = (tables.entry(x, lane, i) for x in steps)
         at = lane, s, jnp.int32(0) if of_states else a
-        g = r + gamma * g
+        counts = lambda new, old: jnp.where(first, new, old) if first_visit else new
 
+        def weigh(q, visits, g, w):
+            row = jax.lax.dynamic_slice(q, (lane, s, jnp.int32(0)), (1, 1, q.shape[2]))[0, 0]
+            target, counted = jax.tree.map(lambda x: x[lane], (pi, visits))
+            rho = tables.entry(target.probs(row, clock._replace(visits=counted), s), a) / b
+            return (rho * g, w) if weighting == "per-decision" else (g, rho * w)
+
+        g = r + gamma * g
+        if of_states:  # the action is part of what follows the state
+            g, w = weigh(q, visits, g, w)
         n = None
         if visits is not None:
             visits = tables.write(visits, tables.entry(visits, *at) + first, *at)
             n = tables.entry(visits, *at)  # from the new table: see `lane_by_lane`
         step = schedules.at_visit(alpha, clock, n)
-        if of_states:  # the action is part of what follows the state
-            rho = tables.entry(pi.probs(q, clock, s), a) / b
-            g, w = (rho * g, w) if weighting == "per-decision" else (g, rho * w)
         if weighting == "weighted":
             old = tables.entry(mean_weight, *at)
-            mean_weight = tables.write(mean_weight, old + step * first * (w - old), *at)
+            mean_weight = tables.write(mean_weight, counts(old + step * (w - old), old), *at)
             mean = tables.entry(mean_weight, *at)
             step = step * jnp.where(w > 0, w / mean, 0)
         target = w * g if weighting == "ordinary" else g
         old = tables.entry(q, *at)
-        new = old + step * (target - old)
-        q = tables.write(q, jnp.where(first, new, old) if first_visit else new, *at)
+        q = tables.write(q, counts(old + step * (target - old), old), *at)
         if not of_states:
-            row = jax.lax.dynamic_slice(q, (lane, s, jnp.int32(0)), (1, 1, q.shape[2]))[0, 0]
-            rho = tables.entry(pi.probs(row, clock, s), a) / b
-            g, w = (rho * g, w) if weighting == "per-decision" else (g, rho * w)
+            g, w = weigh(q, visits, g, w)
         return (q, visits, mean_weight), g, w
 
     one = jnp.ones((), rest.dtype)
