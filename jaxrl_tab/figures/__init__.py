@@ -1,10 +1,14 @@
 """Published figures, one file each. To add one: write its file, and add its line to FIGURES."""
 
 from jaxrl_tab.figures import (
+    bias_variance,
+    blackjack,
+    blackjack_regret,
     cliff_alpha,
     cliff_walking,
     k_armed_testbed,
     maximization_bias,
+    trace_gridworld,
     two_doors,
     windy_gridworld,
 )
@@ -17,6 +21,10 @@ FIGURES = {
     "cliff-walking": cliff_walking.FIGURE,
     "cliff-alpha": cliff_alpha.FIGURE,
     "maximization-bias": maximization_bias.FIGURE,
+    "trace-gridworld": trace_gridworld.FIGURE,
+    "bias-variance": bias_variance.FIGURE,
+    "blackjack": blackjack.FIGURE,
+    "blackjack-regret": blackjack_regret.FIGURE,
 }
 
 __all__ = ["FIGURES", "Check", "Figure", "Number", "swept"]
