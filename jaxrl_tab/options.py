@@ -12,7 +12,7 @@ import io
 import itertools
 import re
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
@@ -20,7 +20,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from jaxrl_tab import describe, schedules
+from jaxrl_tab import describe, policies, schedules
 from jaxrl_tab.types import InputError, nearest
 
 
@@ -31,13 +31,29 @@ class Group(NamedTuple):
         registry: name -> class.
         help: what they are, one line.
         grids: whether every option takes any number of values, to be tried one by one.
-        defaults: parameter -> values, where they are not those of the classes.
+        defaults: parameter -> values, instead of the one number that the classes have.
+        parts: what people call parts of the registry -> the names in it.
     """
 
     registry: Mapping[str, type]
     help: str
     grids: bool = False
     defaults: Mapping[str, tuple[Any, ...]] = MappingProxyType({})
+    parts: Mapping[str, Collection[str]] = MappingProxyType({})
+
+    def default(self, parameter: describe.Parameter) -> Any:
+        """The value of a parameter that is not given; a tuple of several where they make a grid."""
+        is_number = isinstance(parameter.default, int | float)
+        return self.defaults.get(parameter.name, parameter.default) if is_number else parameter.default
+
+    def owners(self, names: Sequence[str]) -> str:
+        """Names of the registry in few words: the name of a part instead of all that are in it."""
+        left, found = list(names), []
+        for part, members in self.parts.items():
+            if set(members) <= set(left):
+                found.append(part)
+                left = [name for name in left if name not in members]
+        return ", ".join(found + left)
 
 
 def whole(least: int) -> Any:
@@ -118,13 +134,13 @@ def values(name: str, given: Mapping[str, tuple[str, ...]], group: Group) -> dic
     Raises:
         InputError: the entry has no such parameter, or what was typed is of the wrong kind.
     """
-    known = {option_of(p): p for p in describe.parameters(group.registry[name])}
-    found = {p.name: list(group.defaults[p.name]) for p in known.values() if p.name in group.defaults}
+    known = {option_of(p): p for p in parameters(group.registry[name])}
+    found = {p.name: list(group.default(p)) for p in known.values() if group.default(p) is not p.default}
     for option, tokens in given.items():
         if option not in known:
             owners = [other for other, cls in group.registry.items() if option in _spelled(cls)]
             raise InputError(
-                f"{name} has no {option}, which is of {', '.join(owners)}; {name} has {', '.join(known)}"
+                f"{name} has no {option}, which is of {group.owners(owners)}; {name} has {', '.join(known)}"
             )
         parameter = known[option]
         if isinstance(parameter.default, bool):
@@ -136,13 +152,20 @@ def values(name: str, given: Mapping[str, tuple[str, ...]], group: Group) -> dic
     return found
 
 
+def parameters(cls: type) -> list[describe.Parameter]:
+    """The parameters of a registered class that can be typed: all but tables, which have no default."""
+    return [p for p in describe.parameters(cls) if p.default is not None or _takes_policy(p)]
+
+
 def option_of(parameter: describe.Parameter) -> str:
     """How a parameter is given on the command line."""
     return _spell(_field(parameter))
 
 
 def words(value: Any) -> str:
-    """A value as it is typed."""
+    """A value as it is typed; a dash where there is none."""
+    if value is None:
+        return "–"
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, tuple):
@@ -151,26 +174,38 @@ def words(value: Any) -> str:
 
 
 def _help(group: Group) -> str:
-    """What the group is, and how a schedule is typed if some parameter takes one."""
-    if not any(_takes_schedule(p) for cls in group.registry.values() for p in describe.parameters(cls)):
-        return group.help
-    return f"{group.help} A schedule is one of {_forms()}."
+    """What the group is, and how a schedule and a policy are typed if some parameter takes one."""
+    known = [p for cls in group.registry.values() for p in parameters(cls)]
+    parts = [group.help]
+    if any(map(_takes_schedule, known)):
+        parts.append(f"A schedule is one of {_schedules()}.")
+    if any(map(_takes_policy, known)):
+        parts.append(f"A policy is one of {_policies()}.")
+    return " ".join(parts)
 
 
-def _forms() -> str:
+def _schedules() -> str:
     forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.FAMILIES)])
     return f"{forms}, where CLOCK is one of {', '.join(schedules.CLOCKS)}"
+
+
+def _policies() -> str:
+    return ", ".join(map(policies.form, policies.POLICIES))
 
 
 def _takes_schedule(parameter: describe.Parameter) -> bool:
     return parameter.type == schedules.Rate
 
 
+def _takes_policy(parameter: describe.Parameter) -> bool:
+    return parameter.type == policies.Policy | None
+
+
 def _options(name: str, group: Group) -> type:
     """A dataclass with a field for each option of the group; None or False where it is not given."""
     owners: dict[str, dict[str, describe.Parameter]] = {}
     for entry, cls in group.registry.items():
-        for parameter in describe.parameters(cls):
+        for parameter in parameters(cls):
             owners.setdefault(_field(parameter), {})[entry] = parameter
     fields = []
     for field, owned in owners.items():
@@ -188,32 +223,40 @@ def _options(name: str, group: Group) -> type:
 
 
 def _hint(owned: Mapping[str, describe.Parameter], group: Group) -> str:
-    """Whose parameter it is where not all have it, and its default."""
-    defaults = {entry: words(group.defaults.get(p.name, p.default)) for entry, p in owned.items()}
-    default = next(iter(defaults.values()))
-    if len(set(defaults.values())) > 1:
-        default = ", ".join(f"{default} for {entry}" for entry, default in defaults.items())
-    owners = "" if len(owned) == len(group.registry) else f"of {', '.join(owned)}; "
-    return f"({owners}default: {default})"
+    """Whose parameter it is where not all have it, and its defaults: the most usual first."""
+    notes = [] if len(owned) == len(group.registry) else [f"of {group.owners(list(owned))}"]
+    entries: dict[str, list[str]] = {}
+    for entry, parameter in owned.items():
+        entries.setdefault(words(group.default(parameter)), []).append(entry)
+    usual, *others = sorted(entries, key=lambda default: -len(entries[default]))
+    if usual != words(None):
+        notes += [f"default: {usual}", *(f"{other} for {group.owners(entries[other])}" for other in others)]
+    return f"({'; '.join(notes)})" if notes else ""
 
 
 def _value(option: str, token: str, parameter: describe.Parameter) -> Any:
     """`token` as a value of the kind that the parameter's default is."""
+    name = token.replace("_", "-")
+    if _takes_policy(parameter):
+        return _parsed(policies.parse, option, name)
+    rate = _takes_schedule(parameter)
     like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
-    kinds = (type(like),) if type(like) in (int, float, str) else (int, float, str)
-    for kind in kinds:
-        with contextlib.suppress(ValueError):
-            return kind(token)
-    wanted = "a whole number" if kinds == (int,) else "a number"
-    if _takes_schedule(parameter):
-        name = token.replace("_", "-")
-        if ":" in name or name in {*schedules.SHORT, *schedules.FAMILIES}:
-            try:
-                return schedules.parse(name)
-            except InputError as error:
-                raise InputError(f"{option}: {error}") from None
-        wanted += f" or a schedule ({_forms()})"
+    kind = float if rate else type(like)
+    with contextlib.suppress(ValueError):
+        return kind(token)
+    if rate and schedules.is_named(name):
+        return _parsed(schedules.parse, option, name)
+    wanted = "a whole number" if kind is int else "a number"
+    if rate:
+        wanted += f" or a schedule ({_schedules()})"
     raise InputError(f"{option} takes {wanted}, not {token!r}")
+
+
+def _parsed(parse: Callable[[str], Any], option: str, token: str) -> Any:
+    try:
+        return parse(token)
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None
 
 
 def _field(parameter: describe.Parameter) -> str:
@@ -225,7 +268,7 @@ def _spell(field: str) -> str:
 
 
 def _spelled(cls: type) -> list[str]:
-    return [option_of(p) for p in describe.parameters(cls)]
+    return [option_of(p) for p in parameters(cls)]
 
 
 def _notes(kind: Any) -> tuple[Any, ...]:
