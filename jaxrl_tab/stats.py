@@ -90,6 +90,22 @@ def mean_return(ds: xr.Dataset, rows: slice = slice(None)) -> xr.DataArray:
     return chosen.returns.astype(float).sum("row", skipna=False) / episodes.where(episodes > 0)
 
 
+def is_prediction(*datasets: xr.Dataset) -> bool:
+    """Whether all are of methods of prediction whose error was recorded (`exact=True`)."""
+    return all("v_error" in ds for ds in datasets)
+
+
+def score(ds: xr.Dataset) -> xr.DataArray:
+    """The number of each seed by which settings are compared, float64 [*hyperparameters, seed].
+
+    The mean return of the last tenth, the higher the better. Of a method of prediction the mean of its RMS
+    error over all rows of the log, the lower the better (as in the book's figures 7.2 and 12.3).
+    """
+    if is_prediction(ds):
+        return ds.v_error.astype(float).mean("row", skipna=False)
+    return mean_return(ds, last_tenth(ds))
+
+
 def learning_curve(ds: xr.Dataset) -> xr.DataArray:
     """Mean return of the episodes that ended in each row, float64 [*hyperparameters, seed, row].
 
@@ -136,17 +152,17 @@ def fixed(ds: xr.Dataset) -> dict[str, Any]:
 
 
 def optimum(ds: xr.Dataset) -> xr.DataArray:
-    """v* from the start: [], or [gamma] where gamma was swept. NaN where it is not known."""
+    """v* (of prediction v_pi) from the start: [], or [gamma] where gamma was swept. NaN where not known."""
     return ds["optimum"] if "optimum" in ds else xr.DataArray(float(ds.attrs.get("optimal_value", np.nan)))
 
 
 def best(ds: xr.Dataset, **given: Any) -> dict[str, Any]:
-    """The combination of hyperparameters with the highest mean return over the last tenth.
+    """The combination of hyperparameters with the best mean `score`: the highest return, the lowest error.
 
-    Only combinations in which the most seeds finished an episode there compete: the mean of those that
-    did flatters a setting in which others are lost. Of equals the first.
+    Only combinations in which the most seeds finished an episode in the last tenth compete: the mean of those
+    that did flatters a setting in which others are lost. Of equals the first.
 
-    The selection is biased: the winner was chosen for being high on these very seeds, so its own mean
+    The selection is biased: the winner was chosen for being good on these very seeds, so its own mean
     (and interval) promises too much. Run it again on fresh seeds for a number to report.
 
     Args:
@@ -164,12 +180,13 @@ def best(ds: xr.Dataset, **given: Any) -> dict[str, Any]:
         if name not in names:
             raise InputError(f"{name} was not swept; swept were {_names(names)}")
         if value not in ds[name].values.tolist():
-            raise InputError(f"{name} was not swept at {value!r}; there are {_names(ds[name].values)}")
+            tried = ", ".join(map(repr, ds[name].values.tolist()))
+            raise InputError(f"{name} was not swept at {value!r}; there are {tried}")
     ds = ds.sel(given)
-    result = mean_interval(mean_return(ds, last_tenth(ds)))
-    score = result.mean.where(result.n == result.n.max()).fillna(-np.inf)
-    place = np.unravel_index(np.argmax(score.values), score.shape)
-    found = {str(name): ds[name].values[i].item() for name, i in zip(score.dims, place, strict=True)}
+    result = mean_interval(score(ds))
+    merit = (-result.mean if is_prediction(ds) else result.mean).where(result.n == result.n.max())
+    place = np.unravel_index(np.argmax(merit.fillna(-np.inf).values), merit.shape)
+    found = {str(name): ds[name].values[i].item() for name, i in zip(merit.dims, place, strict=True)}
     return {name: given.get(name, found.get(name)) for name in names}
 
 
@@ -184,8 +201,10 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
         method has no such); `episodes`, episodes finished in the whole run, mean over seeds;
         `last_tenth_return` with `last_tenth_low` and `last_tenth_high`, the mean return of the last tenth
         and its 95% interval; `seeds`, how many seeds finished an episode there and so were counted;
-        `steps_per_second` of the method's sweep; where it was recorded, `greedy_value`, the exact value of
-        the greedy policy at the end, median over seeds; `optimum`, v* from the start.
+        `steps_per_second` of the method's sweep; where they were recorded, `greedy_value`, the exact value
+        of the greedy policy at the end, median over seeds, or, of prediction, `v_error` with `v_error_low`
+        and `v_error_high`, the mean RMS error over all rows and its 95% interval, and `final_v_error`, that
+        at the end, mean over seeds; `optimum`, v* from the start, of prediction v_pi.
     """
     records, names, results = [], {}, {}
     for method, ds in datasets.items():
@@ -202,6 +221,10 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
         }
         if "greedy_value" in ds:
             results["greedy_value"] = ds.greedy_value.isel(row=-1).median("seed")
+        if is_prediction(ds):
+            error = mean_interval(score(ds))
+            results |= {"v_error": error.mean, "v_error_low": error.low, "v_error_high": error.high}
+            results["final_v_error"] = ds.v_error.isel(row=-1).astype(float).mean("seed", skipna=False)
         results["optimum"] = optimum(ds)
         table = xr.Dataset(results).expand_dims(method=[method])
         frame = table.to_dataframe(dim_order=["method", *swept]).reset_index()
