@@ -16,7 +16,7 @@ from jaxrl_tab import cli, describe, options, planning, plot, stats
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.cli import main
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.figures import FIGURES
+from jaxrl_tab.figures import FIGURES, figure
 from jaxrl_tab.types import InputError, pytree, static
 
 TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
@@ -114,7 +114,7 @@ def swept(monkeypatch):
         calls.append((env, algorithm, grid, budget))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "sweep", note)
+    monkeypatch.setattr(figure, "sweep", note)
     return calls
 
 
@@ -186,14 +186,14 @@ def test_sweep_records_exact_values_and_schedules(tmp_path):
 
 
 def test_ctrl_c_keeps_the_methods_that_are_done(monkeypatch, tmp_path, capsys):
-    real = cli.sweep
+    real = figure.sweep
 
     def interrupted(env, algorithm, *args, **kwargs):
         if algorithm == "q-learning":
             raise KeyboardInterrupt
         return real(env, algorithm, *args, **kwargs)
 
-    monkeypatch.setattr(cli, "sweep", interrupted)
+    monkeypatch.setattr(figure, "sweep", interrupted)
     out = tmp_path / "windy"
     assert main(["sweep", "windy-gridworld", "sarsa", "q-learning", *TINY, "--out", str(out)]) == 130
     (kept,) = tmp_path.iterdir()
@@ -277,7 +277,7 @@ def idle(monkeypatch):
     def fail(*_, **__):
         pytest.fail("something was computed before the refusal")
 
-    monkeypatch.setattr(cli, "sweep", fail)
+    monkeypatch.setattr(figure, "sweep", fail)
     monkeypatch.setattr(jax, "jit", fail)
     for name in ("exact_model", "policy_iteration", "epsilon_soft"):
         monkeypatch.setattr(planning, name, fail)
