@@ -9,7 +9,18 @@
 Importing the package asks XLA for faster loops, as long as JAX has not started: see `batch`.
 """
 
-from jaxrl_tab import algorithms, batch, bridge, envs, offline, planning, policies, prediction, schedules
+from jaxrl_tab import (
+    algorithms,
+    batch,
+    bridge,
+    envs,
+    importance,
+    offline,
+    planning,
+    policies,
+    prediction,
+    schedules,
+)
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
     DoubleQLearning,
@@ -88,6 +99,7 @@ __all__ = [
     "bridge",
     "collect",
     "envs",
+    "importance",
     "learn",
     "make",
     "offline",

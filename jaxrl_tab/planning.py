@@ -489,7 +489,10 @@ def from_state_to_state(model: Model, weight: Float[np.ndarray, "S A K"]) -> Any
 
     n = len(weight)
     rows = np.broadcast_to(np.arange(n)[:, None, None], weight.shape)
-    return sparse.csc_array((weight.ravel(), (rows.ravel(), model.s_next.ravel())), shape=(n, n))
+    entries = weight.ravel(), (rows.ravel(), model.s_next.ravel())
+    matrix = sparse.csc_array(entries, shape=(n, n))
+    matrix.eliminate_zeros()  # so that its pattern is what is possible
+    return matrix
 
 
 def solve_sparse(matrix: Any, constant: Float[np.ndarray, " S"]) -> Any:

@@ -20,7 +20,7 @@ LAYERS = [
     ["prediction"],
     ["train", "bridge"],
     ["offline"],
-    ["batch", "results"],
+    ["importance", "batch", "results"],
     ["sweep", "stats", "describe"],
     ["plot"],
     ["figures"],
