@@ -255,7 +255,10 @@ class Table:
     probabilities: Any
 
     def __post_init__(self):
-        pi = concrete(self.probabilities)
+        try:
+            pi = concrete(self.probabilities)
+        except ValueError:
+            raise InputError("Table: probabilities must be numbers [S, A], in rows of equal length") from None
         if pi is None:
             return
         if pi.ndim != 2 or pi.dtype.kind not in "biuf":

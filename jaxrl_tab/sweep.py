@@ -141,7 +141,10 @@ def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[
     for parameter, values in grid.items():
         if isinstance(values, Sequence | np.ndarray | jax.Array) and np.ndim(values) > 0:
             if np.ndim(values) > 1:
-                raise InputError(f"the grid of {parameter} must be a flat list, not {values!r}")
+                raise InputError(
+                    f"the grid of {parameter} must be a flat list, not of shape {np.shape(values)}; "
+                    "probabilities [S, A] are one value where they are a policies.Table"
+                )
             axes[parameter] = tuple(_plain(value) for value in values)
         else:
             single[parameter] = _plain(values)

@@ -270,7 +270,7 @@ def _run_steps(
     run, log = lax.scan(lambda run, _: row(run, log_every), run, length=num_steps // log_every)
     if rest := num_steps % log_every:
         run, last_row = row(run, rest)
-        log = jax.tree.map(lambda rows, x: jnp.append(rows, x), log, last_row)
+        log = jax.tree.map(lambda rows, x: jnp.append(rows, x[None], axis=0), log, last_row)
     return run, log
 
 
@@ -342,8 +342,18 @@ def _make_measure(algorithm: Algorithm, env: Environment, exact: bool, record: R
     if exact:
         measures.append(_exact_measurer(algorithm, env))
     if record:
-        measures.append(lambda learner: {"recorded": record(learner)})
+        measures.append(lambda learner: {"recorded": _recorded(record, learner)})
     return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
+
+
+def _recorded(record: Record, learner: Any) -> dict[str, Array]:
+    """What `record` says of the learner, as arrays. Raises InputError unless each has a name of its own."""
+    found = record(learner) if callable(record) else None
+    if not isinstance(found, dict):
+        raise InputError("record must be a function from the state of the learner to a dict of arrays")
+    if taken := sorted({*Log._fields, "q", "seed", "row"} & set(found)):
+        raise InputError(f"record: {taken[0]!r} is a name in the results already; take another")
+    return jax.tree.map(jnp.asarray, found)
 
 
 def _exact_measurer(algorithm: Any, env: Environment) -> Measured:
