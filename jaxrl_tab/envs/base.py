@@ -3,7 +3,7 @@
 import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from numbers import Integral
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,24 @@ MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so 
 # (row, column) of each move, and how it is drawn. The first four are those of the book's grids.
 COMPASS = ((-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1), (0, 0))
 ARROWS = ("↑", "→", "↓", "←", "↗", "↘", "↙", "↖", "·")
+
+
+class Panel(NamedTuple):
+    """States that people see side by side in a table.
+
+    Attributes:
+        title: what they have in common, "usable ace"; empty where it is all of them.
+        states: their numbers, int [rows, columns].
+        rows, columns: names of the rows, from the top, and of the columns.
+        down, along: what the rows and the columns are, "player" and "dealer shows"; empty where that is plain.
+    """
+
+    title: str
+    states: Int[np.ndarray, "rows columns"]
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    down: str = ""
+    along: str = ""
 
 
 class Finite:
@@ -37,6 +55,10 @@ class Finite:
     def action_names(self) -> tuple[str, ...]:
         """A short name of each action, for pictures."""
         return tuple(str(a) for a in range(self.num_actions))
+
+    def panels(self) -> tuple[Panel, ...]:
+        """The tables in which people see the states; none where they are a list."""
+        return ()
 
     def initial(self) -> Float[Array, " S"]:
         raise NotImplementedError
@@ -102,6 +124,10 @@ class Grid(FixedStart):
     @property
     def action_names(self) -> tuple[str, ...]:
         return ARROWS[: self.num_actions]
+
+    def panels(self) -> tuple[Panel, ...]:
+        rows, columns = (tuple(map(str, range(n))) for n in self.shape)
+        return (Panel("", np.arange(self.num_states).reshape(self.shape), rows, columns),)
 
     @property
     def start_state(self) -> int:

@@ -7,8 +7,17 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.envs.base import assign
-from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, tabulate
+from jaxrl_tab.envs.base import Panel, assign
+from jaxrl_tab.envs.cards import (
+    DEALER_STICKS,
+    LIMIT,
+    SHOWN,
+    CardGame,
+    Game,
+    compare,
+    hands_panel,
+    tabulate,
+)
 from jaxrl_tab.types import InputError, nearest, pytree, static, whole
 
 NAME = "blackjack"
@@ -63,6 +72,16 @@ class Blackjack(CardGame):
     @property
     def game(self) -> Game:
         return _game(self.rules)
+
+    def panels(self) -> tuple[Panel, ...]:
+        sums, cards = range(LEAST, LIMIT + 1), ("A", *map(str, range(2, SHOWN + 1)))
+        tables = [
+            hands_panel(title, [_hand(total, usable) for total in sums], sums, cards)
+            for title, usable in (("usable ace", True), ("no usable ace", False))
+        ]
+        if len(self.game.hands) == HANDS:
+            tables.append(hands_panel("natural", [NATURAL], [LIMIT], cards))
+        return tuple(tables)
 
     def state(self, player: int, dealer: int, usable: bool = False, natural: bool = False) -> int:
         """The number of a state.

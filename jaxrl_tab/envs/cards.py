@@ -1,6 +1,6 @@
 """What the card games share: the player takes cards until it sticks, then the dealer plays."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import policies, tables
-from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.envs.base import Finite, Panel
 from jaxrl_tab.types import Outcome
 
 STICK, HIT = 0, 1
@@ -91,6 +91,19 @@ def tabulate(
         with_terminal(s_next, end),
         with_terminal(reward, 0.0 * end),
     )
+
+
+def hands_panel(title: str, hands: Sequence[int], sums: Sequence[int], cards: Sequence[str]) -> Panel:
+    """A table of the player's hands, the largest sum on top, by the card that the dealer shows.
+
+    Args:
+        title: what the hands have in common.
+        hands: their numbers, in the order of their sums.
+        sums: their sums, rising.
+        cards: the names of the dealer's cards.
+    """
+    states = SHOWN * np.array(hands)[::-1, None] + np.arange(SHOWN)
+    return Panel(title, states, tuple(map(str, sums[::-1])), tuple(cards), "player", "dealer shows")
 
 
 class CardGame(Finite):

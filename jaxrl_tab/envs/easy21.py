@@ -6,8 +6,17 @@ from numbers import Integral
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.envs.base import assign
-from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, tabulate
+from jaxrl_tab.envs.base import Panel, assign
+from jaxrl_tab.envs.cards import (
+    DEALER_STICKS,
+    LIMIT,
+    SHOWN,
+    CardGame,
+    Game,
+    compare,
+    hands_panel,
+    tabulate,
+)
 from jaxrl_tab.types import InputError, pytree, static, whole
 
 NAME = "easy21"
@@ -44,6 +53,10 @@ class Easy21(CardGame):
     @property
     def game(self) -> Game:
         return _game()
+
+    def panels(self) -> tuple[Panel, ...]:
+        cards = [str(card) for card in range(1, SHOWN + 1)]
+        return (hands_panel("", range(LIMIT), range(1, LIMIT + 1), cards),)
 
     def state(self, player: int, dealer: int) -> int:
         """The number of the state of the player's sum, 1 to 21, and the dealer's first card, 1 to 10.
