@@ -29,6 +29,7 @@ from jaxrl_tab.types import (
     Algorithm,
     Environment,
     InputError,
+    Task,
     Transition,
     check_pytree,
     concrete,
@@ -262,10 +263,10 @@ def learn(
     """Learns from experience of somebody else, transition by transition, in the order of the log.
 
     One-step methods that learn about a target policy of their own need no more than the transitions:
-    QLearning, ExpectedSarsa, TargetQLearning, DoubleQLearning, ManyTargets. OffPolicyMonteCarlo needs to know
-    the policy that acted, `behaviour=policies.Table(b)`. Where a method has such a behaviour policy, the
-    actions of the log must be possible under it. What can be learned at all depends on which pairs (s, a) the
-    log holds.
+    QLearning, ExpectedSarsa, TargetQLearning, DoubleQLearning, ManyTargets. Those with importance sampling,
+    OffPolicyMonteCarlo and the off-policy ones of `prediction`, need to know the policy that acted,
+    `behaviour=policies.Table(b)`. Where a method has such a behaviour policy, the actions of the log must be
+    possible under it. What can be learned at all depends on which pairs (s, a) the log holds.
 
     Args:
         key: a JAX key, for what the method itself draws.
@@ -283,8 +284,8 @@ def learn(
             task, or not of the behaviour policy that the method was given.
     """
     _check(algorithm, experience, num_states, num_actions)
-    sizes = _Sizes(int(num_states), int(num_actions), _longest_episode(experience))
-    return _learn(key, algorithm, experience, sizes, whole("learn", "passes", passes))
+    task = Task(int(num_states), int(num_actions), _longest_episode(experience))
+    return _learn(key, algorithm, experience, task, whole("learn", "passes", passes))
 
 
 def replay(
@@ -298,7 +299,8 @@ def replay(
 ) -> L:
     """Learns again and again from remembered transitions, each drawn uniformly (Lin 1992).
 
-    For one-step off-policy methods: QLearning, ExpectedSarsa, TargetQLearning, DoubleQLearning, ManyTargets.
+    For one-step off-policy methods: QLearning, ExpectedSarsa, TargetQLearning, DoubleQLearning, ManyTargets
+    and `prediction.OffPolicyTD`.
     Schedules by episode count the ends of episodes that were drawn.
 
     Args:
@@ -316,21 +318,13 @@ def replay(
         InputError: as `learn`; or the method learns from whole episodes.
     """
     _check(algorithm, experience, num_states, num_actions)
-    if said_of_update(algorithm, "learns_from") != "transitions":
+    if said_of_update(algorithm, "learns_from").startswith("episodes"):
         raise InputError(
             f"replay draws single transitions, and {type(algorithm).__name__} learns from whole episodes: "
             "learn takes it; or give a one-step method such as QLearning"
         )
-    sizes = _Sizes(int(num_states), int(num_actions), max_steps=1)
-    return _replay(key, algorithm, experience, sizes, whole("replay", "num_updates", num_updates))
-
-
-class _Sizes(NamedTuple):
-    """As `types.Sizes`."""
-
-    num_states: int
-    num_actions: int
-    max_steps: int
+    task = Task(int(num_states), int(num_actions), max_steps=1)
+    return _replay(key, algorithm, experience, task, whole("replay", "num_updates", num_updates))
 
 
 def _check(algorithm: Any, experience: Any, num_states: int, num_actions: int) -> None:
@@ -345,9 +339,9 @@ def _check(algorithm: Any, experience: Any, num_states: int, num_actions: int) -
         )
     behaviour = getattr(algorithm, "behaviour", None)
     behaviour = behaviour if isinstance(behaviour, Table) else None
-    if learns_from == "episodes" and behaviour is None:
+    if learns_from.endswith(" of b") and behaviour is None:
         raise InputError(
-            f"{name} weighs returns by the policy that acted, which must be given: "
+            f"{name} weighs what it learns by the policy that acted, which must be given: "
             "behaviour=policies.Table(b)"
         )
     experience.check(num_states, num_actions, behaviour)
@@ -362,8 +356,8 @@ def _longest_episode(experience: Experience) -> int:
 
 # How often is no constant of the programs, so another number needs no new one.
 @partial(jax.jit, static_argnums=3, inline=True)
-def _learn(key, algorithm, experience, sizes, passes):
-    learner = init_learner(algorithm, sizes)
+def _learn(key, algorithm, experience, task, passes):
+    learner = init_learner(algorithm, task)
     transitions = experience.transitions(algorithm.gamma, learner.q.dtype)
     stream, size = rng.stream(key), len(transitions.s)
 
@@ -380,8 +374,8 @@ def _learn(key, algorithm, experience, sizes, passes):
 
 
 @partial(jax.jit, static_argnums=3, inline=True)
-def _replay(key, algorithm, experience, sizes, num_updates):
-    learner = init_learner(algorithm, sizes)
+def _replay(key, algorithm, experience, task, num_updates):
+    learner = init_learner(algorithm, task)
     transitions = experience.transitions(algorithm.gamma, learner.q.dtype)
     stream, size = rng.stream(key), len(transitions.s)
 

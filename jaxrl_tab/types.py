@@ -145,8 +145,26 @@ class Transition(NamedTuple):
     last: Bool[Array, ""]
 
 
-class Sizes(Protocol):
-    """How large a task is.
+class Task(NamedTuple):
+    """How large a task is: what a method must know of it before it learns.
+
+    Attributes:
+        num_states: the number of states, terminal ones included.
+        num_actions: the number of actions.
+        max_steps: the longest that an episode may get, in steps.
+    """
+
+    num_states: int
+    num_actions: int
+    max_steps: int
+
+
+@runtime_checkable
+class Environment(Protocol):
+    """A task: a frozen pytree whose numbers are leaves and whose sizes are static.
+
+    It may have a method `instance(key) -> Environment`, which draws the problem of one run; `train` calls it
+    once. `mean_optimal_value(gamma) -> float` may then say the mean over problems of v* from the start.
 
     Attributes:
         num_states: the number of states, terminal ones included.
@@ -160,15 +178,6 @@ class Sizes(Protocol):
     def num_actions(self) -> int: ...
     @property
     def max_steps(self) -> int: ...
-
-
-@runtime_checkable
-class Environment(Sizes, Protocol):
-    """A task: a frozen pytree whose numbers are leaves and whose sizes are static.
-
-    It may have a method `instance(key) -> Environment`, which draws the problem of one run; `train` calls it
-    once. `mean_optimal_value(gamma) -> float` may then say the mean over problems of v* from the start.
-    """
 
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
         """Draws a start state, int32 []."""
@@ -207,8 +216,9 @@ class Algorithm(Protocol[L]):
     decision.
 
     In the same place `learns_from` says what experience of somebody else `update` learns rightly from (see
-    `offline`): "transitions", any of them in any order; or "episodes", in order, where the behaviour policy
-    is a table. A method that does not say can learn only from what it did itself.
+    `offline`): "transitions", any of them in any order; "transitions of b", where the method is told the
+    policy b that acted, as a table in its field `behaviour`; or "episodes of b", in order. A method that does
+    not say can learn only from what it did itself.
     """
 
     @property
@@ -233,8 +243,8 @@ class Algorithm(Protocol[L]):
         ...
 
 
-def init_learner(algorithm: Algorithm[L], task: Sizes) -> L:
-    """The state of the learner before its first step in a task (an environment, say)."""
+def init_learner(algorithm: Algorithm[L], task: Environment | Task) -> L:
+    """The state of the learner before its first step in the task."""
     takes = inspect.signature(algorithm.init).parameters
     longest = {"max_steps": task.max_steps} if "max_steps" in takes else {}
     return algorithm.init(task.num_states, task.num_actions, **longest)

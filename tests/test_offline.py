@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab import offline, planning
+from jaxrl_tab import offline, planning, prediction
 from jaxrl_tab.algorithms import MonteCarlo, OffPolicyMonteCarlo
 from jaxrl_tab.policies import EpsilonGreedy, Table
 from jaxrl_tab.schedules import Power
@@ -66,6 +66,17 @@ def test_off_policy_monte_carlo_learns_from_episodes_what_it_learned_in_the_run(
     state, _ = rl.train(jax.random.key(1), method, CLIFF, num_episodes=len(ends))
     np.testing.assert_array_equal(learned.q, state.q)
     assert learned.clock.episode == len(ends)
+
+
+@pytest.mark.parametrize("cls", [prediction.OffPolicyTD, prediction.OffPolicyMonteCarloPrediction])
+def test_state_values_of_another_policy_are_learned_from_a_log(cls):
+    """Up to the last full episode of the run, which ends with it; b must be known, though it is uniform."""
+    method, key = cls(pi=some_policies(1)[0], behaviour=UNIFORM, gamma=GAMMA), jax.random.key(0)
+    state, log = rl.train(key, method, CLIFF, num_episodes=20)
+    experience = rl.collect(key, method, CLIFF, int(log.lengths.sum()))
+    np.testing.assert_array_equal(rl.learn(key, method, experience, *SIZES).v, state.v)
+    with pytest.raises(rl.InputError, match=f"{cls.__name__} weighs what it learns by the policy that acted"):
+        rl.learn(key, cls(pi=some_policies(1)[0]), experience, *SIZES)
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5])
@@ -501,7 +512,7 @@ NEVER_1 = Table(np.array([[0.5, 0.5], [1, 0], [0.5, 0.5], [0.5, 0.5]]))
         ),
         (
             {"algorithm": OffPolicyMonteCarlo(epsilon=0.5)},
-            r"OffPolicyMonteCarlo weighs returns by the policy that acted, which must be given: behaviour=",
+            r"OffPolicyMonteCarlo weighs what it learns by the policy that acted, which must be given: beh",
         ),
         (
             {"algorithm": rl.QLearning(behaviour=Table(UNIFORM))},

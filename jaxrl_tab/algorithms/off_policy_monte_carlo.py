@@ -77,7 +77,7 @@ class OffPolicyMonteCarlo(OffPolicyControl):
     first_visit: bool = static(default=False)
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "episodes"
+    learns_from: ClassVar[str] = "episodes of b"
     of_states: ClassVar[bool] = False  # the table has one entry a state; see `prediction`
 
     def __post_init__(self):
