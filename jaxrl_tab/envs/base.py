@@ -27,7 +27,7 @@ class Panel(NamedTuple):
         title: what they have in common, "usable ace"; empty where it is all of them.
         states: their numbers, int [rows, columns].
         rows, columns: names of the rows, from the top, and of the columns.
-        down, along: what the rows and the columns are, "player" and "dealer shows"; empty where that is plain.
+        down, along: what the rows and the columns are, "player", "dealer shows"; empty where that is plain.
     """
 
     title: str
