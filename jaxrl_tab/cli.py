@@ -38,6 +38,7 @@ from jaxrl_tab.figures import FIGURES, Check, swept
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page, six_digits
 from jaxrl_tab.options import Group, option_of, parse, real, values, whole, words
+from jaxrl_tab.results import label
 from jaxrl_tab.sweep import configurations
 from jaxrl_tab.types import FiniteEnvironment, InputError, build, nearest
 
@@ -146,7 +147,7 @@ def _list(argv: list[str]) -> int:
 
 
 def _facts(cls: type) -> dict[str, Any]:
-    parameters = {p.name: {"default": p.default, "help": p.help} for p in describe.parameters(cls)}
+    parameters = {p.name: {"default": label(p.default), "help": p.help} for p in describe.parameters(cls)}
     return {"summary": describe.summary(cls), "parameters": parameters}
 
 

@@ -319,14 +319,14 @@ class Eager(rl.Sarsa):
     """Sarsa that is eager.
 
     Attributes:
-        lam: how long it remembers,
+        memory: how long it remembers,
             in steps.
         traces: "replacing" or "accumulating".
         cut: whether it forgets.
         patience: a limit.
     """
 
-    lam: float = 0.9
+    memory: float = 0.9
     traces: str = static("replacing")
     cut: bool = static(True)
     patience: int = static(10)
@@ -334,15 +334,15 @@ class Eager(rl.Sarsa):
 
 def test_a_new_method_brings_its_options(monkeypatch, swept, capsys):
     monkeypatch.setitem(ALGORITHMS, "eager", Eager)
-    call("sweep windy-gridworld eager --lam 0 0.5 --traces accumulating --no-cut --patience 3")
+    call("sweep windy-gridworld eager --memory 0 0.5 --traces accumulating --no-cut --patience 3")
     _, algorithm, grid, _ = swept[0]
     assert algorithm == "eager"
     del grid["alpha"]
-    assert grid == {"lam": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
+    assert grid == {"memory": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
     capsys.readouterr()
 
-    error = refused(capsys, "sweep windy-gridworld eager sarsa --lam 0.5")
-    assert "sarsa has no --lam, which is of eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
+    error = refused(capsys, "sweep windy-gridworld eager sarsa --memory 0.5")
+    assert "sarsa has no --memory, which is of eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
     error = refused(capsys, "sweep windy-gridworld eager --patience x")
     assert "--patience takes a whole number, not 'x'" in error
 
@@ -350,7 +350,7 @@ def test_a_new_method_brings_its_options(monkeypatch, swept, capsys):
         main(["sweep", "--help"])
     assert not stop.value.code
     text = " ".join(capsys.readouterr().out.replace("│", "").split())
-    assert "--lam X ... how long it remembers, in steps. (of eager; default: 0.9)" in text
+    assert "--memory X ... how long it remembers, in steps. (of eager; default: 0.9)" in text
     assert "--no-cut whether it forgets. (of eager; default: on)" in text
 
 
