@@ -22,10 +22,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from jaxrl_tab import planning, stats
-from jaxrl_tab.envs.base import COMPASS, Grid
+from jaxrl_tab.envs.base import COMPASS, Finite, Grid, Panel
 from jaxrl_tab.types import Environment, InputError
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -79,9 +79,20 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
 
     Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
     drawn at the end of its rows, and only where `MOST_SEEDS` of the seeds finished an episode in them: at
-    first only the quick episodes are over, and their mean would flatter. Arguments and errors as in
-    `episodes_against_steps`.
+    first only the quick episodes are over, and their mean would flatter. Of methods of prediction the RMS
+    error of V is drawn, at the end of every row. Arguments and errors as in `episodes_against_steps`.
     """
+    by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
+    if stats.is_prediction(*datasets.values()):
+        for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
+            x = stats.episode_curve(ds)["time_steps" if by_steps else "episodes"].mean("seed")
+            line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
+            mean_curve(ax, x, ds.v_error, label, **line)
+        tidy(ax, "time steps" if by_steps else "episodes", "RMS error of V over states")
+        ax.set_xlim(left=0)
+        ax.set_ylim(bottom=0)
+        ax.legend(loc="best", framealpha=0.8, edgecolor="none")
+        return
     shown, end = [], 0
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
         merged, interval, enough = _readable_curve(ds)
@@ -95,7 +106,6 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
     if not np.isfinite(np.concatenate(shown)).any():
         ax.text(0.5, 0.3, "too few episodes for a curve", transform=ax.transAxes, ha="center", color=GREY)
     ax.set_xlim(0, 1.03 * end)
-    by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
     tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
     _return_axis(ax, shown, _common_optimum(datasets))
     ax.legend(loc="best", framealpha=0.8, edgecolor="none")
@@ -104,17 +114,19 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
 def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
     """Mean return of the last tenth against a hyperparameter, with 95% intervals and the exact optimum.
 
-    Other swept hyperparameters stay at the method's best combination. A point is hollow where seeds that
-    finished no episode in the last tenth are missing from it. A method that did not sweep the parameter is
-    drawn at the one value that it had.
+    Of methods of prediction it is the mean RMS error of V over all rows. Other swept hyperparameters stay at
+    the method's best combination. A point is hollow where seeds that finished no episode in the last tenth
+    are missing from it. A method that did not sweep the parameter is drawn at the one value that it had.
+    Schedules and policies, and numbers beside them, stand side by side in the order in which they come.
 
     Raises:
         InputError: no method swept the parameter.
     """
     if not any(parameter in stats.hyperparameters(ds) for ds in datasets.values()):
         raise InputError(f"no method swept {parameter!r}")
-    shown, tried, incomplete = [], [], False
-    for (name, ds), style in zip(datasets.items(), _styles(), strict=False):
+    prediction = stats.is_prediction(*datasets.values())
+    series = {}
+    for name, ds in datasets.items():
         chosen = stats.best(ds)
         chosen.pop(parameter, None)
         ds = ds.sel(chosen)
@@ -122,32 +134,73 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
             if parameter not in stats.fixed(ds):
                 continue
             ds = ds.expand_dims({parameter: [stats.fixed(ds)[parameter]]})
-        x = ds[parameter].values
-        interval = stats.mean_interval(stats.mean_return(ds, stats.last_tenth(ds)))
-        mean, low, high, n = (part.values for part in interval)
-        half = np.nan_to_num(high - mean)
-        ax.errorbar(x, mean, half, ls="none", capsize=3, color=style["color"])
-        ax.plot(x, mean, lw=2, ms=7, label=_label(name, chosen), **style)
-        few = n < ds.sizes["seed"]
+        score = stats.score(ds) if prediction else stats.mean_return(ds, stats.last_tenth(ds))
+        interval = stats.mean_interval(score)
+        few = (interval.n < ds.sizes["seed"]).values
+        series[name] = (
+            _label(name, chosen),
+            ds[parameter].values,
+            interval,
+            (interval.n < ds.sizes["seed"]).values,
+        )
+    place = _places(ax, [x for _, x, _, _ in series.values()])
+    shown, incomplete = [], False
+    for name, style in zip(datasets, _styles(), strict=False):
+        if name not in series:
+            continue
+        label, x, interval, few = series[name]
+        x, mean, low, high = place(x), *(part.values for part in interval[:3])
+        style["ls"] = "-" if x.dtype.kind == "f" else "none"  # nothing lies between two schedules
+        ax.errorbar(x, mean, np.nan_to_num(high - mean), ls="none", capsize=3, color=style["color"])
+        ax.plot(x, mean, lw=2, ms=7, label=label, **style)
         ax.plot(x[few], mean[few], ls="none", ms=3.5, marker=style["marker"], color="white", zorder=5)
         shown += [mean, low, high]
-        tried.append(x)
         incomplete |= bool(few.any())
     if incomplete:
         hollow = {"marker": "o", "mfc": "white", "mec": INK, "mew": 1.5}
         ax.plot([], [], ls="none", **hollow, label="hollow: some seeds finish no episode")
-    x = np.concatenate(tried)
-    if x.dtype.kind in "fiu" and x.min() > 0 and x.max() > 10 * x.min():
-        ax.set_xscale("log")
-        ax.set_xticks(np.unique(x), [f"{v:g}" for v in np.unique(x)])
-        ax.xaxis.set_minor_locator(NullLocator())
     what = "step size α" if parameter == "alpha" else GREEK.get(parameter, parameter)
-    tidy(ax, what, "mean return, last tenth")
-    _return_axis(ax, shown, _common_optimum(datasets))
+    if prediction:
+        tidy(ax, what, "RMS error of V, mean over the run")
+        _error_axis(ax, shown[::3])
+    else:
+        tidy(ax, what, "mean return, last tenth")
+        _return_axis(ax, shown, _common_optimum(datasets))
     ax.legend(loc="best", framealpha=0.8, edgecolor="none")
 
 
-def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, lw: float = 2) -> None:
+def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    """A function from values of a hyperparameter to where they lie, and the x axis that fits all `tried`.
+
+    Numbers are their own places, float. Where any is text all are ticks side by side, int.
+    """
+    if all(x.dtype.kind in "fiu" for x in tried):
+        x = np.unique(np.concatenate(tried).astype(float))
+        if x.min() > 0 and x.max() > 10 * x.min():
+            ax.set_xscale("log")
+            ax.set_xticks(x, [f"{v:g}" for v in x])
+            ax.xaxis.set_minor_locator(NullLocator())
+        return lambda x: x.astype(float)
+    names = list(dict.fromkeys(_text(v) for x in tried for v in x.tolist()))
+    tilt = {"rotation": 20, "ha": "right"} if sum(map(len, names)) > 50 else {}
+    ax.set_xticks(range(len(names)), names, **tilt)
+    ax.set_xlim(-0.5, len(names) - 0.5)
+    return lambda x: np.array([names.index(_text(v)) for v in x.tolist()])
+
+
+def _text(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _error_axis(ax: Axes, means: list[np.ndarray]) -> None:
+    """The y axis of errors, from 0. What diverged would hide the rest, and leaves the picture."""
+    values = np.concatenate(means)
+    values = values[np.isfinite(values)]
+    if values.size:
+        ax.set_ylim(0, min(1.05 * values.max(), 5 * values.min()))
+
+
+def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, **line: Any) -> None:
     """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its 95% interval.
 
     Args:
@@ -156,10 +209,10 @@ def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, l
         values: one number for each seed and place.
         label: as the legend shows it.
         color: of the line and of the band.
-        lw: width of the line, points.
+        line: how the line is drawn, as in `Axes.plot`.
     """
     interval = stats.mean_interval(values)
-    ax.plot(x, interval.mean, label=label, color=color, lw=lw)
+    ax.plot(x, interval.mean, label=label, color=color, lw=line.pop("lw", 2), **line)
     ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
 
 
@@ -480,23 +533,107 @@ def _draw_ends(ax: Axes, env: Grid) -> None:
         ax.text(column, row, letter, weight="bold", ha="center", va="center", zorder=6, color=INK, bbox=disc)
 
 
+# --- what is no grid ---------------------------------------------------------------------------------
+
+
+def panel(
+    ax: Axes, env: Finite, table: Panel, v: np.ndarray, best: np.ndarray | None = None, **limits: Any
+) -> None:
+    """A heat map of the values `v`, float [S], of the states in `table`, with the actions that are best.
+
+    Args:
+        ax: where to draw.
+        env: the environment.
+        table: one of `env.panels()`.
+        v: values, [S].
+        best: which actions are best, bool [S, A]; None where there is nothing to choose.
+        limits: `vmin` and `vmax` of the colours, so that panels can be compared.
+    """
+    model = planning.exact_model(env)
+    shown = (np.isfinite(v) & planning.reachable(model) & ~planning.terminal_states(model))[table.states]
+    image = ax.imshow(np.ma.masked_array(v[table.states], ~shown), cmap="viridis", **limits)
+    for row, column in np.argwhere(shown):
+        s = table.states[row, column]
+        text = _number(float(v[s]), 2)
+        if best is not None:
+            text += "\n" + "/".join(np.array(env.action_names)[best[s]])
+        note = ax.text(column, row, text, size=SMALL - 1, ha="center", va="center", color="white")
+        note.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
+    ax.set_xticks(range(len(table.columns)), table.columns)
+    ax.set_yticks(range(len(table.rows)), table.rows)
+    ax.set_xlabel(table.along)
+    ax.set_ylabel(table.down)
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    assert ax.figure is not None
+    ax.figure.colorbar(image, ax=ax, label="value", shrink=0.75, pad=0.02)
+
+
+def action_values(ax: Axes, env: Finite, q: np.ndarray) -> None:
+    """A mark for the value of each action, `q` [S, A], in each state that is not terminal."""
+    states = np.flatnonzero(~planning.terminal_states(planning.exact_model(env)))
+    for a, style in zip(range(env.num_actions), _styles(), strict=False):
+        ax.plot(states, q[states, a], ls="none", label=env.action_names[a], **style)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.margins(0.1)
+    tidy(ax, "state", "value")
+    if env.num_actions > 1:
+        ax.legend(title="action", loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+
+
+def state_values(ax: Axes, datasets: Datasets, env: Environment, **given: Any) -> None:
+    """The V that methods of prediction learned, mean and 95% interval over seeds, beside the exact v_pi.
+
+    States that are terminal or out of reach are left out. v_pi is drawn where pi is the policy in which all
+    actions are equally likely, which is the default. Arguments and errors as in `episodes_against_steps`.
+    """
+    model = planning.exact_model(env)
+    states = np.flatnonzero(planning.reachable(model) & ~planning.terminal_states(model))
+    for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
+        mean_curve(ax, states, ds.q[..., 0].isel(state=states), label, **style)
+    if (exact := _uniform_values(datasets, env)) is not None:
+        ax.plot(states, exact[states], color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=1)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    tidy(ax, "state", "V")
+    ax.legend(loc="best", framealpha=0.8, edgecolor="none")
+
+
+def _uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
+    """v_pi, float64 [S], where all learned about the uniform policy with one gamma; else None."""
+    given = any("pi" in stats.fixed(ds) or "pi" in ds.dims for ds in datasets.values())
+    gamma, *others = {stats.fixed(ds).get("gamma", np.nan) for ds in datasets.values()}
+    if given or others or np.isnan(gamma):
+        return None
+    uniform = np.full((env.num_states, env.num_actions), 1 / env.num_actions)
+    try:
+        return planning.evaluate(env, uniform, gamma)
+    except InputError:  # not finite everywhere
+        return None
+
+
 # --- whole figures -----------------------------------------------------------------------------------
 
 
 def overview(datasets: Datasets, env: Environment) -> Figure:
-    """The pictures of `save_all` in one figure; of the greedy paths, that of the method with the best mean.
+    """The curves of `save_all` in one figure; on grids with the greedy path of the method with the best mean.
 
     Args:
         datasets: a sweep for each method, at least one.
         env: the environment of all of them.
     """
-    panels = _panels(datasets, env)
-    columns = 3 if len(panels) == 3 else 2
+    panels = _curves(datasets, env)
+    if isinstance(env, Grid) and not stats.is_prediction(*datasets.values()):
+        table = stats.summary(datasets)
+        winner = table.method[table.last_tenth_return.fillna(-np.inf).argmax()]
+        panels["greedy_path"] = lambda ax: _median_path(ax, env, winner, datasets[winner])
+    columns = 3 if len(panels) in (3, 5, 6) else min(2, len(panels))
     rows = -(-len(panels) // columns)
     figure = canvas(6 * columns, 4.3 * rows + 0.4)
-    grid = figure.subplots(rows, columns).ravel()
-    for ax, draw in zip(grid, panels.values(), strict=True):
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, draw in zip(grid, panels.values(), strict=False):
         draw(ax)
+    for ax in grid[len(panels) :]:
+        ax.remove()
     figure.suptitle(_caption(datasets, env), fontsize=TITLE + 1)
     return figure
 
@@ -504,8 +641,10 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
 def save_all(datasets: Datasets, env: Environment, folder: Path | str) -> list[Path]:
     """Writes the pictures of a sweep as PNG into `folder`, which is made if need be.
 
-    `episodes.png`, `learning_curves.png`, `sensitivity.png` (where a hyperparameter was swept),
-    `greedy_path.png` (on grids: every method, and the exact optimum) and `overview.png`.
+    `episodes.png`, `learning_curves.png`, `sensitivity.png` and `sensitivity_NAME.png` (where hyperparameters
+    were swept), `greedy_path.png` (on grids: every method, and the exact optimum), `values.png` (where people
+    see the states in tables: the learned values and best actions, and the exact ones), and `overview.png`.
+    Of methods of prediction no `episodes.png` and no path, but always `values.png`.
 
     Args:
         datasets: a sweep for each method, at least one.
@@ -517,36 +656,77 @@ def save_all(datasets: Datasets, env: Environment, folder: Path | str) -> list[P
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    prediction = stats.is_prediction(*datasets.values())
     figures = {}
-    for name, draw in _panels(datasets, env).items():
+    for name, draw in _curves(datasets, env).items():
         figure = canvas(7.2, 4.8)
         draw(figure.subplots())
         figure.suptitle(_caption(datasets, env), fontsize=TITLE)
         figures[name] = figure
-    if isinstance(env, Grid):
+    if isinstance(env, Grid) and not prediction:
         figures["greedy_path"] = _all_paths(datasets, env)
+    elif isinstance(env, Finite) and env.panels():
+        figures["values"] = _all_tables(datasets, env)
     figures["overview"] = overview(datasets, env)
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png")
     return [folder / f"{name}.png" for name in figures]
 
 
-def _panels(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], None]]:
-    """What draws each picture, by its name."""
-    panels: dict[str, Callable[[Axes], None]] = {
-        "episodes": lambda ax: episodes_against_steps(ax, datasets),
-        "learning_curves": lambda ax: learning_curves(ax, datasets),
-    }
-    swept = [name for ds in datasets.values() for name in stats.hyperparameters(ds)]
-    if swept:
-        parameter = "alpha" if "alpha" in swept else swept[0]
-        panels["sensitivity"] = lambda ax: sensitivity(ax, datasets, parameter)
-    if isinstance(env, Grid):
-        table = stats.summary(datasets)
-        highest = table.last_tenth_return.fillna(-np.inf).argmax()
-        winner = table.method[highest]
-        panels["greedy_path"] = lambda ax: _median_path(ax, env, winner, datasets[winner])
-    return panels
+def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], None]]:
+    """What draws each picture of one pair of axes, by its name."""
+    prediction = stats.is_prediction(*datasets.values())
+    curves: dict[str, Callable[[Axes], None]] = {}
+    if not prediction:
+        curves["episodes"] = lambda ax: episodes_against_steps(ax, datasets)
+    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets)
+    swept = dict.fromkeys(name for ds in datasets.values() for name in stats.hyperparameters(ds))
+    for i, name in enumerate(sorted(swept, key=lambda name: name != "alpha")):
+        key = f"sensitivity_{name}" if i else "sensitivity"
+        curves[key] = lambda ax, name=name: sensitivity(ax, datasets, name)
+    if prediction and not (isinstance(env, Finite) and env.panels()):
+        curves["values"] = lambda ax: state_values(ax, datasets, env)
+    return curves
+
+
+def _all_tables(datasets: Datasets, env: Finite) -> Figure:
+    """The panels of the environment: a row for what each method learned, and one for what is exact.
+
+    What a method learned is the mean over seeds of its largest action value, and the action that is greedy
+    most often.
+    """
+    learned = {}
+    for label, ds in _chosen(datasets, {}):
+        q = ds.q.values
+        often = _greedy(q).mean(0)
+        learned[f"{label}: mean of {len(q)} seeds"] = q.max(-1).mean(0), often == often.max(-1, keepdims=True)
+    limits = {}
+    if (exact := _exact_table(datasets, env)) is not None:
+        learned["exact"] = exact
+        reached = exact[0][planning.reachable(planning.exact_model(env))]
+        limits = {"vmin": reached.min(), "vmax": reached.max()}
+    tables = env.panels()
+    tallest = max(len(table.rows) for table in tables)
+    figure = canvas(6.2 * len(tables), (1.2 + 0.42 * tallest) * len(learned))
+    grid = figure.subplots(len(learned), len(tables), squeeze=False)
+    for row, (title, (v, best)) in zip(grid, learned.items(), strict=True):
+        for ax, table in zip(row, tables, strict=True):
+            choice = best if best is not None and best.shape[1] == env.num_actions > 1 else None
+            panel(ax, env, table, v, choice, **limits)
+            ax.set_title("\n".join(filter(None, [title, table.title])), fontsize=TITLE)
+    figure.suptitle(_caption(datasets, env), fontsize=TITLE + 1)
+    return figure
+
+
+def _exact_table(datasets: Datasets, env: Finite) -> tuple[np.ndarray, np.ndarray | None] | None:
+    """v* and the optimal actions, or of prediction v_pi and None; None where there is no one such answer."""
+    if stats.is_prediction(*datasets.values()):
+        v = _uniform_values(datasets, env)
+        return None if v is None else (v, None)
+    if not np.isfinite(_common_optimum(datasets)):
+        return None
+    v, q = planning.value_iteration(env, stats.fixed(next(iter(datasets.values()))).get("gamma", 1.0))
+    return v, _greedy(q)
 
 
 def _all_paths(datasets: Datasets, env: Grid) -> Figure:
