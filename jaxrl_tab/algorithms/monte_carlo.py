@@ -113,7 +113,7 @@ def _walk(first_visit, lane, learned, steps, length, rest, alpha, gamma, clock):
     def back(i, carry):
         (q, visits), g = carry
         s, a, r, first = (tables.entry(x, lane, i) for x in steps)
-        g = r + gamma * g
+        g = r + g
         n = None
         if visits is not None:
             visits = tables.write(visits, tables.entry(visits, lane, s, a) + first, lane, s, a)
@@ -121,6 +121,6 @@ def _walk(first_visit, lane, learned, steps, length, rest, alpha, gamma, clock):
         old = tables.entry(q, lane, s, a)
         new = old + schedules.at_visit(alpha, clock, n) * (g - old)
         q = tables.write(q, jnp.where(first, new, old) if first_visit else new, lane, s, a)
-        return (q, visits), g
+        return (q, visits), gamma * g
 
     return episode.backward(back, length, (learned, tables.entry(rest, lane)))[0]

@@ -146,7 +146,7 @@ def _walk(weighting, first_visit, of_states, lane, learned, steps, length, rest,
             rho = tables.entry(target.probs(row, clock._replace(visits=counted), s), a) / b
             return (rho * g, w) if weighting == "per-decision" else (g, rho * w)
 
-        g = r + gamma * g
+        g = r + g
         if of_states:  # the action is part of what follows the state
             g, w = weigh(q, visits, g, w)
         n = None
@@ -164,7 +164,7 @@ def _walk(weighting, first_visit, of_states, lane, learned, steps, length, rest,
         q = tables.write(q, counts(old + step * (target - old), old), *at)
         if not of_states:
             g, w = weigh(q, visits, g, w)
-        return (q, visits, mean_weight), g, w
+        return (q, visits, mean_weight), gamma * g, w
 
     one = jnp.ones((), rest.dtype)
     return episode.backward(back, length, (learned, tables.entry(rest, lane), one))[0]
