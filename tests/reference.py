@@ -110,7 +110,7 @@ def run(agent, task, num_steps, words):
     """Lets `agent` act and learn for so many steps; the return and length of each finished episode."""
     finished, g, length = [], F(0), 0
     s = task.begin(words.first_reset)
-    a = agent.act(s, words.first_action)
+    a = agent.first_action(s, words.first_action)
     for t in range(num_steps):
         s_next, reward, terminal = task.step(s, a, words.step[t])
         g += F(agent.gamma) ** length * F(reward)
@@ -125,7 +125,7 @@ def run(agent, task, num_steps, words):
             g, length = F(0), 0
             agent.episode += 1
             s = task.begin(words.reset[t])
-            a = agent.act(s, words.start[t])
+            a = agent.first_action(s, words.start[t])
     return finished
 
 
@@ -144,6 +144,9 @@ class Agent:
     def act(self, s, u):
         epsilon = self.rates.epsilon(self.t + 1, self.episode, self.visits[s].sum() + 1)
         return draw(epsilon_greedy(self.values(s), epsilon), u)
+
+    def first_action(self, s, u):
+        return self.act(s, u)
 
     def alpha(self, s, a):
         return F(self.rates.alpha(self.t, self.episode, self.visits[s, a]))
@@ -172,20 +175,19 @@ class OffPolicy(Agent):
 
 
 class DoubleQLearning(Agent):
-    """The box of section 6.7. Heads: Q1 learns. Several maximal actions count with their mean."""
+    """The box of section 6.7. Heads: Q1 learns. Of several maximal actions one is drawn, by other words."""
 
-    def __init__(self, *args, heads, **kwargs):
+    def __init__(self, *args, heads, words, **kwargs):
         super().__init__(*args, **kwargs)
-        self.q1, self.q2, self.heads = self.q, self.q.copy(), heads
+        self.q1, self.q2, self.heads, self.words = self.q, self.q.copy(), heads, words
 
     def values(self, s):
         return (self.q1[s] + self.q2[s]) / F(2)
 
     def learn(self, s, a, r, s_next, terminal, ended, u):
         own, other = (self.q1, self.q2) if self.heads[self.t - 1] else (self.q2, self.q1)
-        best = [b for b, x in enumerate(own[s_next]) if x == max(own[s_next])]
-        bootstrap = sum(other[s_next, b] for b in best) / F(len(best))
-        target = r + self.discount(terminal) * bootstrap
+        best = draw(epsilon_greedy(own[s_next], 0.0), self.words[self.t - 1])
+        target = r + self.discount(terminal) * other[s_next, best]
         own[s, a] += self.alpha(s, a) * (target - own[s, a])
         return self.act(s_next, u)
 
@@ -279,6 +281,236 @@ class Traces(Agent):
             q += self.increments
             self.begin()
         return a_next
+
+
+class WholeReturns(Agent):
+    """Monte Carlo control (boxes of sections 5.3 and 5.4; Silver, lecture 5). In float64.
+
+    `returns` counts what was averaged, and is what schedules by visit go by. A time limit leaves the mean of
+    Q(S', .) under the policy.
+    """
+
+    def __init__(self, *args, first_visit=False, batch=1, exploring_starts=False, behaviour=None):
+        super().__init__(*args)
+        self.q = self.q.astype(float)
+        self.first_visit, self.batch, self.exploring_starts = first_visit, batch, exploring_starts
+        self.behaviour = behaviour
+        self.acting, self.returns, self.steps = self.q.copy(), np.zeros(self.q.shape, int), []
+
+    def probs(self, s):
+        if self.behaviour is not None:
+            return self.behaviour[s]
+        epsilon = self.rates.epsilon(self.t + 1, self.episode, self.returns[s].sum() + 1)
+        return soft(self.acting[s], epsilon)
+
+    def act(self, s, u):
+        return self.choose(self.probs(s), u)
+
+    def first_action(self, s, u):
+        return self.choose(np.ones(self.q.shape[1]), u) if self.exploring_starts else self.act(s, u)
+
+    def choose(self, probs, u):
+        a = draw(probs, u)
+        self.b = probs[a]  # what importance sampling divides by
+        return a
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        self.steps.append((s, a, float(r), self.b))
+        if ended:
+            self.walk_back(0.0 if terminal else self.gamma * self.rest(s_next))
+            self.steps = []
+            if self.episode % self.batch == 0:
+                self.acting = self.q.copy()
+        return self.act(s_next, u)
+
+    def rest(self, s):
+        return float(np.dot(self.probs(s), self.q[s]))
+
+    def counts(self, i):
+        """Whether the return from step i is one of those that are averaged."""
+        pairs = [step[:2] for step in self.steps]
+        return not self.first_visit or pairs[i] not in pairs[:i]
+
+    def rate(self, s, a):
+        self.returns[s, a] += 1
+        return float(self.rates.alpha(self.t, self.episode, self.returns[s, a]))
+
+    def walk_back(self, g):
+        """`g` is what came after the last reward, discounted."""
+        for i, (s, a, r, _) in reversed(list(enumerate(self.steps))):
+            g = r + g
+            if self.counts(i):
+                self.q[s, a] += self.rate(s, a) * (g - self.q[s, a])
+            g *= self.gamma
+
+
+def soft(row, epsilon):
+    """The epsilon-greedy policy, in float64."""
+    best = np.array([q == max(row) for q in row], float)
+    return float(epsilon) / len(row) + (1 - float(epsilon)) * best / best.sum()
+
+
+class OffPolicyReturns(WholeReturns):
+    """Off-policy Monte Carlo control (box of section 5.7, with any target; equations 5.5 and 5.14).
+
+    target(row, s) is pi(. | s). The terms of each return are added up one by one.
+    """
+
+    def __init__(self, *args, target, weighting, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.target, self.weighting = target, weighting
+        self.c = np.zeros_like(self.q)
+
+    def rest(self, s):
+        return float(np.dot(self.target(self.q[s], s), self.q[s]))
+
+    def walk_back(self, g):
+        terms, ratios = [g], []  # discounted rewards from here on; ratios of the steps after this one
+        for i, (s, a, r, b) in reversed(list(enumerate(self.steps))):
+            terms = [r, *terms] if i == len(self.steps) - 1 else [r, *(self.gamma * x for x in terms)]
+            if self.counts(i):
+                g, w, alpha = sum(terms), np.prod(ratios), self.rate(s, a)
+                if self.weighting == "weighted":
+                    self.c[s, a] += w
+                    alpha = w / self.c[s, a] if w else 0.0
+                elif self.weighting == "ordinary":
+                    g = w * g
+                else:
+                    weights = [np.prod(ratios[:k]) for k in range(len(terms) - 1)]
+                    g = np.dot([*weights, weights[-1]], terms)
+                self.q[s, a] += alpha * (g - self.q[s, a])
+            ratios = [self.target(self.q[s], s)[a] / b, *ratios]
+
+
+class ForwardView(Agent):
+    """Sarsa(lambda) that learns at the end of the episode, by `view(q, episode, alpha)`. In float64."""
+
+    def __init__(self, *args, view):
+        super().__init__(*args)
+        self.q, self.view, self.steps = self.q.astype(float), view, []
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        a_next = self.act(s_next, u)
+        self.steps.append((s, a, float(r), 0.0 if terminal else self.gamma, s_next, a_next))
+        if ended:
+            episode = Episode(*map(np.array, zip(*self.steps, strict=True)))
+            self.q = self.view(self.q, episode, float(self.alpha(s, a)))
+            self.steps = []
+        return a_next
+
+
+# --- state values: `acting` acts, and the values of pi are learned, in float64 ------------------------
+
+
+class Values(Agent):
+    """TD(0) for v_pi (box of section 6.1); off-policy, with one ratio on the target (Silver, lecture 5)."""
+
+    def __init__(self, rates, gamma, v0, acting, pi=None):
+        super().__init__(len(acting), rates, gamma, v0)
+        self.v, self.acting, self.pi = self.q.astype(float), acting, acting if pi is None else pi
+        self.begin()
+
+    def begin(self):
+        self.steps = []
+
+    def act(self, s, u):
+        return draw(self.acting[s], u)
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        alpha = lambda: float(self.rates.alpha(self.t, self.episode, self.visits[s].sum()))
+        self.learn_value(s, a, float(r), s_next, 0.0 if terminal else self.gamma, ended, alpha)
+        if ended:
+            self.begin()
+        return self.act(s_next, u)
+
+    def learn_value(self, s, a, r, s_next, discount, ended, alpha):
+        rho = self.pi[s][a] / self.acting[s][a]
+        self.v[s] += alpha() * (rho * (r + discount * self.v[s_next]) - self.v[s])
+
+
+class NStepValues(Values):
+    """The box of section 7.1, with the whole episode kept in lists."""
+
+    def __init__(self, *args, n, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.n = n
+
+    def learn_value(self, s, a, r, s_next, discount, ended, alpha):
+        self.steps.append((s, r, alpha()))
+        length = len(self.steps)
+        for tau in range(max(length - self.n, 0), length if ended else length - self.n + 1):
+            g = sum(self.gamma ** (i - tau) * self.steps[i][1] for i in range(tau, length))
+            g += self.gamma ** (length - 1 - tau) * discount * self.v[s_next]
+            s, _, step_size = self.steps[tau]
+            self.v[s] += step_size * (g - self.v[s])
+
+
+class TraceValues(Values):
+    """TD(lambda) (boxes of sections 12.2 and 12.5)."""
+
+    def __init__(self, *args, lam, trace="accumulating", offline=False, **kwargs):
+        self.lam, self.trace, self.offline = lam, trace, offline
+        super().__init__(*args, **kwargs)
+
+    def begin(self):
+        self.z, self.increments, self.v_old = np.zeros_like(self.v), np.zeros_like(self.v), 0.0
+
+    def learn_value(self, s, a, r, s_next, discount, ended, alpha):
+        v, z, alpha = self.v, self.z, alpha()
+        v_now, v_next = v[s], v[s_next]
+        delta = r + discount * v_next - v_now
+        z *= self.gamma * self.lam
+        z[s] = {"accumulating": z[s] + 1, "replacing": 1, "dutch": z[s] + 1 - alpha * z[s]}[self.trace]
+        if self.offline:
+            self.increments += alpha * delta * z
+        elif self.trace == "dutch":
+            v += alpha * (delta + v_now - self.v_old) * z
+            v[s] -= alpha * (v_now - self.v_old)
+            self.v_old = v_next
+        else:
+            v += alpha * delta * z
+        if ended:
+            v += self.increments
+
+
+class ReturnValues(Values):
+    """Monte Carlo for v_pi (box of section 5.1, equations 5.5, 5.6 and 5.14), each return by its definition.
+
+    weighting None: on-policy.
+    """
+
+    def __init__(self, *args, first_visit=False, weighting=None, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.first_visit, self.weighting = first_visit, weighting
+        self.averaged, self.sums = np.zeros(len(self.v), int), np.zeros((2, len(self.v)))
+
+    def learn_value(self, s, a, r, s_next, discount, ended, alpha):
+        self.steps.append((s, a, r))
+        if not ended:
+            return
+        rest = discount * self.v[s_next]
+        for t in reversed(range(len(self.steps))):
+            s = self.steps[t][0]
+            if self.first_visit and s in [step[0] for step in self.steps[:t]]:
+                continue
+            self.averaged[s] += 1
+            alpha = float(self.rates.alpha(self.t, self.episode, self.averaged[s]))
+            terms = [self.gamma**k * r for k, (_, _, r) in enumerate(self.steps[t:])]
+            terms[-1] += self.gamma ** (len(terms) - 1) * rest
+            ratios = np.array([self.pi[s][a] / self.acting[s][a] for s, a, _ in self.steps[t:]])
+            if self.weighting == "weighted":  # sum of W G over sum of W, with the step size as the last share
+                share = np.array([[1 - alpha], [alpha]])
+                new = ratios.prod() * np.array([sum(terms), 1.0])
+                self.sums[:, s] = share[0] * self.sums[:, s] + share[1] * new
+                if self.sums[1, s]:
+                    self.v[s] = self.sums[0, s] / self.sums[1, s]
+                continue
+            g = {
+                None: sum(terms),
+                "ordinary": ratios.prod() * sum(terms),
+                "per-decision": float(np.dot(np.cumprod(ratios), terms)),
+            }[self.weighting]
+            self.v[s] += alpha * (g - self.v[s])
 
 
 # --- the forward view, in float64 --------------------------------------------------------------------

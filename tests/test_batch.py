@@ -45,7 +45,7 @@ def test_in_a_batch_of_any_size(all_runs, method, size):
 
 
 def test_in_any_order(all_runs, method):
-    """Broken once: keys from a run's place in the batch instead of its seed -> fails, and so does any size."""
+    """Broken once: keys from a run's place in the batch instead of its seed -> fails, as does any size."""
     seeds = np.random.default_rng(0).permutation(500)
     same(many(seeds, method), all_runs, seeds)
 

@@ -2,6 +2,7 @@
 
 from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -37,9 +38,8 @@ class DoubleQLearning(TDControl):
 
     Q1(S, A) <- Q1(S, A) + alpha [R + gamma Q2(S', argmax_a Q1(S', a)) - Q1(S, A)]
 
-    Where several actions are best, the mean of their values stands for that of one drawn uniformly: the same
-    expectation with less noise. Actions are drawn from the behaviour policy by the mean of Q1 and Q2, after
-    the update.
+    Of several actions that are best one is drawn. Actions are drawn from the behaviour policy by the mean of
+    Q1 and Q2, after the update.
     """
 
     acts_after_update: ClassVar[bool] = True
@@ -53,7 +53,10 @@ class DoubleQLearning(TDControl):
         clock = schedules.begin_step(state.clock, t.s, t.a)
         first = policies.coin(key)  # whether Q1 learns; independent of what `policy` draws from this key
         row1, row2 = tables.row(state.q1, t.s_next), tables.row(state.q2, t.s_next)
-        q_next = jnp.where(first, policies.greedy(row1) @ row2, policies.greedy(row2) @ row1)
+        best = policies.sample(jax.random.fold_in(key, 0), policies.greedy(jnp.where(first, row1, row2)))
+        q_next = jnp.where(
+            first, tables.entry(state.q2, t.s_next, best), tables.entry(state.q1, t.s_next, best)
+        )
         q = jnp.where(first, tables.entry(state.q1, t.s, t.a), tables.entry(state.q2, t.s, t.a))
         step = schedules.step_size(self.alpha, clock, t.s, t.a) * (t.r + t.discount * q_next - q)
         state = DoubleState(
