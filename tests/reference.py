@@ -383,7 +383,7 @@ class OffPolicyReturns(WholeReturns):
 
 
 class ForwardView(Agent):
-    """Sarsa(lambda) that learns at the end of the episode, by `view(q, episode, alpha)`. In float64."""
+    """Sarsa that learns at the end of the episode, by `view(q, episode, alphas [T])`. In float64."""
 
     def __init__(self, *args, view):
         super().__init__(*args)
@@ -391,10 +391,11 @@ class ForwardView(Agent):
 
     def learn(self, s, a, r, s_next, terminal, ended, u):
         a_next = self.act(s_next, u)
-        self.steps.append((s, a, float(r), 0.0 if terminal else self.gamma, s_next, a_next))
+        alpha = float(self.rates.alpha(self.t, self.episode, self.visits[s, a]))
+        self.steps.append((s, a, float(r), 0.0 if terminal else self.gamma, s_next, a_next, alpha))
         if ended:
-            episode = Episode(*map(np.array, zip(*self.steps, strict=True)))
-            self.q = self.view(self.q, episode, float(self.alpha(s, a)))
+            *steps, alphas = map(np.array, zip(*self.steps, strict=True))
+            self.q = self.view(self.q, Episode(*steps), alphas)
             self.steps = []
         return a_next
 
@@ -542,12 +543,15 @@ def lambda_return(r, discount, values, lam, t, horizon):
 
 
 def offline_forward(q, episode, alpha, lam):
-    """Q after an episode by the off-line lambda-return algorithm, all by its first Q (section 12.1)."""
+    """Q after an episode by the off-line lambda-return algorithm, all by its first Q (section 12.1).
+
+    alpha may be one number, or one for each step.
+    """
     values = q[episode.s_next, episode.a_next]
     new = q.copy()
-    for t, (s, a) in enumerate(zip(episode.s, episode.a, strict=True)):
+    for t, (s, a, step) in enumerate(np.broadcast(episode.s, episode.a, alpha)):
         g = lambda_return(episode.r, episode.discount, values, lam, t, len(episode.s))
-        new[s, a] += alpha * (g - q[s, a])
+        new[s, a] += step * (g - q[s, a])
     return new
 
 
@@ -572,10 +576,12 @@ def online_forward(q, episode, alpha, lam):
 def every_visit_monte_carlo(q, episode, alpha):
     """Q after the episode: alpha (G - Q) added up over all visits, all by the Q of its start (section 5.1).
 
-    Where a time limit cut the episode, G goes on with the value of the pair at which it was cut.
+    Where a time limit cut the episode, G goes on with the value of the pair at which it was cut. alpha may be
+    one number, or one for each step.
     """
     new, g = q.copy(), q[episode.s_next[-1], episode.a_next[-1]]
+    alpha = np.broadcast_to(alpha, len(episode.s))
     for t in reversed(range(len(episode.s))):
         g = episode.r[t] + episode.discount[t] * g
-        new[episode.s[t], episode.a[t]] += alpha * (g - q[episode.s[t], episode.a[t]])
+        new[episode.s[t], episode.a[t]] += alpha[t] * (g - q[episode.s[t], episode.a[t]])
     return new

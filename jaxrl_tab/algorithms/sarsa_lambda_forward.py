@@ -47,7 +47,7 @@ class SarsaLambdaForward(TDControl):
         increment of Q(S_t, A_t) <- increment + alpha [G - Q(S_t, A_t)]
 
     This is the off-line lambda-return algorithm. It adds up to the same as `SarsaLambda(offline=True)`, the
-    backward view. lambda = 1 is every-visit Monte Carlo.
+    backward view, where alpha stays the same in an episode. lambda = 1 is every-visit Monte Carlo.
 
     Attributes:
         lam: lambda, in [0, 1].
