@@ -11,6 +11,7 @@ import json as jsonlib
 import os
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -33,14 +34,15 @@ import jaxrl_tab
 from jaxrl_tab import batch, describe, planning
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.envs.base import Grid
+from jaxrl_tab.envs.base import Finite, Grid, Panel
 from jaxrl_tab.figures import FIGURES, Check, swept
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page, six_digits
-from jaxrl_tab.options import Group, option_of, parse, real, values, whole, words
+from jaxrl_tab.options import Group, about, option_of, parameters, parse, real, values, whole, words
+from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import label
-from jaxrl_tab.sweep import configurations
-from jaxrl_tab.types import FiniteEnvironment, InputError, build, nearest
+from jaxrl_tab.sweep import METHODS, configurations
+from jaxrl_tab.types import InputError, build, nearest
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -78,7 +80,11 @@ STEPS = 8000
 DATA = "results.nc"
 ENVIRONMENT = Group(ENVS, "Parameters of the environment.")
 HYPERPARAMETERS = Group(
-    ALGORITHMS, "Of the methods; several values make a grid.", grids=True, defaults={"alpha": ALPHAS}
+    METHODS,
+    "Of the methods; several values make a grid.",
+    grids=True,
+    defaults={"alpha": ALPHAS},
+    parts={"the methods of control": ALGORITHMS, "the methods of prediction": PREDICTION},
 )
 
 
@@ -124,31 +130,53 @@ class List:
 
 def _list(argv: list[str]) -> int:
     options = parse(f"{PROG} list", List, argv)
-    registries = {"environments": ENVS, "methods": ALGORITHMS}
+    registries = {"environments": ENVS, "methods": ALGORITHMS, "prediction": PREDICTION}
     figures = {name: f"{figure.title} ({figure.source})" for name, figure in FIGURES.items()}
     if options.json:
         facts = {kind: {name: _facts(cls) for name, cls in r.items()} for kind, r in registries.items()}
         _print_json(facts | {"figures": {name: {"summary": text} for name, text in figures.items()}})
         return 0
     out = _console()
+    headings = {
+        "environments": "environments",
+        "methods": "methods of control",
+        "prediction": "methods of prediction, of the policy in which all actions are equally likely",
+    }
     for kind, registry in registries.items():
-        out.print(f"[bold]{kind}[/]")
+        out.print(f"[bold]{headings[kind]}[/]")
+        if shared := _shared(registry):
+            out.print("\n  unless said otherwise, all have")
+            out.print(_parameter_table(shared))
         for name, cls in registry.items():
             out.print(f"\n  [bold cyan]{name}[/]  {escape(describe.summary(cls))}")
-            table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
-            for p in describe.parameters(cls):
-                table.add_row(f"    [green]{option_of(p)}[/]", escape(words(p.default)), escape(p.help))
-            out.print(table)
+            if own := [p for p in parameters(cls) if p not in shared]:
+                out.print(_parameter_table(own))
         out.print()
+    out.print(escape(about(HYPERPARAMETERS)), "\n", soft_wrap=True)
     out.print("[bold]figures[/]\n")
     for name, text in figures.items():
         out.print(f"  [bold cyan]{name}[/]  {escape(text)}")
     return 0
 
 
+def _shared(registry: Mapping[str, type]) -> list[describe.Parameter]:
+    """The parameters that all entries have, in the form that most of them have."""
+    everywhere = [parameters(cls) for cls in registry.values()]
+    names = [{p.name for p in ps} for ps in everywhere]
+    counts = Counter(p for ps in everywhere for p in ps)
+    return [p for p, n in counts.items() if 2 * n > len(registry) and all(p.name in known for known in names)]
+
+
+def _parameter_table(shown: Sequence[describe.Parameter]) -> Table:
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    for p in shown:
+        table.add_row(f"    [green]{option_of(p)}[/]", escape(words(p.default)), escape(p.help))
+    return table
+
+
 def _facts(cls: type) -> dict[str, Any]:
-    parameters = {p.name: {"default": label(p.default), "help": p.help} for p in describe.parameters(cls)}
-    return {"summary": describe.summary(cls), "parameters": parameters}
+    facts = {p.name: {"default": label(p.default), "help": p.help} for p in describe.parameters(cls)}
+    return {"summary": describe.summary(cls), "parameters": facts}
 
 
 # --- solve -------------------------------------------------------------------------------------------
@@ -205,39 +233,52 @@ def _solve(argv: list[str]) -> int:
             f"[bold]{options.env}[/], gamma {words(options.gamma)}, {title}: "
             f"value from the start [bold]{six_digits(planning.start_value(env, v))}[/]"
         )
-        out.print(_picture(env, v, q))
+        for table in _pictures(env, v, q):
+            out.print(table)
+    if hasattr(env, "instance"):
+        mean = escape(six_digits(env.mean_optimal_value(options.gamma)))
+        out.print(f"Each run of a sweep draws a problem of its own; the mean over them is [bold]{mean}[/].")
     if options.out:
         _say_where(options.out)
     return 0
 
 
-def _picture(env: Any, v: np.ndarray, q: np.ndarray) -> Table:
-    """Values and best actions: in their places on a grid, else as a list of states."""
+def _pictures(env: Any, v: np.ndarray, q: np.ndarray) -> list[Table]:
+    """Values and best actions: where people see the states in tables in their places, else as a list."""
+    model = planning.exact_model(env)
+    visited, terminal = planning.reachable(model), planning.terminal_states(model)
     between = "" if isinstance(env, Grid) else " "
     best = [between.join(env.action_names[a] for a in _best_actions(row)) for row in q]
-    if not isinstance(env, Grid):
-        table = Table("state", "value", "best actions")
-        for s, value in enumerate(v):
-            table.add_row(str(s), six_digits(value), best[s])
-        return table
-    rows, columns = env.shape
-    visited = planning.reachable(planning.exact_model(env))
-    marks = {env.start_state: "[bold reverse]S[/] "}
-    cells = [
-        f"{_short(v[s])}\n{marks.get(s, '')}[cyan]{best[s]}[/]" if visited[s] else ""
-        for s in range(env.num_states)
-    ]
-    cells[env.state(env.goal)] = "[bold green]G[/]"
-    wind = getattr(env, "wind", None)
-    table = Table("", *map(str, range(columns)), show_lines=True, padding=0, show_footer=wind is not None)
-    footers = ["wind", *([""] * columns if wind is None else wind)]
+    if not env.panels():
+        choice = env.num_actions > 1
+        table = Table("state", "value", *(["best actions"] if choice else []))
+        for s in np.flatnonzero(visited & ~terminal):
+            table.add_row(str(s), six_digits(v[s]), *([best[s]] if choice else []))
+        return [table]
+    marks = {env.start_state: "[bold reverse]S[/] "} if isinstance(env, Grid) else {}
+    cells = [f"{_short(v[s])}\n{marks.get(s, '')}[cyan]{best[s]}[/]" for s in range(env.num_states)]
+    for s in np.flatnonzero(terminal | ~visited):
+        cells[s] = ""
+    if isinstance(env, Grid):
+        cells[env.state(env.goal)] = "[bold green]G[/]"
+    tables = [_panel(panel, cells, getattr(env, "wind", None)) for panel in env.panels()]
+    if not (visited | terminal).all():
+        tables[-1].caption = "empty: out of reach from the start"
+    return tables
+
+
+def _panel(panel: Panel, cells: Sequence[str], wind: Any) -> Table:
+    """The `cells` of the states in a panel; below its columns the wind, where there is any."""
+    axes = f"{panel.down} ↓, {panel.along} →" if panel.down else ""
+    title = ": ".join(filter(None, [panel.title, axes]))
+    table = Table("", *panel.columns, title=title or None, show_lines=True, padding=0)
+    table.show_footer = wind is not None
+    footers = ["wind", *([""] * len(panel.columns) if wind is None else wind)]
     for column, footer in zip(table.columns, footers, strict=True):
         column.footer, column.justify, column.no_wrap, column.min_width = str(footer), "center", True, 5
     table.columns[0].min_width = None
-    for row in range(rows):
-        table.add_row(str(row), *cells[row * columns : (row + 1) * columns])
-    if not visited.all():
-        table.caption = "empty: out of reach from the start"
+    for name, row in zip(panel.rows, panel.states, strict=True):
+        table.add_row(name, *(cells[int(s)] for s in row))
     return table
 
 
@@ -246,24 +287,33 @@ def _best_actions(q: np.ndarray) -> np.ndarray:
     return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q).max()))
 
 
-def _draw_solutions(
-    env: FiniteEnvironment, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path
-) -> None:
+def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:
     from matplotlib.figure import Figure
 
     from jaxrl_tab import plot
 
-    height = 1.6 + 6.2 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 4
-    figure = Figure(figsize=(8, height * len(solutions)), dpi=plot.DPI, layout="constrained")
-    axes = np.ravel(figure.subplots(len(solutions)))
-    for ax, (title, (_, v, q)) in zip(axes, solutions.items(), strict=True):
+    panels, height = env.panels(), 4.0
+    if isinstance(env, Grid):
+        height = 1.6 + 6.2 * env.shape[0] / env.shape[1]
+    elif panels:
+        height = 1.2 + 0.42 * max(len(panel.rows) for panel in panels)
+    columns = max(1, len(panels))
+    width = 8 if columns == 1 else 6.2 * columns
+    figure = Figure(figsize=(width, height * len(solutions)), dpi=plot.DPI, layout="constrained")
+    grid = figure.subplots(len(solutions), columns, squeeze=False)
+    for row, (title, (_, v, q)) in zip(grid, solutions.items(), strict=True):
+        title = f"{title}; value from the start {six_digits(planning.start_value(env, v))}"
         if isinstance(env, Grid):
-            plot.values(ax, env, v, q)
+            plot.values(row[0], env, v, q)
+        elif panels:
+            best = np.array([np.isin(np.arange(env.num_actions), _best_actions(x)) for x in q])
+            for ax, panel in zip(row, panels, strict=True):
+                plot.panel(ax, env, panel, v, best)
+                ax.set_title("\n".join(filter(None, [title, panel.title])), fontsize=plot.TITLE)
+            continue
         else:
-            ax.plot(v, "o-")
-            ax.set_xlabel("state")
-            ax.set_ylabel("value")
-        ax.set_title(f"{title}; value from the start {six_digits(planning.start_value(env, v))}")
+            plot.action_values(row[0], env, q)
+        row[0].set_title(title)
     figure.savefig(folder / "values.png")
 
 
@@ -277,10 +327,15 @@ class Sweep:
     Prints a summary table. With --out, leaves a folder: results.nc (netCDF: the numbers of every seed, a
     group for each method), summary.csv, and pictures.
 
+    Methods of prediction learn the values of the policy in which all actions are equally likely, and are
+    compared by their error.
+
     Examples:
       jaxrl-tab sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
       jaxrl-tab sweep windy-gridworld sarsa --moves king --alpha 0.1 0.3 0.5 --epsilon 0.05 0.1
       jaxrl-tab sweep cliff-walking sarsa q-learning --alpha 0.5 --epsilon glie --episodes 500
+      jaxrl-tab sweep k-armed-testbed q-learning --alpha 0.1 --behaviour greedy epsilon-greedy:0.1 ucb:2
+      jaxrl-tab sweep random-walk n-step-td td-lambda --alpha 0.1 0.3 --n 1 4 16 --episodes 10
     """
 
     env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
@@ -298,7 +353,10 @@ class Sweep:
     seed: Annotated[int, whole(0)] = 0
     """Which sequence of seeds."""
     exact: Switch = False
-    """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log."""
+    """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
+
+    The error of methods of prediction is always recorded.
+    """
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
     json: Switch = False
@@ -320,7 +378,7 @@ def _sweep(argv: list[str]) -> int:
         "num_episodes": options.episodes,
         "log_every": options.log_every,
         "seed": options.seed,
-        "exact": options.exact,
+        "exact": options.exact or set(grids) <= set(PREDICTION),
     }
 
     with _folder(options.out) as folder:
@@ -348,19 +406,22 @@ def _sweep(argv: list[str]) -> int:
 
 def _methods(names: Sequence[str]) -> Sequence[str]:
     for i, name in enumerate(names or [""]):
-        if _known("a method", name, ALGORITHMS) in names[:i]:
+        if _known("a method", name, METHODS) in names[:i]:
             raise InputError(f"the method {name} is named more than once")
+    prediction = [name for name in names if name in PREDICTION]
+    if prediction and (control := [name for name in names if name not in PREDICTION]):
+        raise InputError(
+            f"{prediction[0]} learns the values of a policy, and {control[0]} a policy, which cannot be "
+            "compared; sweep methods of prediction and of control apart"
+        )
     return names
 
 
 def _grid(name: str, given: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
     """The grid of one method, checked: a list of values is swept, a single value is not."""
     grid = values(name, given, HYPERPARAMETERS)
-    for parameter, tried in grid.items():
-        if len(tried) > 1 and not all(isinstance(value, int | float | str) for value in tried):
-            raise InputError(f"{parameter}: a schedule must stand alone, not in a grid with others")
     single = {parameter: tried[0] if len(tried) == 1 else tried for parameter, tried in grid.items()}
-    configurations(ALGORITHMS[name], single)
+    configurations(METHODS[name], single)
     return single
 
 
@@ -420,29 +481,37 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     unit = "steps" if "num_steps" in ds.attrs else "episodes"
     length = f"{ds.attrs[f'num_{unit}']} {unit}"
     setting = [f"{h} {words(table[h][0])}" for h in shared]
-    few = bool((table.seeds < ds.sizes["seed"]).any())  # some seeds finished no episode in the last tenth
+    prediction = stats.is_prediction(*datasets.values())
+    # some seeds finished no episode in the last tenth
+    few = not prediction and bool((table["seeds"] < ds.sizes["seed"]).any())
+    score, score_high, score_head = "last_tenth_return", "last_tenth_high", "mean return,\nlast tenth"
+    if prediction:
+        score, score_high, score_head = "v_error", "v_error_high", "RMS error,\nwhole run"
     exact = "greedy_value" in columns
     view = Table(
-        *["method", *varied, "episodes", "mean return,\nlast tenth", "± 95%"],
+        *["method", *varied, "episodes", score_head, "± 95%"],
         *(["seeds\ncounted"] if few else []),
+        *(["RMS error\nat the end"] if prediction else []),
         *["million\nsteps/s"],
         *(["worth of the\ngreedy policy"] if exact else []),
-        "exact\noptimum",
+        "value of\nthe policy" if prediction else "exact\noptimum",
     )
     for column in view.columns[1:]:
         column.justify = "right"
+    digits = "{:.4f}".format if prediction else "{:.2f}".format
     for method, rows in table.groupby("method", sort=False):
-        best, differ = stats.best(datasets[str(method)]), rows.last_tenth_return.nunique() > 1
+        best, differ = stats.best(datasets[str(method)]), len(rows[score].drop_duplicates()) > 1
         for row in rows.to_dict("records"):
             star = bool(best) and differ and all(row[name] == value for name, value in best.items())
-            mean, high = row["last_tenth_return"], row["last_tenth_high"]
+            mean, high = row[score], row[score_high]
             view.add_row(
                 f"{method} *" if star else str(method),
                 *(_cell(row[h], words) for h in varied),
                 f"{row['episodes']:.1f}",
-                _cell(mean, "{:.2f}".format),
-                _cell(high - mean, "{:.2f}".format),
+                _cell(mean, digits),
+                _cell(high - mean, digits),
                 *([str(row["seeds"])] if few else []),
+                *([_cell(row["final_v_error"], digits)] if prediction else []),
                 f"{row['steps_per_second'] / 1e6:.1f}",
                 *([_cell(row["greedy_value"], six_digits)] if exact else []),
                 _cell(row["optimum"], six_digits),
@@ -452,7 +521,9 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     out = _console()
     out.print(", ".join([f"[bold]{environment}[/]", *setting, f"{ds.sizes['seed']} seeds, {length} each"]))
     out.print(view)
-    if varied and table.last_tenth_return.nunique() > 1:
+    if prediction:
+        out.print("RMS error of V over the states, exact; averaged over the rows of the log, and at the end")
+    if varied and len(table[score].drop_duplicates()) > 1:
         out.print("* the best of its method on these seeds; chosen for its mean, which so flatters it")
     if exact:
         out.print(
@@ -550,7 +621,7 @@ def _known(kind: str, name: str, names: Collection[str]) -> str:
 def _environment(name: str, given: Mapping[str, tuple[str, ...]]) -> Any:
     _known("an environment", name, ENVS)
     typed = values(name, given, ENVIRONMENT)
-    defaults = {p.name: p.default for p in describe.parameters(ENVS[name])}
+    defaults = {p.name: p.default for p in parameters(ENVS[name])}
     single = {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in typed.items()}
     return build(ENVS[name], name, single)
 
@@ -596,8 +667,8 @@ def _say_where(folder: Path, group: str | None = None) -> None:
 
 
 def _short(x: float) -> str:
-    """`x` in a narrow cell: three significant digits, or all that are before the point."""
-    return f"{x:.0f}" if abs(x) >= 100 else f"{round(x, 9) + 0:.3g}"
+    """`x` in a narrow cell: three significant digits of four decimals, or all that are before the point."""
+    return f"{x:.0f}" if abs(x) >= 100 else f"{round(x, 4) + 0:.3g}"
 
 
 def _console() -> Console:

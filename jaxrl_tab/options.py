@@ -95,7 +95,7 @@ def parse(prog: str, command: type, argv: Sequence[str], **groups: Group) -> Any
     whole = dataclasses.make_dataclass(
         command.__name__,
         [
-            (name, Annotated[cls, arg(help=_help(groups[name]))], dataclasses.field(default_factory=cls))
+            (name, Annotated[cls, arg(help=about(groups[name]))], dataclasses.field(default_factory=cls))
             for name, cls in types.items()
         ],
         bases=(command,),
@@ -173,7 +173,7 @@ def words(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _help(group: Group) -> str:
+def about(group: Group) -> str:
     """What the group is, and how a schedule and a policy are typed if some parameter takes one."""
     known = [p for cls in group.registry.values() for p in parameters(cls)]
     parts = [group.help]

@@ -17,7 +17,8 @@ class OffPolicyControl(TDControl):
     behaviour that is a table, and so never changes, is checked for that.
 
     Attributes:
-        target: the policy that is learned about, instead of the default: Greedy, Table, ... (see `policies`).
+        target: the policy that is learned about (see `policies`); if not given the greedy one, in Expected
+            Sarsa the one that acts.
     """
 
     target: Policy | None = None

@@ -53,7 +53,7 @@ class TDControl:
         epsilon: probability of exploring, in [0, 1]; a number or a schedule.
         gamma: discount rate, in [0, 1].
         q0: initial value of every entry of Q; above the true values it is optimistic (book, section 2.6).
-        behaviour: how actions are chosen, instead of epsilon-greedy: Softmax, UCB, ... (see `policies`).
+        behaviour: the policy that acts (see `policies`), instead of the epsilon-greedy one.
     """
 
     alpha: Rate = 0.1
