@@ -288,32 +288,28 @@ def _best_actions(q: np.ndarray) -> np.ndarray:
 
 
 def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:
-    from matplotlib.figure import Figure
-
     from jaxrl_tab import plot
 
-    panels, height = env.panels(), 4.0
-    if isinstance(env, Grid):
-        height = 1.6 + 6.2 * env.shape[0] / env.shape[1]
-    elif panels:
-        height = 1.2 + 0.42 * max(len(panel.rows) for panel in panels)
-    columns = max(1, len(panels))
-    width = 8 if columns == 1 else 6.2 * columns
-    figure = Figure(figsize=(width, height * len(solutions)), dpi=plot.DPI, layout="constrained")
-    grid = figure.subplots(len(solutions), columns, squeeze=False)
-    for row, (title, (_, v, q)) in zip(grid, solutions.items(), strict=True):
-        title = f"{title}; value from the start {six_digits(planning.start_value(env, v))}"
-        if isinstance(env, Grid):
-            plot.values(row[0], env, v, q)
-        elif panels:
+    titles = [
+        f"{title}; value from the start {six_digits(planning.start_value(env, v))}"
+        for title, (_, v, _) in solutions.items()
+    ]
+    if env.panels() and not isinstance(env, Grid):
+        figure, grid = plot.panels_canvas(env, len(solutions))
+        for row, title, (_, v, q) in zip(grid, titles, solutions.values(), strict=True):
             best = np.array([np.isin(np.arange(env.num_actions), _best_actions(x)) for x in q])
-            for ax, panel in zip(row, panels, strict=True):
-                plot.panel(ax, env, panel, v, best)
-                ax.set_title("\n".join(filter(None, [title, panel.title])), fontsize=plot.TITLE)
-            continue
+            plot.panels(row, env, v, best, title)
+        figure.savefig(folder / "values.png")
+        return
+    height = 1.6 + 6.2 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 4
+    figure = plot.canvas(8, height * len(solutions))
+    axes = np.ravel(figure.subplots(len(solutions)))
+    for ax, title, (_, v, q) in zip(axes, titles, solutions.values(), strict=True):
+        if isinstance(env, Grid):
+            plot.values(ax, env, v, q)
         else:
-            plot.action_values(row[0], env, q)
-        row[0].set_title(title)
+            plot.action_values(ax, env, q)
+        ax.set_title(title)
     figure.savefig(folder / "values.png")
 
 

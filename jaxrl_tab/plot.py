@@ -9,7 +9,7 @@ Datasets are those of `SweepResult.to_xarray`, one for each method, by the name 
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from jaxrl_tab import planning, stats
-from jaxrl_tab.envs.base import COMPASS, Finite, Grid, Panel
+from jaxrl_tab.envs.base import COMPASS, Finite, Grid
 from jaxrl_tab.types import Environment, InputError
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -35,6 +35,7 @@ INK, GREY, ALARM = "#222222", "#6e6e6e", "#D55E00"
 TITLE, SMALL = 11, 8  # font sizes, points
 DPI = 150
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
+MOST_TICKS = 25  # states beyond which not each has its number on an axis
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 Datasets = Mapping[str, xr.Dataset]
@@ -536,37 +537,59 @@ def _draw_ends(ax: Axes, env: Grid) -> None:
 # --- what is no grid ---------------------------------------------------------------------------------
 
 
-def panel(
-    ax: Axes, env: Finite, table: Panel, v: np.ndarray, best: np.ndarray | None = None, **limits: Any
+def panels(
+    axes: Sequence[Axes],
+    env: Finite,
+    v: np.ndarray,
+    best: np.ndarray | None = None,
+    title: str = "",
+    limits: tuple[float, float] | None = None,
 ) -> None:
-    """A heat map of the values `v`, float [S], of the states in `table`, with the actions that are best.
+    """Heat maps of the values `v`, float [S], in the tables in which people see the states.
+
+    States that are terminal or out of reach are left empty.
 
     Args:
-        ax: where to draw.
+        axes: where to draw, one for each of `env.panels()`.
         env: the environment.
-        table: one of `env.panels()`.
         v: values, [S].
-        best: which actions are best, bool [S, A]; None where there is nothing to choose.
-        limits: `vmin` and `vmax` of the colours, so that panels can be compared.
+        best: which actions are best, bool [S, A]; named below the values. None: names none.
+        title: stands over each, above what the states of the table have in common.
+        limits: the values at the ends of the colours, so that pictures compare; by default those of `v`.
     """
     model = planning.exact_model(env)
-    shown = (np.isfinite(v) & planning.reachable(model) & ~planning.terminal_states(model))[table.states]
-    image = ax.imshow(np.ma.masked_array(v[table.states], ~shown), cmap="viridis", **limits)
-    for row, column in np.argwhere(shown):
-        s = table.states[row, column]
-        text = _number(float(v[s]), 2)
-        if best is not None:
-            text += "\n" + "/".join(np.array(env.action_names)[best[s]])
-        note = ax.text(column, row, text, size=SMALL - 1, ha="center", va="center", color="white")
-        note.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
-    ax.set_xticks(range(len(table.columns)), table.columns)
-    ax.set_yticks(range(len(table.rows)), table.rows)
-    ax.set_xlabel(table.along)
-    ax.set_ylabel(table.down)
-    ax.tick_params(length=0)
-    ax.spines[:].set_visible(False)
-    assert ax.figure is not None
-    ax.figure.colorbar(image, ax=ax, label="value", shrink=0.75, pad=0.02)
+    shown = np.isfinite(v) & planning.reachable(model) & ~planning.terminal_states(model)
+    low, high = limits or (v[shown].min(initial=np.inf), v[shown].max(initial=-np.inf))
+    image = None
+    for ax, table in zip(axes, env.panels(), strict=True):
+        values = np.ma.masked_array(v, ~shown)[table.states]
+        image = ax.imshow(values, cmap="viridis", vmin=low, vmax=high)
+        for row, column in np.argwhere(shown[table.states]):
+            s = table.states[row, column]
+            text = f"{round(float(v[s]), 2) + 0:.2f}".replace("-", "−")
+            if best is not None:
+                text += "\n" + "/".join(np.array(env.action_names)[best[s]])
+            note = ax.text(column, row, text, size=SMALL - 1, ha="center", va="center", color="white")
+            note.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
+        ax.set_xticks(range(len(table.columns)), table.columns)
+        ax.set_yticks(range(len(table.rows)), table.rows)
+        ax.set_xlabel(table.along)
+        ax.set_ylabel(table.down)
+        ax.tick_params(length=0)
+        ax.spines[:].set_visible(False)
+        ax.set_title("\n".join(filter(None, [title, table.title])), fontsize=TITLE)
+    figure = axes[0].figure
+    assert figure is not None and image is not None
+    figure.colorbar(image, ax=list(axes), label="value", shrink=0.75, pad=0.02)
+
+
+def panels_canvas(env: Finite, rows: int) -> tuple[Figure, np.ndarray]:
+    """A figure with the axes for so many rows of `panels`, [rows, panels]."""
+    tables = env.panels()
+    tallest = max(len(table.rows) for table in tables)
+    widths = [2.0 + 0.42 * len(table.columns) for table in tables]
+    figure = canvas(sum(widths) + 1, (1.6 + 0.42 * tallest) * rows)
+    return figure, figure.subplots(rows, len(tables), squeeze=False, width_ratios=widths)
 
 
 def action_values(ax: Axes, env: Finite, q: np.ndarray) -> None:
@@ -574,7 +597,8 @@ def action_values(ax: Axes, env: Finite, q: np.ndarray) -> None:
     states = np.flatnonzero(~planning.terminal_states(planning.exact_model(env)))
     for a, style in zip(range(env.num_actions), _styles(), strict=False):
         ax.plot(states, q[states, a], ls="none", label=env.action_names[a], **style)
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if len(states) <= MOST_TICKS:
+        ax.set_xticks(states)
     ax.margins(0.1)
     tidy(ax, "state", "value")
     if env.num_actions > 1:
@@ -621,18 +645,18 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
         datasets: a sweep for each method, at least one.
         env: the environment of all of them.
     """
-    panels = _curves(datasets, env)
+    curves = _curves(datasets, env)
     if isinstance(env, Grid) and not stats.is_prediction(*datasets.values()):
         table = stats.summary(datasets)
         winner = table.method[table.last_tenth_return.fillna(-np.inf).argmax()]
-        panels["greedy_path"] = lambda ax: _median_path(ax, env, winner, datasets[winner])
-    columns = 3 if len(panels) in (3, 5, 6) else min(2, len(panels))
-    rows = -(-len(panels) // columns)
+        curves["greedy_path"] = lambda ax: _median_path(ax, env, winner, datasets[winner])
+    columns = 3 if len(curves) in (3, 5, 6) else min(2, len(curves))
+    rows = -(-len(curves) // columns)
     figure = canvas(6 * columns, 4.3 * rows + 0.4)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax, draw in zip(grid, panels.values(), strict=False):
+    for ax, draw in zip(grid, curves.values(), strict=False):
         draw(ax)
-    for ax in grid[len(panels) :]:
+    for ax in grid[len(curves) :]:
         ax.remove()
     figure.suptitle(_caption(datasets, env), fontsize=TITLE + 1)
     return figure
@@ -693,27 +717,24 @@ def _all_tables(datasets: Datasets, env: Finite) -> Figure:
     """The panels of the environment: a row for what each method learned, and one for what is exact.
 
     What a method learned is the mean over seeds of its largest action value, and the action that is greedy
-    most often.
+    most often; of prediction the mean of V.
     """
     learned = {}
     for label, ds in _chosen(datasets, {}):
         q = ds.q.values
         often = _greedy(q).mean(0)
-        learned[f"{label}: mean of {len(q)} seeds"] = q.max(-1).mean(0), often == often.max(-1, keepdims=True)
-    limits = {}
+        best = often == often.max(-1, keepdims=True)
+        shown = None if stats.is_prediction(ds) else best
+        learned[f"{label}: mean of {len(q)} seeds"] = q.max(-1).mean(0), shown
+    limits = None
     if (exact := _exact_table(datasets, env)) is not None:
         learned["exact"] = exact
-        reached = exact[0][planning.reachable(planning.exact_model(env))]
-        limits = {"vmin": reached.min(), "vmax": reached.max()}
-    tables = env.panels()
-    tallest = max(len(table.rows) for table in tables)
-    figure = canvas(6.2 * len(tables), (1.2 + 0.42 * tallest) * len(learned))
-    grid = figure.subplots(len(learned), len(tables), squeeze=False)
+        model = planning.exact_model(env)
+        there = exact[0][planning.reachable(model) & ~planning.terminal_states(model)]
+        limits = there.min(), there.max()
+    figure, grid = panels_canvas(env, len(learned))
     for row, (title, (v, best)) in zip(grid, learned.items(), strict=True):
-        for ax, table in zip(row, tables, strict=True):
-            choice = best if best is not None and best.shape[1] == env.num_actions > 1 else None
-            panel(ax, env, table, v, choice, **limits)
-            ax.set_title("\n".join(filter(None, [title, table.title])), fontsize=TITLE)
+        panels(row, env, v, best, title, limits)
     figure.suptitle(_caption(datasets, env), fontsize=TITLE + 1)
     return figure
 
