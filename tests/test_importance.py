@@ -71,10 +71,11 @@ def as_arrays(task):
     return env, np.array(pi, float), np.array(b, float)
 
 
-def walk(right, num_states=5, slip=0.1, max_steps=200):
+def walk(right, num_states=3, slip=0.1, each=0.0, max_steps=200):
     """Left or right along a walk that starts in the middle, -1 and +1 at its ends; and a policy to the right.
 
-    A step goes the other way with probability `slip`. Both ends are one terminal state, the last.
+    A step goes the other way with probability `slip`, and gives `each` where it ends nothing. Both ends are
+    one terminal state, the last.
     """
     end = num_states
     p, r = np.zeros((2, end + 1, 2, end + 1))
@@ -82,14 +83,15 @@ def walk(right, num_states=5, slip=0.1, max_steps=200):
         for a, near, far in ((0, s - 1, s + 1), (1, s + 1, s - 1)):
             for s_next, chance in ((near, 1 - slip), (far, slip)):
                 p[s, a, s_next if 0 <= s_next < end else end] += chance
+    r[:end] = each
     r[0, :, end], r[end - 1, :, end] = -1, 1
     env = rl.FiniteMDP(p, r, terminal=[end], start=end // 2, max_steps=max_steps)
     return env, np.tile([1 - right, right], (end + 1, 1))
 
 
-WALK, TO_THE_RIGHT = walk(right=0.65)
-EVENLY = np.full((6, 2), 0.5)
-START = 2
+WALK, TO_THE_RIGHT = walk(right=0.7, each=-0.5)
+EVENLY = np.full((4, 2), 0.5)
+START = 1
 
 
 @pytest.fixture(scope="module")
@@ -133,10 +135,11 @@ def test_the_blackjack_state_of_the_book():
 
 
 def test_variance_of_the_returns_alone_where_both_policies_are_one():
-    exact = importance.variance(WALK, EVENLY, EVENLY)
+    env, _ = walk(right=0.5)
+    exact = importance.variance(env, EVENLY, EVENLY)
     assert (exact.ratio == 0).all()
-    win = np.append((planning.evaluate(WALK, EVENLY)[:-1] + 1) / 2, 0.5)
-    np.testing.assert_allclose(exact.ordinary[:-1], (4 * win * (1 - win))[:-1])  # +1 or -1
+    win = (planning.evaluate(env, EVENLY)[:-1] + 1) / 2  # +1 or -1
+    np.testing.assert_allclose(exact.ordinary, np.append(4 * win * (1 - win), 0))
     np.testing.assert_allclose(exact.per_decision, exact.ordinary)
 
 
@@ -148,10 +151,10 @@ def test_variance_with_loops_is_that_of_a_plain_simulation(exact):
     while going.any():
         a = rng.integers(0, 2, n)
         step = np.where(rng.random(n) < 0.1, 1 - 2 * a, 2 * a - 1)
-        rho = np.where(going, rho * np.where(a == 1, 0.65, 0.35) / 0.5, rho)
+        rho = np.where(going, rho * np.where(a == 1, 0.7, 0.3) / 0.5, rho)
         s = np.where(going, s + step, s)
-        ended = going & ((s < 0) | (s > 4))
-        reward = np.where(ended, np.sign(step), 0)
+        ended = going & ((s < 0) | (s > 2))
+        reward = np.where(ended, step, -0.5 * going)
         g += scale * reward
         x += scale * rho * reward
         scale *= gamma
@@ -166,7 +169,7 @@ def test_variance_with_loops_is_that_of_a_plain_simulation(exact):
 def test_the_spread_of_estimates_over_seeds_is_the_exact_variance(weighting, exact):
     """V of the start after 20 episodes has the variance Var / 20: over 1024 seeds, within 4 standard errors.
 
-    Broken once: the ratio of the last step left out of the method's rho -> fails; every-visit -> fails.
+    Broken once: the ratio of the state's own action left out -> fails; the two weightings exchanged -> fails.
     """
     n, seeds = 20, 1024
     method = OffPolicyMonteCarloPrediction(
@@ -381,14 +384,14 @@ def test_a_target_that_never_ends_has_no_ratio():
 @pytest.mark.parametrize(
     ("target", "behaviour", "gamma", "message"),
     [
-        (EVENLY, np.eye(2)[[0, 0, 0, 1, 1, 1]], 1.0, "leaves out action 1 in state 0, which target can take"),
-        (EVENLY[:5], EVENLY, 1.0, r"target: probabilities are of shape \(5, 2\), and the task has 6 states"),
+        (EVENLY, np.eye(2)[[0, 0, 0, 1]], 1.0, "leaves out action 1 in state 0, which target can take"),
+        (EVENLY[:3], EVENLY, 1.0, r"target: probabilities are of shape \(3, 2\), and the task has 4 states"),
         (EVENLY, EVENLY.T, 1.0, r"behaviour: .* state 0 are not a distribution"),
         (
             EVENLY,
             Table(EVENLY[:, [0, 1, 0, 1]] / 2),
             1.0,
-            "behaviour: .* the task has 6 states and 2 actions",
+            "behaviour: .* the task has 4 states and 2 actions",
         ),
         (EVENLY, EVENLY, 1.5, "gamma must be between 0 and 1, not 1.5"),
     ],
@@ -422,7 +425,7 @@ def test_ratios_that_are_none_are_refused(ratios):
 
 def test_an_environment_that_can_only_be_sampled_is_refused():
     class Sampled:
-        num_states, num_actions, max_steps = 6, 2, 10
+        num_states, num_actions, max_steps = 4, 2, 10
         reset = step = None
 
     with pytest.raises(rl.InputError, match="Sampled can only be sampled"):
