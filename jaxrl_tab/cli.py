@@ -337,7 +337,7 @@ class Sweep:
     env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
     """Name of the environment; see `jaxrl-tab list`."""
     methods: Annotated[Positional[tuple[str, ...]], arg(metavar="METHOD ...", help_behavior_hint="")] = ()
-    """Names of one or more methods; see `jaxrl-tab list`."""
+    """Names of one or more methods; see `jaxrl-tab list`. An option goes to all that have it."""
     seeds: Annotated[int, whole(1)] = 100
     """How many seeds."""
     steps: Annotated[int | None, whole(1), arg(help_behavior_hint=f"(default: {STEPS})")] = None
@@ -365,7 +365,7 @@ def _sweep(argv: list[str]) -> int:
     batch.use_all_cores()
     options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
     env = _environment(options.env, options.environment)
-    grids = {name: _grid(name, options.hyperparameters) for name in _methods(options.methods)}
+    grids = _grids(_methods(options.methods), options.hyperparameters)
     if options.steps is not None and options.episodes is not None:
         raise InputError("give --steps or --episodes, not both")
     budget = {
@@ -413,12 +413,13 @@ def _methods(names: Sequence[str]) -> Sequence[str]:
     return names
 
 
-def _grid(name: str, given: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
-    """The grid of one method, checked: a list of values is swept, a single value is not."""
-    grid = values(name, given, HYPERPARAMETERS)
-    single = {parameter: tried[0] if len(tried) == 1 else tried for parameter, tried in grid.items()}
-    configurations(METHODS[name], single)
-    return single
+def _grids(names: Sequence[str], given: Mapping[str, tuple[str, ...]]) -> dict[str, dict[str, Any]]:
+    """The grid of each method, checked: a list of values is swept, a single value is not."""
+    grids = {}
+    for name, grid in values(names, given, HYPERPARAMETERS).items():
+        grids[name] = {k: tried[0] if len(tried) == 1 else tried for k, tried in grid.items()}
+        configurations(METHODS[name], grids[name])
+    return grids
 
 
 def _run(
@@ -494,7 +495,9 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     )
     for column in view.columns[1:]:
         column.justify = "right"
-    digits = "{:.4f}".format if prediction else "{:.2f}".format
+    smallest = (table[score_high] - table[score]).replace([0, np.inf], np.nan).min()
+    decimals = 2 if np.isnan(smallest) else int(np.clip(1 - np.floor(np.log10(smallest)), 2, 5))
+    digits = f"{{:.{decimals}f}}".format
     for method, rows in table.groupby("method", sort=False):
         best, differ = stats.best(datasets[str(method)]), len(rows[score].drop_duplicates()) > 1
         for row in rows.to_dict("records"):
@@ -616,7 +619,7 @@ def _known(kind: str, name: str, names: Collection[str]) -> str:
 
 def _environment(name: str, given: Mapping[str, tuple[str, ...]]) -> Any:
     _known("an environment", name, ENVS)
-    typed = values(name, given, ENVIRONMENT)
+    typed = values([name], given, ENVIRONMENT)[name]
     defaults = {p.name: p.default for p in parameters(ENVS[name])}
     single = {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in typed.items()}
     return build(ENVS[name], name, single)

@@ -16,6 +16,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
@@ -128,21 +129,34 @@ def parse(prog: str, command: type, argv: Sequence[str], **groups: Group) -> Any
     return parsed
 
 
-def values(name: str, given: Mapping[str, tuple[str, ...]], group: Group) -> dict[str, list[Any]]:
-    """The parameters of the entry `name` of a registry that are not left as they are, each with its values.
+def values(
+    names: Sequence[str], given: Mapping[str, tuple[str, ...]], group: Group
+) -> dict[str, dict[str, list[Any]]]:
+    """For each of these entries of a registry the parameters that are not left alone, with their values.
+
+    An option goes to all of them that have it.
 
     Raises:
-        InputError: the entry has no such parameter, or what was typed is of the wrong kind.
+        InputError: none of them has such a parameter, or what was typed is of the wrong kind.
     """
-    known = {option_of(p): p for p in parameters(group.registry[name])}
+    known = {name: {option_of(p): p for p in parameters(group.registry[name])} for name in names}
+    for option in given:
+        if not any(option in owned for owned in known.values()):
+            owners = [other for other, cls in group.registry.items() if option in _spelled(cls)]
+            who, *others = names
+            has_no = f"none of {', '.join(names)} has" if others else f"{who} has no"
+            hint = "" if others else f"; {who} has {', '.join(known[who])}"
+            raise InputError(f"{has_no} {option}, which is of {group.owners(owners)}{hint}")
+    return {name: _values(owned, given, group) for name, owned in known.items()}
+
+
+def _values(
+    known: Mapping[str, describe.Parameter], given: Mapping[str, tuple[str, ...]], group: Group
+) -> dict[str, list[Any]]:
     found = {p.name: list(group.default(p)) for p in known.values() if group.default(p) is not p.default}
     for option, tokens in given.items():
-        if option not in known:
-            owners = [other for other, cls in group.registry.items() if option in _spelled(cls)]
-            raise InputError(
-                f"{name} has no {option}, which is of {group.owners(owners)}; {name} has {', '.join(known)}"
-            )
-        parameter = known[option]
+        if (parameter := known.get(option)) is None:
+            continue
         if isinstance(parameter.default, bool):
             found[parameter.name] = [not parameter.default]
         elif not tokens:
@@ -166,7 +180,7 @@ def words(value: Any) -> str:
     """A value as it is typed; a dash where there is none."""
     if value is None:
         return "–"
-    if isinstance(value, bool):
+    if isinstance(value, bool | np.bool_):
         return "on" if value else "off"
     if isinstance(value, tuple):
         return " ".join(words(x) for x in value)

@@ -198,7 +198,7 @@ def _error_axis(ax: Axes, means: list[np.ndarray]) -> None:
     values = np.concatenate(means)
     values = values[np.isfinite(values)]
     if values.size:
-        ax.set_ylim(0, min(1.05 * values.max(), 5 * values.min()))
+        ax.set_ylim(0, min(1.15 * values.max(), 5 * values.min()))
 
 
 def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, **line: Any) -> None:
@@ -257,10 +257,13 @@ def _label(method: str, setting: Mapping[str, Any]) -> str:
 
 
 def _settings(setting: Mapping[str, Any]) -> list[str]:
-    return [
-        f"{GREEK.get(name, name)} = {_number(value) if isinstance(value, (int, float)) else value}"
-        for name, value in setting.items()
-    ]
+    return [f"{GREEK.get(name, name)} = {_value(value)}" for name, value in setting.items()]
+
+
+def _value(x: Any) -> str:
+    if isinstance(x, bool):
+        return "on" if x else "off"
+    return _number(x) if isinstance(x, int | float) else str(x)
 
 
 def _styles() -> Iterable[dict[str, Any]]:
