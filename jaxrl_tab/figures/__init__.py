@@ -6,6 +6,7 @@ from jaxrl_tab.figures import (
     blackjack_regret,
     cliff_alpha,
     cliff_walking,
+    importance_sampling,
     k_armed_testbed,
     maximization_bias,
     trace_gridworld,
@@ -25,6 +26,7 @@ FIGURES = {
     "bias-variance": bias_variance.FIGURE,
     "blackjack": blackjack.FIGURE,
     "blackjack-regret": blackjack_regret.FIGURE,
+    "importance-sampling": importance_sampling.FIGURE,
 }
 
 __all__ = ["FIGURES", "Check", "Figure", "Number", "swept"]

@@ -5,8 +5,8 @@ import numpy as np
 from jaxrl_tab.envs import RandomWalk
 from jaxrl_tab.figures.figure import Figure, Number, swept
 
-NS = (1, 2, 4, 8, 16, 32)
-LAMBDAS = (0.0, 0.4, 0.8, 0.9, 0.95, 0.975, 0.99, 1.0)
+NS = (1, 2, 4, 8, 16)
+LAMBDAS = (0.0, 0.4, 0.8, 0.9, 0.95, 0.975, 1.0)
 TRACES = {"accumulating": "TD(λ)", "dutch": "true online TD(λ)"}
 ALPHAS = (0.025, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 EPISODES = 10
