@@ -11,6 +11,7 @@ Off-policy, b acts while v_pi is learned; ratios rho = pi(A | S) / b(A | S) then
     state.v, log.v_error          # V [S]; the root of its mean squared error at the end of each row
 """
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -20,9 +21,9 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import planning, policies, tables
 from jaxrl_tab.algorithms import MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
-from jaxrl_tab.policies import Policy, Table, check_coverage
+from jaxrl_tab.policies import EpsilonGreedy, Policy, Table, check_coverage
 from jaxrl_tab.schedules import Rate, check_number, sample_average
-from jaxrl_tab.types import Algorithm, Environment, InputError, Transition, init_learner, pytree, static
+from jaxrl_tab.types import Algorithm, Environment, InputError, Task, Transition, init_learner, pytree, static
 
 
 class ValueState(NamedTuple):
@@ -44,16 +45,8 @@ class ValueState(NamedTuple):
 
     @property
     def v(self) -> Float[Array, " S"]:
-        """V, float [S]."""
-        return self.learner.q[:, 0]
-
-
-class Task(NamedTuple):
-    """What the method of control hears of the task."""
-
-    num_states: int
-    num_actions: int
-    max_steps: int
+        """V, float [S]; of a batch of learners [..., S]."""
+        return self.learner.q[..., 0]
 
 
 @pytree
@@ -194,8 +187,9 @@ class OffPolicyPrediction(Prediction):
     def __post_init__(self):
         _as_table(self, "behaviour")
         super().__post_init__()
-        if self.pi is not None and self.behaviour is not None:
-            check_coverage(type(self).__name__, self.pi, self.behaviour)
+        if self.behaviour is not None:
+            any_action = EpsilonGreedy(1.0)
+            check_coverage(type(self).__name__, any_action if self.pi is None else self.pi, self.behaviour)
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
         state = super().init(num_states, num_actions, max_steps)
@@ -213,6 +207,7 @@ class OffPolicyTD(OffPolicyPrediction):
     """
 
     acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[str] = "transitions of b"
 
     def control(self) -> Sarsa:
         return Sarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0)
@@ -248,6 +243,7 @@ class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
     first_visit: bool = static(default=False)
 
     acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[str] = "episodes of b"
 
     def control(self, acting: Any = None, target: Any = None) -> Algorithm:
         return _OfStates(
@@ -285,12 +281,15 @@ class _OfStates(OffPolicyMonteCarlo):
 
 def _as_table(obj: Any, name: str) -> None:
     """Makes the probabilities in field `name` a Table."""
-    value = getattr(obj, name)
-    if value is not None and not isinstance(value, Table):
-        try:
-            object.__setattr__(obj, name, Table(value))
-        except InputError as error:
-            raise InputError(f"{type(obj).__name__}: {name}: {str(error).partition(': ')[2]}") from None
+    value, what = getattr(obj, name), f"{type(obj).__name__}: {name}"
+    if value is None or isinstance(value, Table):
+        return
+    if not isinstance(value, Sequence | np.ndarray | jax.Array):
+        raise InputError(f"{what} must be probabilities [S, A], or a policies.Table of them, not {value!r}")
+    try:
+        object.__setattr__(obj, name, Table(value))
+    except InputError as error:
+        raise InputError(f"{what}: {str(error).partition(': ')[2]}") from None
 
 
 def _probabilities(table: Table | None, num_states: int, num_actions: int) -> Float[Array, "S A"]:
