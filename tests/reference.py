@@ -407,8 +407,8 @@ class Values(Agent):
     """TD(0) for v_pi (box of section 6.1); off-policy, with one ratio on the target (Silver, lecture 5)."""
 
     def __init__(self, rates, gamma, v0, acting, pi=None):
-        super().__init__(len(acting), rates, gamma, v0)
-        self.v, self.acting, self.pi = self.q.astype(float), acting, acting if pi is None else pi
+        super().__init__(np.shape(acting), rates, gamma)
+        self.v, self.acting, self.pi = np.full(len(acting), float(v0)), acting, acting if pi is None else pi
         self.begin()
 
     def begin(self):
