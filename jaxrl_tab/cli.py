@@ -473,11 +473,12 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     ds = next(iter(datasets.values()))
     columns = list(table.columns)
     hyperparameters = columns[1 : columns.index("episodes")]
-    shared = [h for h in hyperparameters if len(table[h].drop_duplicates()) == 1]
+    tried = {h: table[h].dropna().drop_duplicates() for h in hyperparameters}  # not all methods have all
+    shared = {h: found.iloc[0] for h, found in tried.items() if len(found) == 1}
     varied = [h for h in hyperparameters if h not in shared]
     unit = "steps" if "num_steps" in ds.attrs else "episodes"
     length = f"{ds.attrs[f'num_{unit}']} {unit}"
-    setting = [f"{h} {words(table[h][0])}" for h in shared]
+    setting = [f"{h} {words(value)}" for h, value in shared.items()]
     prediction = stats.is_prediction(*datasets.values())
     # some seeds finished no episode in the last tenth
     few = not prediction and bool((table["seeds"] < ds.sizes["seed"]).any())

@@ -792,7 +792,9 @@ def _caption(datasets: Datasets, env: Environment) -> str:
     unusual = [
         f"{field.name} = {getattr(env, field.name)}"
         for field in dataclasses.fields(env)  # pyright: ignore[reportArgumentType]
-        if isinstance(field.default, (str, int, float)) and getattr(env, field.name) != field.default
+        if isinstance(field.default, (str, int, float))
+        and np.ndim(getattr(env, field.name)) == 0
+        and getattr(env, field.name) != field.default
     ]
     first, *others = [stats.fixed(ds) for ds in datasets.values()]
     common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
