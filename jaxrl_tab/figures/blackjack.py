@@ -111,13 +111,13 @@ FIGURE = Figure(
         # The optimum by enumeration, and as published; what is learned from 363 seeds of a plain loop.
         Number("optimal value from the start", -0.046556, EXACT, _optimal_value),
         Number(
-            "usable ace: cards for which the lowest sum to stick on is not the known one",
+            "usable ace: cards for which it sticks from another sum than is known",
             0,
             EXACT,
             _sticks_unlike(1, (19, 18, 18, 18, 18, 18, 18, 18, 19, 19)),
         ),
         Number(
-            "no usable ace: the same",
+            "no usable ace: cards for which it sticks from another sum than is known",
             0,
             EXACT,
             _sticks_unlike(0, (17, 13, 13, 12, 12, 12, 17, 17, 17, 17)),
