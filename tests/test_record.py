@@ -1,0 +1,119 @@
+"""What is recorded at the end of rows; a problem for each run; the chunks in which episodes are run."""
+
+import sys
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrl_tab as rl
+from jaxrl_tab.envs.base import FixedStart
+from jaxrl_tab.types import Outcome, pytree
+
+METHOD = rl.Sarsa(alpha=0.5, epsilon=0.25)
+
+
+def clock_and_start(state):
+    return {"at_step": state.clock.step, "at_episode": state.clock.episode, "row_of_start": state.q[30]}
+
+
+@pytest.mark.parametrize(("unit", "number", "every"), [("num_steps", 2500, 1000), ("num_episodes", 7, 3)])
+def test_rows_are_recorded_at_their_end(unit, number, every, windy):
+    """Also of the last row, which is shorter. (In a dataset, and beside exact values: see test_prediction.)
+
+    Broken once: recorded before the row; the shorter last row without its own; its axes lost -> each fails.
+    """
+    budget = {unit: number, "log_every": every}
+    run = lambda key: rl.train(key, METHOD, windy, record=clock_and_start, **budget)
+    state, log = jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 3))
+    found = log.recorded
+    np.testing.assert_array_equal(found["at_step"], np.cumsum(log.steps, 1))
+    np.testing.assert_array_equal(found["at_episode"], np.cumsum(log.episodes, 1))
+    want = np.append(np.arange(every, number, every), number)
+    at = found["at_step"] if unit == "num_steps" else found["at_episode"]
+    np.testing.assert_array_equal(at, np.broadcast_to(want, (3, 3)))
+    assert found["row_of_start"].shape == (3, 3, 4)
+    np.testing.assert_array_equal(found["row_of_start"][:, -1], state.q[:, 30])
+    assert (found["row_of_start"][:, 0] != found["row_of_start"][:, 1]).any()
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        (5, "record must be a function from the state of the learner to a dict of arrays"),
+        (
+            lambda state: state.q,
+            "record must be a function from the state of the learner to a dict of arrays",
+        ),
+        (lambda state: {"steps": 0}, "record: 'steps' is a name in the results already; take another"),
+        (lambda state: {"q": state.q}, "record: 'q' is a name in the results already; take another"),
+    ],
+)
+def test_what_cannot_be_recorded_is_refused(record, message, windy):
+    with pytest.raises(rl.InputError) as error:
+        rl.train(jax.random.key(0), METHOD, windy, num_steps=10, record=record)
+    assert str(error.value) == message
+
+
+# --- a problem for each run --------------------------------------------------------------------------
+
+
+@pytree
+class Lottery(FixedStart):
+    """One play, whose reward is a number that is drawn once for a run."""
+
+    prize: float = -1.0
+
+    num_states, num_actions, max_steps, start_state = 2, 2, 10, 0
+
+    def instance(self, key):
+        return Lottery(jax.random.uniform(key))
+
+    def outcomes(self, s, a):
+        reward = jnp.where(s == 0, jnp.asarray(self.prize, float), 0)
+        return jnp.ones(1), Outcome(jnp.array([1]), reward[None], jnp.array([True]))
+
+
+def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
+    """The reward of a step tells which problem it is, all steps of a run are of one, and exact values too.
+
+    Broken once: the problem drawn from the key of the sweep, or anew in each row; the exact value of the
+    environment as given -> each fails.
+    """
+    sweep = partial(rl.sweep, Lottery(), "sarsa", num_steps=300, exact=True)
+    log = sweep({"alpha": [1.0, 0.5]}, num_seeds=5).log
+    prize = log.rewards / 100
+    np.testing.assert_allclose(prize, np.broadcast_to(prize[0, :, :1], prize.shape), rtol=1e-6)
+    assert len(np.unique(prize[0, :, 0])) == 5
+    assert prize.min() >= 0
+    np.testing.assert_allclose(log.greedy_value, prize, rtol=1e-5)
+    np.testing.assert_array_equal(sweep({"alpha": 0.25}, num_seeds=2).log.rewards, log.rewards[0, :2])
+    other = sweep({"alpha": 0.25}, num_seeds=2, seed=1).log
+    assert not np.isin(other.rewards, log.rewards).any()
+
+
+# --- chunks ------------------------------------------------------------------------------------------
+
+
+def test_whole_chunks_of_steps_are_the_same_as_single_steps(windy, monkeypatch):
+    """Bitwise: the usual chunks, others, and none. 9 episodes, in rows of 4.
+
+    Broken once: the chunk in which the target is reached kept; the target compared with > -> each fails.
+    """
+
+    def train(chunks):
+        monkeypatch.setattr(sys.modules["jaxrl_tab.train"], "CHUNKS", chunks)
+        record = lambda state: {
+            "at_step": state.clock.step
+        }  # a new one, or JAX would take the program it has
+        run = lambda key: rl.train(key, METHOD, windy, num_episodes=9, log_every=4, record=record)
+        return jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(3), 4))
+
+    usual = sys.modules["jaxrl_tab.train"].CHUNKS
+    state, log = train(usual)
+    for chunks in ((7, 3), ()):
+        jax.tree.map(np.testing.assert_array_equal, (state, log), train(chunks))
+    assert (log.episodes.sum(1) == 9).all()
+    assert log.steps[:, 0].min() > usual[0]
