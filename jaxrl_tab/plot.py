@@ -35,7 +35,7 @@ INK, GREY, ALARM = "#222222", "#6e6e6e", "#D55E00"
 TITLE, SMALL = 11, 8  # font sizes, points
 DPI = 150
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
-MOST_TICKS = 25  # states beyond which not each has its number on an axis
+FEW_TICKS, MOST_TICKS = 12, 25  # values, and states, beyond which not each has its tick on an axis
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 Datasets = Mapping[str, xr.Dataset]
@@ -179,6 +179,7 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
         x = np.unique(np.concatenate(tried).astype(float))
         if x.min() > 0 and x.max() > 10 * x.min():
             ax.set_xscale("log")
+        if ax.get_xscale() == "log" or len(x) <= FEW_TICKS:
             ax.set_xticks(x, [f"{v:g}" for v in x])
             ax.xaxis.set_minor_locator(NullLocator())
         return lambda x: x.astype(float)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from typing import Any
@@ -26,7 +27,7 @@ from jaxrl_tab.types import (
     nearest,
 )
 
-METHODS = ALGORITHMS | PREDICTION
+METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__
 
 
 def sweep(

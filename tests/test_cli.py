@@ -17,6 +17,8 @@ from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.cli import main
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.figures import FIGURES, figure
+from jaxrl_tab.prediction import PREDICTION
+from jaxrl_tab.sweep import METHODS
 from jaxrl_tab.types import InputError, pytree, static
 
 TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
@@ -182,6 +184,53 @@ def test_sweep_records_exact_values_and_schedules(tmp_path):
     assert json.loads(ds.attrs["fixed"])["epsilon"] == "glie"
 
 
+def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_path, capsys):
+    """The random walk with ends 0 and 1: v_pi from the middle is 1/2, and there is no optimum to reach."""
+    out = tmp_path / "walk"
+    argv = (
+        "sweep random-walk td-lambda --states 5 --left-reward 0 --lam 0 1 --alpha 0.1 --episodes 30 --seeds 3"
+    )
+    assert main([*argv.split(), "--out", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "random-walk, alpha 0.1, gamma 1, v0 0, trace accumulating, offline off, 3 seeds" in text
+    ds = xr.open_datatree(out / "results.nc")["td-lambda"].to_dataset()
+    lines = [line.split("│") for line in text.splitlines() if "│ td-lambda " in line]
+    error = ds.v_error.mean(("row", "seed")).values
+    np.testing.assert_allclose([float(line[4]) for line in lines], error, atol=5e-4)
+    np.testing.assert_allclose(
+        [float(line[6]) for line in lines], ds.v_error[..., -1].mean("seed"), atol=5e-4
+    )
+    assert [float(line[-2]) for line in lines] == [0.5, 0.5]
+    assert ["*" in line[1] for line in lines] == [i == error.argmin() for i in range(2)]
+    assert ds.attrs["optimal_value"] == pytest.approx(0.5)
+    names = {file.name for file in out.iterdir()}
+    pictures = {"learning_curves.png", "sensitivity.png", "values.png", "overview.png"}
+    assert names == {"results.nc", "summary.csv"} | pictures
+
+
+def test_policies_and_mixed_rates_make_grids_beside_the_mean_optimum_over_problems(tmp_path, capsys):
+    """Broken once: v* of the problem whose means are 0 beside runs that each draw their own -> fails."""
+    out = tmp_path / "arms"
+    argv = "sweep k-armed-testbed q-learning --alpha 0.1 sample-average --behaviour softmax:0.5 --steps 50"
+    assert main([*argv.split(), "--seeds", "2", "--out", str(out), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)["summary"]
+    assert [row["alpha"] for row in summary] == ["0.1", "sample-average"]
+    assert [row["optimum"] for row in summary] == pytest.approx([1.538753] * 2)
+    assert {row["behaviour"] for row in summary} == {"softmax:0.5"}
+    assert "epsilon" not in summary[0]  # it is not looked at where the behaviour is given
+    ds = xr.open_datatree(out / "results.nc")["q-learning"].to_dataset()
+    assert ds.alpha.values.tolist() == ["0.1", "sample-average"]
+
+
+def test_options_of_some_methods_go_to_those(swept):
+    main("sweep random-walk td n-step-td --n 1 4 --alpha 0.5".split())
+    ((_, algorithm, grid, budget),) = swept
+    assert (algorithm, grid) == ("td", {"alpha": 0.5})
+    assert budget["exact"]  # nothing else tells methods of prediction apart
+    main("sweep random-walk n-step-td --n 1 4 --alpha 0.5".split())
+    assert swept[1][1:3] == ("n-step-td", {"alpha": 0.5, "n": [1, 4]})
+
+
 # --- nothing computed is lost ------------------------------------------------------------------------
 
 
@@ -256,7 +305,7 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --alpha nan": "alpha must be greater than 0, not nan",
     "sweep windy-gridworld sarsa --alpha small": "--alpha takes a number or a schedule (glie,",
     "sweep windy-gridworld sarsa --alpha 0.1 0.10": "alpha holds 0.1 more than once",
-    "sweep windy-gridworld sarsa --alpha glie 0.1": "a schedule must stand alone",
+    "sweep windy-gridworld sarsa --alpha glie glie": "alpha holds glie more than once",
     "sweep windy-gridworld sarsa --epsilon 1.1": "epsilon must be between 0 and 1, not 1.1",
     "sweep windy-gridworld sarsa --gamma glie": "--gamma takes a number, not 'glie'",
     "sweep windy-gridworld sarsa --seeds 0": "--seeds must be a whole number from 1 to 2147483647, not '0'",
@@ -267,6 +316,21 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --log-every 0": "--log-every must be a whole number from 1 to 2147483647",
     "sweep windy-gridworld sarsa --seed -1": "--seed must be a whole number from 0 to 2147483647",
     "sweep windy-gridworld sarsa --steps 10 --episodes 10": "give --steps or --episodes, not both",
+    "sweep windy-gridworld sarsa --behaviour sofmax:1": "did you mean 'softmax'?",
+    "sweep windy-gridworld sarsa --behaviour ucb:2 --epsilon 0.2": "give epsilon or behaviour, not both",
+    "sweep windy-gridworld sarsa --behaviour ucb:2 ucb": "behaviour holds ucb:2 more than once",
+    "sweep windy-gridworld sarsa --target greedy": "sarsa has no --target, which is of expected-sarsa,",
+    "sweep windy-gridworld sarsa-lambda --lam 0.5 2": "lam must be between 0 and 1, not 2.0",
+    "sweep windy-gridworld sarsa-lambda --trace x": "choose one of accumulating, replacing, dutch",
+    "sweep windy-gridworld sarsa-lambda --offline --trace dutch": "accumulating traces only, not dutch",
+    "sweep windy-gridworld n-step-sarsa --n 0": "n must be a whole number of at least 1, not 0",
+    "sweep windy-gridworld n-step-sarsa --n 1.5": "--n takes a whole number, not '1.5'",
+    "sweep blackjack monte-carlo --batch 0": "batch must be a whole number of at least 1, not 0",
+    "sweep blackjack off-policy-monte-carlo --weighting x": "choose one of weighted, ordinary, per-decision",
+    "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which is of the methods of control; td has",
+    "sweep random-walk td-lambda --lam -1": "TDLambda: lam must be between 0 and 1, not -1.0",
+    "sweep random-walk td --pi 0.5": "there is no option --pi",
+    "sweep random-walk td sarsa": "sweep methods of prediction and of control apart",
 }
 
 
@@ -341,7 +405,7 @@ def test_a_new_method_brings_its_options(monkeypatch, swept, capsys):
     assert grid == {"memory": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
     capsys.readouterr()
 
-    error = refused(capsys, "sweep windy-gridworld eager sarsa --memory 0.5")
+    error = refused(capsys, "sweep windy-gridworld sarsa --memory 0.5")
     assert "sarsa has no --memory, which is of eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
     error = refused(capsys, "sweep windy-gridworld eager --patience x")
     assert "--patience takes a whole number, not 'x'" in error
@@ -357,7 +421,7 @@ def test_a_new_method_brings_its_options(monkeypatch, swept, capsys):
 @pytest.mark.parametrize("command", [cli.Sweep, cli.Solve])
 def test_no_two_options_have_the_same_name(command):
     """Parameters of the registries beside each other and beside the options of the command itself."""
-    groups = [ENVS, ALGORITHMS] if command is cli.Sweep else [ENVS]
+    groups = [ENVS, METHODS] if command is cli.Sweep else [ENVS]
     own = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(command)}
     for registry in groups:
         names = {options.option_of(p) for cls in registry.values() for p in describe.parameters(cls)}
@@ -366,7 +430,7 @@ def test_no_two_options_have_the_same_name(command):
 
 
 def test_every_parameter_of_the_registries_is_explained():
-    for cls in [*ENVS.values(), *ALGORITHMS.values()]:
+    for cls in [*ENVS.values(), *METHODS.values()]:
         assert (
             describe.summary(cls).endswith(".")
             or "=" in describe.summary(cls)
@@ -381,7 +445,7 @@ def test_list_names_everything(capsys):
     text = capsys.readouterr().out
     assert main(["list", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    for kind, registry in (("environments", ENVS), ("methods", ALGORITHMS)):
+    for kind, registry in (("environments", ENVS), ("methods", ALGORITHMS), ("prediction", PREDICTION)):
         assert list(found[kind]) == list(registry)
         for name, facts in found[kind].items():
             assert f"{name}  {facts['summary']}" in text
@@ -391,7 +455,13 @@ def test_list_names_everything(capsys):
     }
     assert found["environments"]["windy-gridworld"]["parameters"]["wind"]["default"][6] == 2
     assert set(found["figures"]) == set(FIGURES)
-    (line,) = [line for line in text.splitlines() if "--wind" in line]
+    assert "methods of prediction, of the policy in which all actions are equally likely" in text
+    assert text.count("--epsilon") == 1  # what all have stands there once
+    assert text.count("--alpha") == 2 + sum(
+        not isinstance(cls().alpha, float) for cls in METHODS.values()
+    )  # for control, for prediction, and where it is by default a schedule
+    assert "A policy is one of greedy, epsilon-greedy[:EPSILON], softmax[:TEMPERATURE], ucb[:C]." in text
+    (line,) = [line for line in text.splitlines() if "--wind " in line]
     assert "0 0 0 1 1 1 2 2 1 0  strength of each column" in line
 
 
@@ -433,8 +503,55 @@ def test_solve_lists_the_states_of_what_is_no_grid(capsys, tmp_path):
     out = tmp_path / "walk"
     assert main(["solve", "random-walk", "--states", "3", "--left-reward", "0", "--out", str(out)]) == 0
     lines = [line.split("│") for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
-    assert [float(line[2]) for line in lines] == [0, 0.25, 0.5, 0.75, 0]
+    assert [float(line[2]) for line in lines] == [0.25, 0.5, 0.75]  # terminal states have no value to show
+    assert len(lines[0]) == 4  # and where there is one action none is the best
     assert (out / "values.png").read_bytes().startswith(b"\x89PNG")
+
+
+def tables(text):
+    """The tables that were printed, by title: rows of (name, values, actions)."""
+    found, rows = {}, []
+    for line in text.splitlines():
+        if "→" in line and "┃" not in line:
+            rows = found[line.strip()] = []
+        elif line.startswith("│"):
+            name, *cells = [cell.strip() for cell in line.split("│")[1:-1]]
+            if name:
+                rows.append((name, [float(cell) for cell in cells]))
+            else:
+                rows[-1] += (cells,)
+    return found
+
+
+def test_solve_shows_card_games_as_tables_of_the_players_hand_by_the_dealers_card(capsys, tmp_path):
+    """Where to stick: the numbers of GROUND_TRUTH.md. Broken once: rows the other way round -> fails."""
+    assert main(["solve", "blackjack", "--rules", "natural", "--out", str(tmp_path / "cards")]) == 0
+    found = tables(capsys.readouterr().out)
+    usable, hard, natural = found.values()
+    assert list(found) == [
+        f"{title}: player ↓, dealer shows →" for title in ("usable ace", "no usable ace", "natural")
+    ]
+    assert [name for name, _, _ in usable] == [str(n) for n in range(21, 11, -1)]
+    sticks = [
+        [min(int(name) for name, _, actions in table if actions[card] == "stick") for card in range(10)]
+        for table in (usable, hard)
+    ]
+    assert sticks[0] == [19, 18, 18, 18, 18, 18, 18, 18, 19, 19]
+    assert sticks[1] == [17, 13, 13, 12, 12, 12, 17, 17, 17, 17]
+    ((_, wins, actions),) = natural
+    assert min(wins[1:]) > 1.3 and set(actions) == {"stick"}
+    assert (tmp_path / "cards" / "values.png").read_bytes().startswith(b"\x89PNG")
+
+    assert main(["solve", "easy21"]) == 0
+    ((title, rows),) = tables(capsys.readouterr().out).items()
+    assert title == "player ↓, dealer shows →"
+    assert len(rows) == 21 and all(len(values) == 10 for _, values, _ in rows)
+
+
+def test_solve_says_where_each_run_has_a_problem_of_its_own(capsys):
+    assert main(["solve", "k-armed-testbed"]) == 0
+    text = capsys.readouterr().out
+    assert "Each run of a sweep draws a problem of its own; the mean over them is 1.53875." in text
 
 
 def test_solve_as_json(capsys, tmp_path):
