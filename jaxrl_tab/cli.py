@@ -497,7 +497,8 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     for column in view.columns[1:]:
         column.justify = "right"
     smallest = (table[score_high] - table[score]).replace([0, np.inf], np.nan).min()
-    decimals = 2 if np.isnan(smallest) else int(np.clip(1 - np.floor(np.log10(smallest)), 2, 5))
+    least = 4 if prediction else 2
+    decimals = least if np.isnan(smallest) else int(np.clip(1 - np.floor(np.log10(smallest)), least, 5))
     digits = f"{{:.{decimals}f}}".format
     for method, rows in table.groupby("method", sort=False):
         best, differ = stats.best(datasets[str(method)]), len(rows[score].drop_duplicates()) > 1
