@@ -68,6 +68,13 @@ def ax():
     return Figure().subplots()
 
 
+@pytest.fixture
+def unwritten(monkeypatch, tmp_path):
+    """A folder to save pictures in, which takes no time, for none is rendered."""
+    monkeypatch.setattr(Figure, "savefig", lambda *_: None)
+    return tmp_path
+
+
 def texts(ax):
     return [text.get_text() for text in ax.texts]
 
@@ -185,6 +192,22 @@ def test_sensitivity_shows_a_method_that_kept_the_parameter(ax, datasets):
     assert line.get_xdata() == [0.3]
 
 
+def test_sensitivity_puts_schedules_and_numbers_side_by_side(ax, datasets):
+    """In the order in which they come, without a line, for nothing lies between them."""
+    ds = datasets["sarsa"].assign_coords(alpha=["0.5", "sample-average", "power:0.8:1:visit"])
+    kept = datasets["q-learning"].isel(alpha=1, drop=True).assign_attrs(fixed='{"alpha": 0.5}')
+    plot.sensitivity(ax, {"sarsa": ds, "kept": kept})
+    lines = {line.get_label(): line for line in ax.get_lines()}
+    assert [tick.get_text() for tick in ax.get_xticklabels()] == [
+        "0.5",
+        "sample-average",
+        "power:0.8:1:visit",
+    ]
+    np.testing.assert_array_equal(lines["sarsa"].get_xdata(), [0, 1, 2])
+    np.testing.assert_array_equal(lines["kept"].get_xdata(), [0])
+    assert lines["sarsa"].get_linestyle() == "None"
+
+
 def test_curves_need_what_was_swept(ax, datasets):
     with pytest.raises(rl.InputError, match="no method swept 'epsilon'"):
         plot.learning_curves(ax, datasets, epsilon=0.1)
@@ -192,6 +215,101 @@ def test_curves_need_what_was_swept(ax, datasets):
         plot.sensitivity(ax, datasets, "epsilon")
     with pytest.raises(rl.InputError, match=r"alpha was not swept at 0\.3"):
         plot.episodes_against_steps(ax, datasets, alpha=0.3)
+
+
+# --- prediction --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def predicted(windy, solved):
+    """As a method of prediction on the random walk leaves it: the larger alpha is the better one."""
+    result = make_result(windy, solved[1])
+    errors = np.random.default_rng(1).uniform(0.9, 1.1, result.log.steps.shape)
+    errors *= np.array([0.8, 0.4, 0.2])[:, None, None] / (1 + np.arange(20))
+    v = np.random.default_rng(2).normal(size=(3, 5, 21, 1))
+    return dataclasses.replace(
+        result,
+        algorithm="td",
+        environment="random-walk",
+        log=result.log._replace(v_error=errors),
+        q=v,
+        optimal_value=np.array(0.0),
+    ).to_xarray()
+
+
+def test_the_learning_curve_of_prediction_is_its_error(ax, predicted):
+    plot.learning_curves(ax, {"td": predicted})
+    (line,) = ax.get_lines()
+    assert line.get_label() == "td, α = 0.9"
+    np.testing.assert_allclose(line.get_ydata(), predicted.v_error.sel(alpha=0.9).mean("seed"))
+    np.testing.assert_array_equal(line.get_xdata(), 200 * np.arange(1, 21))
+    assert texts(ax) == []  # there is no optimum to reach
+
+
+def test_the_sensitivity_of_prediction_is_the_error_of_the_whole_run(ax, predicted):
+    ds = predicted.copy(deep=True)
+    ds["v_error"][0] = 1e6  # diverged, and leaves the picture
+    plot.sensitivity(ax, {"td": ds})
+    line = ax.get_lines()[-2]
+    np.testing.assert_allclose(line.get_ydata(), ds.v_error.mean(("row", "seed")))
+    assert ax.get_ylim()[0] == 0
+    assert line.get_ydata()[1] < ax.get_ylim()[1] < 1
+    assert stats.best(ds) == {"alpha": 0.9}
+
+
+def test_learned_values_are_beside_those_of_the_policy(ax, predicted):
+    plot.state_values(ax, {"td": predicted}, rl.RandomWalk())
+    learned, exact = ax.get_lines()
+    np.testing.assert_array_equal(learned.get_xdata(), np.arange(1, 20))
+    np.testing.assert_allclose(learned.get_ydata(), predicted.q.sel(alpha=0.9)[:, 1:20, 0].mean("seed"))
+    np.testing.assert_allclose(exact.get_ydata(), np.arange(-9, 10) / 10, atol=1e-9)
+
+
+def test_of_prediction_there_is_no_path_and_on_a_grid_there_are_tables(predicted, windy, unwritten):
+    names = [file.stem for file in plot.save_all({"td": predicted}, rl.RandomWalk(), unwritten)]
+    assert names == ["learning_curves", "sensitivity", "values", "overview"]
+    grid = predicted.drop_vars("q").assign(q=(("alpha", "seed", "state", "action"), np.ones((3, 5, 70, 1))))
+    names = [file.stem for file in plot.save_all({"td": grid}, windy, unwritten)]
+    assert names == ["learning_curves", "sensitivity", "values", "overview"]
+
+
+# --- tables of states --------------------------------------------------------------------------------
+
+
+def test_panels_show_values_and_actions_where_people_see_the_states():
+    """Broken once: the rows of `states` upside down -> fails."""
+    env = rl.make("blackjack", rules="natural")
+    policy, v, _ = rl.planning.policy_iteration(env)
+    _, ((usable, hard, natural),) = plot.panels_canvas(env, 1)
+    plot.panels([usable, hard, natural], env, v, policy > 0, "exact")
+    assert usable.get_title() == "exact\nusable ace"
+    assert [tick.get_text() for tick in hard.get_yticklabels()] == [str(n) for n in range(21, 11, -1)]
+    assert [tick.get_text() for tick in hard.get_xticklabels()] == ["A", *map(str, range(2, 11))]
+    shown = hard.images[0].get_array()
+    assert shown[0, 0] == v[env.state(21, 1)]
+    assert shown[9, 3] == v[env.state(12, 4)]
+    assert natural.images[0].get_array()[0, 9] == v[env.state(21, 10, usable=True, natural=True)]
+    assert hard.images[0].get_clim() == usable.images[0].get_clim() == natural.images[0].get_clim()
+    at = {text.get_position(): text.get_text() for text in hard.texts}
+    assert at[0, 5] == f"−{abs(v[env.state(16, 1)]):.2f}\nhit"
+    assert at[2, 5].endswith("stick")
+
+
+def test_of_card_games_what_was_learned_stands_above_what_is_exact(unwritten):
+    env = rl.make("easy21")
+    q = rl.planning.value_iteration(env)[1]
+    result = dataclasses.replace(make_result(env, q), environment="easy21", optimal_value=np.array(0.0631))
+    datasets = {"monte-carlo": result.to_xarray()}
+    names = [file.stem for file in plot.save_all(datasets, env, unwritten)]
+    assert names == ["episodes", "learning_curves", "sensitivity", "values", "overview"]
+
+
+def test_values_of_actions_are_marks(ax):
+    env = rl.make("two-doors")
+    plot.action_values(ax, env, rl.planning.value_iteration(env)[1])
+    left, right = ax.get_lines()
+    assert (left.get_label(), *left.get_xdata(), *left.get_ydata()) == ("left", 0, 3)
+    assert (right.get_label(), *right.get_xdata(), *right.get_ydata()) == ("right", 0, 2)
 
 
 # --- grids -------------------------------------------------------------------------------------------
@@ -288,6 +406,18 @@ def test_overview_shows_the_path_of_the_best_method(datasets, windy):
 def test_caption_says_what_is_unusual(datasets):
     figure = plot.overview(datasets, rl.make("windy-gridworld", stochastic=True))
     assert figure.get_suptitle().startswith("windy-gridworld, stochastic = True, ε = 0.1")
+
+
+def test_every_hyperparameter_that_was_swept_has_its_picture(datasets, windy):
+    ds = datasets["sarsa"].expand_dims(lam=[0.0, 0.9])
+    figure = plot.overview({"sarsa-lambda": ds}, windy)
+    assert [ax.get_xlabel() for ax in figure.axes][2:4] == ["step size α", "λ"]
+    assert len(figure.axes) == 5  # with the greedy path
+
+
+def test_caption_of_an_environment_with_arrays(datasets):
+    figure = plot.overview(datasets, rl.make("k-armed-testbed", arms=3))
+    assert figure.get_suptitle().startswith("windy-gridworld, arms = 3, ε = 0.1")
 
 
 def test_median_path_counts_endless_ones_as_longest(windy, solved, ax):
