@@ -8,7 +8,9 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab import batch
 from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.policies import Softmax, Table
 from jaxrl_tab.schedules import Power, glie
+from jaxrl_tab.sweep import METHODS, _exact_value, configurations
 from jaxrl_tab.types import Outcome, pytree
 
 
@@ -141,3 +143,27 @@ def test_bad_input_is_refused_before_anything_is_compiled(windy, monkeypatch, ar
     with pytest.raises(rl.InputError) as error:
         rl.sweep(**(good | arguments))
     assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def exact_value(env, method, grid):
+    return _exact_value(env, *configurations(METHODS[method], grid))
+
+
+def test_exact_values_beside_prediction_are_those_of_its_policy():
+    """One for each gamma; where several policies were swept there is no single one."""
+    doors = rl.make("two-doors")
+    left, even = (Table(np.tile(row, (2, 1))) for row in ([1.0, 0.0], [0.5, 0.5]))
+    np.testing.assert_allclose(exact_value(doors, "td", {"pi": left, "alpha": [0.1, 0.2]}), 3)
+    np.testing.assert_allclose(exact_value(doors, "td", {"gamma": [0.5, 1.0]}), [2.5, 2.5])
+    assert np.isnan(exact_value(doors, "td", {"pi": [left, even]}))
+
+
+def test_exact_values_of_what_draws_its_problems_are_means_over_them():
+    arms = rl.make("k-armed-testbed")
+    np.testing.assert_allclose(exact_value(arms, "sarsa", {"gamma": [0.5, 1.0]}), [1.538753] * 2, atol=1e-6)
+    assert np.isnan(exact_value(arms, "td", {}))
+
+
+def test_what_is_not_looked_at_is_not_shown(windy):
+    ds = rl.sweep(windy, "sarsa", {"behaviour": Softmax(0.5)}, num_seeds=1, num_steps=10).to_xarray()
+    assert ds.attrs["fixed"] == '{"alpha": 0.1, "gamma": 1.0, "q0": 0.0, "behaviour": "softmax:0.5"}'
