@@ -496,9 +496,11 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     )
     for column in view.columns[1:]:
         column.justify = "right"
-    smallest = (table[score_high] - table[score]).replace([0, np.inf], np.nan).min()
-    least = 4 if prediction else 2
-    decimals = least if np.isnan(smallest) else int(np.clip(1 - np.floor(np.log10(smallest)), least, 5))
+    # Two digits of the narrowest interval; of errors also three of the smallest.
+    narrowest = (table[score_high] - table[score]).replace([0, np.inf], np.nan).min()
+    decimals = _decimals(narrowest, 2)
+    if prediction:
+        decimals = max(decimals, _decimals(table[score].min(), 3))
     digits = f"{{:.{decimals}f}}".format
     for method, rows in table.groupby("method", sort=False):
         best, differ = stats.best(datasets[str(method)]), len(rows[score].drop_duplicates()) > 1
@@ -530,6 +532,11 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
         out.print(
             "worth of the greedy policy: exact value at the end, median over seeds; -inf: goes round for ever"
         )
+
+
+def _decimals(x: float, digits: int) -> int:
+    """How many decimals show so many significant digits of `x`, from 2 to 5."""
+    return int(np.clip(digits - 1 - np.floor(np.log10(x)), 2, 5)) if x > 0 else 2
 
 
 def _cell(value: Any, write: Any) -> str:
