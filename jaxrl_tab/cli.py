@@ -497,10 +497,10 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     for column in view.columns[1:]:
         column.justify = "right"
     # Two digits of the narrowest interval; of errors also three of the smallest.
-    narrowest = (table[score_high] - table[score]).replace([0, np.inf], np.nan).min()
-    decimals = _decimals(narrowest, 2)
+    scores, high = (table[column].to_numpy(float) for column in (score, score_high))
+    decimals = _decimals(high - scores, 2)
     if prediction:
-        decimals = max(decimals, _decimals(table[score].min(), 3))
+        decimals = max(decimals, _decimals(scores, 3))
     digits = f"{{:.{decimals}f}}".format
     for method, rows in table.groupby("method", sort=False):
         best, differ = stats.best(datasets[str(method)]), len(rows[score].drop_duplicates()) > 1
@@ -534,9 +534,10 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
         )
 
 
-def _decimals(x: float, digits: int) -> int:
-    """How many decimals show so many significant digits of `x`, from 2 to 5."""
-    return int(np.clip(digits - 1 - np.floor(np.log10(x)), 2, 5)) if x > 0 else 2
+def _decimals(x: np.ndarray, digits: int) -> int:
+    """How many decimals show so many significant digits of the smallest of `x` above 0, from 2 to 5."""
+    least = x[np.isfinite(x) & (x > 0)].min(initial=1)
+    return int(np.clip(digits - 1 - np.floor(np.log10(least)), 2, 5))
 
 
 def _cell(value: Any, write: Any) -> str:

@@ -9,6 +9,7 @@ Datasets are those of `SweepResult.to_xarray`, one for each method, by the name 
 
 import dataclasses
 import itertools
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,6 +35,7 @@ GREEK = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
 INK, GREY, ALARM = "#222222", "#6e6e6e", "#D55E00"
 TITLE, SMALL = 11, 8  # font sizes, points
 DPI = 150
+LINE = 85  # characters of a title
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
 FEW_TICKS, MOST_TICKS = 12, 25  # values, and states, beyond which not each has its tick on an axis
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
@@ -799,6 +801,9 @@ def _caption(datasets: Datasets, env: Environment) -> str:
     ]
     first, *others = [stats.fixed(ds) for ds in datasets.values()]
     common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
-    what = ", ".join([*names, *unusual, *_settings(common)])
+    # Lines that fit the narrowest figure, broken between settings and not within.
+    settings = [setting.replace(" ", "\xa0") for setting in [*names, *unusual, *_settings(common)]]
+    lines = textwrap.wrap(", ".join(settings), LINE, break_on_hyphens=False)
+    what = "\n".join(lines).replace("\xa0", " ")
     seeds = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
     return f"{what}\nmean and 95% interval over {seeds} seeds"

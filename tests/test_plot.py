@@ -420,6 +420,16 @@ def test_caption_of_an_environment_with_arrays(datasets):
     assert figure.get_suptitle().startswith("windy-gridworld, arms = 3, ε = 0.1")
 
 
+def test_long_captions_are_broken_between_settings(datasets, windy):
+    settings = (
+        '{"trace": "accumulating", "offline": false, "epsilon": "harmonic:100:visit", "gamma": 1.0, "q0": 0}'
+    )
+    caption = plot.overview({"a": datasets["sarsa"].assign_attrs(fixed=settings)}, windy).get_suptitle()
+    first, second, _ = caption.splitlines()
+    assert first == "windy-gridworld, trace = accumulating, offline = off, ε = harmonic:100:visit, γ = 1,"
+    assert second == "q0 = 0"
+
+
 def test_median_path_counts_endless_ones_as_longest(windy, solved, ax):
     """Of five seeds two go for ever and one takes 15 steps: the median is the longest that arrives."""
     left, detour = np.zeros((70, 4)), solved[1].copy()
