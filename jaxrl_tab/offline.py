@@ -37,13 +37,15 @@ from jaxrl_tab.types import (
     init_learner,
     pytree,
     said_of_update,
+    shown,
     whole,
 )
 
 L = TypeVar("L")
 
 NAME = "Experience"
-WHOLE, REAL, TRUTH = ("iu", "whole numbers"), ("iuf", "numbers"), ("b", "booleans")  # kinds of dtypes
+WHOLE, REAL = ("iu", "whole numbers"), ("iuf", "numbers")  # kinds of dtypes
+TRUTH = "b", "booleans, or 0 and 1"
 KINDS = {"s": WHOLE, "a": WHOLE, "r": REAL, "s_next": WHOLE, "terminal": TRUTH, "last": TRUTH}
 
 
@@ -61,7 +63,7 @@ class Experience:
         a: A, whole numbers [N].
         r: R, finite numbers [N].
         s_next: S', the state before any reset, whole numbers [N].
-        terminal: whether S' is terminal, booleans [N]. A time limit makes no state terminal.
+        terminal: whether S' is terminal, booleans (or 0 and 1) [N]. A time limit makes no state terminal.
         last: where episodes end, booleans [N]: at terminal states; where a time limit, or the end of the log,
             cuts one short. Elsewhere the next transition starts in S'. By default only terminal states and
             the end of the log are. `True` stands for True everywhere: transitions in no order.
@@ -79,7 +81,10 @@ class Experience:
 
     def __post_init__(self):
         given = vars(self) | {"last": _ends(self.terminal) if self.last is None else self.last}
-        fields = {name: numbers(NAME, name, x) for name, x in given.items()}
+        fields = {
+            name: _truth(name, x) if KINDS[name] is TRUTH else numbers(NAME, name, x)
+            for name, x in given.items()
+        }
         if any(concrete(x) is None for x in fields.values()):
             return
         if fields["last"].ndim == 0:
@@ -123,17 +128,24 @@ class Experience:
         Raises:
             InputError: as `Experience`; the message names the first wrong episode.
         """
-        if not len(episodes):
+        try:
+            episodes = list(episodes)
+        except TypeError:
+            raise InputError(
+                f"{NAME}: episodes must be a list of (states, actions, rewards), not {shown(episodes)}"
+            ) from None
+        if not episodes:
             raise InputError(f"{NAME}: there must be at least one episode")
         columns = []
         for e, episode in enumerate(episodes):
-            if len(episode) != 3:
+            try:
+                s, a, r = episode
+            except (TypeError, ValueError):
                 raise InputError(
-                    f"{NAME}: episode {e} must be (states, actions, rewards), not {len(episode)} items"
-                )
-            s, a, r = (
-                numbers(NAME, f"{what} of episode {e}", x) for what, x in zip("sar", episode, strict=True)
-            )
+                    f"{NAME}: episode {e} must be (states, actions, rewards), not {shown(episode)}"
+                ) from None
+            given = {"s": s, "a": a, "r": r}
+            s, a, r = (numbers(NAME, f"{name} of episode {e}", x) for name, x in given.items())
             if a.ndim != 1 or not len(a) or r.shape != a.shape or s.shape != (len(a) + 1,):
                 raise InputError(
                     f"{NAME}: episode {e} must have T actions, T rewards and T + 1 states, the last one "
@@ -229,15 +241,23 @@ def _check_array(name: str, x: np.ndarray, kind: tuple[str, str], size: int) -> 
         raise InputError(f"{NAME}: {name} must be {words}, not {x.dtype}")
 
 
+def _truth(name: str, value: Any) -> Any:
+    """`value` as booleans, where it is nothing but 0 and 1, as a file of numbers has them; else as it is."""
+    x = numbers(NAME, name, value)
+    return x.astype(bool) if concrete(x) is None or np.isin(x, (0, 1)).all() else x
+
+
 def _ends(terminal: Any) -> Any:
     """The ends of episodes where only terminal states end them, and the end of the log."""
-    terminal = numbers(NAME, "terminal", terminal)
-    return terminal | (np.arange(terminal.size) == terminal.size - 1) if terminal.ndim == 1 else terminal
+    terminal = _truth("terminal", terminal)
+    if terminal.ndim != 1 or terminal.dtype != bool:
+        return terminal  # which is refused later
+    return terminal | (np.arange(terminal.size) == terminal.size - 1)
 
 
 def _terminal_ends(terminal: Any, last: Bool[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     """Which transitions enter a terminal state, where `terminal` says it of all episodes, or of each."""
-    terminal, ends = numbers(NAME, "terminal", terminal), np.flatnonzero(last)
+    terminal, ends = _truth("terminal", terminal), np.flatnonzero(last)
     if terminal.dtype.kind != "b" or terminal.shape not in ((), ends.shape):
         raise InputError(
             f"{NAME}: terminal must be True, False, or booleans [E] = {list(ends.shape)}, not "

@@ -7,6 +7,7 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 import dataclasses
 import difflib
 import inspect
+import reprlib
 from collections.abc import Iterable, Mapping
 from numbers import Integral
 from typing import Any, NamedTuple, Protocol, TypeVar, dataclass_transform, runtime_checkable
@@ -22,6 +23,19 @@ L = TypeVar("L")
 
 class InputError(ValueError):
     """Something that the user gave is wrong; the message is one line that says what would be right."""
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 60
+
+
+def shown(value: Any) -> str:
+    """`value` as a message names it: in one short line, whatever it is."""
+    if isinstance(value, np.ndarray | jax.Array) and value.ndim:
+        if value.ndim > 1 or concrete(value) is None:
+            return f"an array of shape {value.shape}"
+        return np.array2string(np.asarray(value), max_line_width=1000, threshold=8)
+    return " ".join(_SHORT.repr(value).split())
 
 
 def nearest(name: str, names: Iterable[str]) -> str:

@@ -396,6 +396,19 @@ def test_transitions_episodes_and_padded_arrays_make_the_same_experience():
     assert_same(rl.Experience(**(GOOD | {"last": None})), experience)
 
 
+def test_columns_of_0_and_1_are_truth_values():
+    """As they are read back from a file of numbers. Broken once: without a `last`, | of floats -> fails."""
+    experience = rl.Experience(**GOOD)
+    for kind in (int, float):
+        terminal, last = (np.array(GOOD[name], kind) for name in ("terminal", "last"))
+        assert_same(rl.Experience(**(GOOD | {"terminal": terminal, "last": last})), experience)
+        assert_same(rl.Experience(**(GOOD | {"terminal": terminal.tolist(), "last": None})), experience)
+        assert_same(
+            rl.Experience.from_episodes([EPISODE, EPISODE], terminal=kind(0)),
+            rl.Experience.from_episodes([EPISODE, EPISODE], terminal=[False, False]),
+        )
+
+
 def test_episodes_may_have_any_lengths():
     experience = rl.Experience.from_padded(
         s=[[0, 1, 2, 3], [2, 3, 0, 0]], a=np.zeros((2, 3), int), r=[[1, 2, 3], [4, 0, 0]], lengths=[3, 1]
@@ -421,8 +434,11 @@ EPISODE = ([0, 1, 3], [0, 1], [0.5, 1])
         ({"s": [0.0, 1, 0, 2]}, r"s must be whole numbers, not float64"),
         ({"a": [False, True, True, False]}, r"a must be whole numbers, not bool"),
         ({"r": ["a", "b", "c", "d"]}, r"r must be numbers"),
-        ({"terminal": [0, 1, 0, 0]}, r"terminal must be booleans, not int64"),
-        ({"last": [0, 1, 0, 1]}, r"last must be booleans, not int64"),
+        ({"terminal": [0, 1, 2, 0]}, r"terminal must be booleans, or 0 and 1, not int64"),
+        ({"terminal": [0, 0.5, 0, 0], "last": None}, r"terminal must be booleans, or 0 and 1, not float64"),
+        ({"last": [0, np.nan, 0, 1]}, r"last must be booleans, or 0 and 1, not float64"),
+        (dict.fromkeys(GOOD, ()), r"s must be whole numbers \[N\], at least one, not of shape \[0\]"),
+        (dict.fromkeys(GOOD, ()) | {"last": None}, r"s must be whole numbers \[N\], at least one, not of"),
         ({"r": [0, 1, np.nan, 0]}, r"r\[2\] is nan, not a finite number"),
         ({"r": [0, 1, 2, np.inf]}, r"r\[3\] is inf, not a finite number"),
         (
@@ -451,6 +467,11 @@ def test_experience_is_checked(change, message):
     ("make", "message"),
     [
         (lambda: rl.Experience.from_episodes([]), "there must be at least one episode"),
+        (
+            lambda: rl.Experience.from_episodes(3),
+            "episodes must be a list of .states, actions, rewards., not 3",
+        ),
+        (lambda: rl.Experience.from_episodes([3]), r"episode 0 must be \(states, actions, rewards\), not 3"),
         (
             lambda: rl.Experience.from_episodes([EPISODE, EPISODE[:2]]),
             r"episode 1 must be \(states, actions, re",
