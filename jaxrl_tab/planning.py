@@ -387,7 +387,8 @@ def measurer(env: Environment, gamma: Any) -> Measure:
 
     def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         v, _ = _policy_value(model, jax.vmap(policies.greedy)(q), gamma)
-        error = jnp.where(matters[:, None], abs(q - q_star), 0).max()
+        counts = matters[:, None] & (q > policies.UNAVAILABLE)
+        error = jnp.where(counts, abs(q - q_star), 0).max()
         # Said by itself: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
         sound = ~jnp.isnan(q).any()
         value = jnp.where(sound, _from_start(model, v), jnp.nan)

@@ -26,6 +26,7 @@ from jaxrl_tab import schedules, tables
 from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
 from jaxrl_tab.types import TOLERANCE, InputError, concrete, first, nearest, pytree
 
+UNAVAILABLE = -1e30  # the value of an action that a state does not have; finite, for 0 times it must be 0
 UNROLLED = 16  # rows up to this length are worked through entry by entry
 
 # Where set, `sample` and `coin` ask it for the index, given the weights, and do not look at the key: so
@@ -159,6 +160,7 @@ class EpsilonGreedy(_Anywhere):
     Attributes:
         epsilon: probability of exploring, in [0, 1]; a number or a schedule.
         available: which actions there are in each state, bool [S, A]; None where there are all everywhere.
+            The values of the others are UNAVAILABLE, so that no target takes them for the best either.
     """
 
     epsilon: Rate = 0.1
@@ -356,6 +358,8 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
         target: pi, which is learned about.
         behaviour: b, which acts.
     """
+    if _is_greedy(target) and isinstance(behaviour, EpsilonGreedy):
+        behaviour = EpsilonGreedy(behaviour.epsilon)  # no greedy action is one that is not available
     out = _left_out(behaviour)
     if out is None or (_is_greedy(behaviour) and _is_greedy(target)):
         return
@@ -364,6 +368,10 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
         if (pi := concrete(target.probabilities)) is None:
             return
         can = pi > 0
+    if isinstance(target, EpsilonGreedy) and target.available is not None:
+        if (there := concrete(target.available)) is None:
+            return
+        can = there > 0
     if can.ndim and out.ndim and can.shape != out.shape:
         raise InputError(f"{what}: target is a table {can.shape}, and behaviour one {out.shape}")
     if at := first(can & out):
@@ -390,8 +398,11 @@ def _left_out(policy: Policy) -> np.ndarray | None:
         case EpsilonGreedy() if isinstance(policy.epsilon, schedules.Schedule):
             return None
         case EpsilonGreedy():
-            epsilon = concrete(policy.epsilon)
-            return None if epsilon is None else (epsilon == 0).any()
+            epsilon, there = concrete(policy.epsilon), policy.available
+            there = None if there is None else concrete(there)
+            if epsilon is None or (policy.available is not None and there is None):
+                return None
+            return (epsilon == 0).any() if there is None else (there == 0) | (epsilon == 0).any()
         case Softmax():
             return np.array(False)
         case Greedy() | UCB():
@@ -401,4 +412,7 @@ def _left_out(policy: Policy) -> np.ndarray | None:
 
 def _is_greedy(policy: Policy) -> bool:
     """Whether it is the greedy policy, by this name or as epsilon-greedy that never explores."""
-    return isinstance(policy, Greedy) or (isinstance(policy, EpsilonGreedy) and bool(_left_out(policy)))
+    if isinstance(policy, EpsilonGreedy) and not isinstance(policy.epsilon, schedules.Schedule):
+        epsilon = concrete(policy.epsilon)
+        return epsilon is not None and bool((epsilon == 0).all())
+    return isinstance(policy, Greedy)

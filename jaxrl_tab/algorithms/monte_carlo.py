@@ -30,14 +30,14 @@ class MonteCarloState(NamedTuple):
         q: Q, float [S, A].
         clock: what the schedules count; its visits are the returns that were averaged.
         episode: the steps of this episode, [max_steps] each.
-        acting: the Q that actions are chosen by, float [S, A]; None where it is always `q`.
+        acting: the q and the clock that actions are chosen by; None where it is always the present ones.
         seen: the last episode in which (s, a) occurred, int32 [S, A]; None for every-visit.
     """
 
     q: Float[Array, "S A"]
     clock: Clock
     episode: Episode
-    acting: Float[Array, "S A"] | None
+    acting: tuple[Float[Array, "S A"], Clock] | None
     seen: Int[Array, "S A"] | None
 
 
@@ -52,7 +52,9 @@ class MonteCarlo(TDControl):
         Q(S_t, A_t) <- Q(S_t, A_t) + alpha [G - Q(S_t, A_t)]      (alpha = 1/N unless another is given)
 
     With `epsilon=schedules.glie()` this is the lecture's GLIE Monte Carlo control. The policy is improved
-    after every `batch` episodes: with many it is policy iteration, each policy evaluated before the next.
+    after every `batch` episodes, and does not change in between, schedules included: with many it is policy
+    iteration. (Q still has the returns of earlier policies in it; a constant alpha forgets them.)
+
     Where a time limit cuts an episode short, the mean value of the state in which it did counts as the rest.
 
     Attributes:
@@ -81,13 +83,13 @@ class MonteCarlo(TDControl):
             q,
             clock,
             episode.start(max_steps, step),
-            acting=q if self.batch > 1 else None,
+            acting=(q, clock) if self.batch > 1 else None,
             seen=jnp.zeros(q.shape, jnp.int32) if self.first_visit else None,
         )
 
     def probs(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
-        acting = state.q if state.acting is None else state.acting
-        return self.selection.probs(tables.row(acting, s), state.clock, s)
+        q, clock = state.acting or (state.q, state.clock)
+        return self.selection.probs(tables.row(q, s), clock, s)
 
     def update(self, key, state: MonteCarloState, t: Transition):
         seen, first = episode.visit(state.seen, state.clock.episode + 1, t.s, t.a)
@@ -101,7 +103,8 @@ class MonteCarlo(TDControl):
         clock = schedules.end_step(state.clock._replace(visits=visits), t.last)
         acting = state.acting
         if acting is not None:
-            acting = jnp.where(t.last & (clock.episode % self.batch == 0), q, acting)
+            improve = t.last & (clock.episode % self.batch == 0)
+            acting = jax.tree.map(lambda new, old: jnp.where(improve, new, old), (q, clock), acting)
         state = MonteCarloState(q, clock, remembered, acting, seen)
         return state, self.policy(key, state, t.s_next)
 

@@ -14,7 +14,7 @@ class OffPolicyControl(TDControl):
 
     There is no ratio pi / b in the target of a one-step method for Q: the action A that it learns about was
     given, and what follows is taken from pi. All it needs is that b tries every action that pi takes. A
-    behaviour that is a table, and so never changes, is checked for that.
+    behaviour that is a table, or that has some of the actions only, is checked for that.
 
     Attributes:
         target: the policy that is learned about (see `policies`); if not given the greedy one, in Expected
@@ -26,8 +26,8 @@ class OffPolicyControl(TDControl):
     def __post_init__(self):
         super().__post_init__()
         check_policy(self, "target")
-        if isinstance(self.behaviour, Table):
-            check_coverage(type(self).__name__, self.pi, self.behaviour)
+        if isinstance(self.selection, Table) or getattr(self.selection, "available", None) is not None:
+            check_coverage(type(self).__name__, self.pi, self.selection)
 
     @property
     def pi(self) -> Policy:

@@ -85,6 +85,8 @@ class TDControl:
         for policy in self.all_policies:
             policy.check(num_states, num_actions)
         q = jnp.full((num_states, num_actions), self.q0, dtype=float)
+        if (there := getattr(self.selection, "available", None)) is not None:
+            q = jnp.where(jnp.asarray(there, float) > 0, q, policies.UNAVAILABLE)
         by_visit = schedules.goes_by_visit(self.alpha) or any(policy.by_visit for policy in self.all_policies)
         return TDState(q, schedules.start(num_states, num_actions, by_visit))
 
