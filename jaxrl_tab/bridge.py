@@ -27,7 +27,7 @@ from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.planning import Model
 from jaxrl_tab.policies import choose
 from jaxrl_tab.prediction import Prediction, ValueState
-from jaxrl_tab.types import Environment, InputError, Transition, init_learner
+from jaxrl_tab.types import Environment, InputError, Transition, init_learner, shown
 
 
 class Row(NamedTuple):
@@ -115,7 +115,9 @@ def expected_backup(
             way.
     """
     if not isinstance(method, TDControl | Prediction):
-        raise InputError(f"method must be an instance of a one-step method such as Sarsa(), not {method!r}")
+        raise InputError(
+            f"method must be an instance of a one-step method such as Sarsa(), not {shown(method)}"
+        )
     model = planning.exact_model(env)
     of_states = isinstance(method, Prediction)
     values = planning.checked_values(model, "v" if of_states else "q", values)

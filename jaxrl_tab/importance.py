@@ -25,7 +25,7 @@ from jaxrl_tab import planning
 from jaxrl_tab.offline import Experience
 from jaxrl_tab.planning import Model
 from jaxrl_tab.policies import Table, check_coverage
-from jaxrl_tab.types import Environment, InputError, first
+from jaxrl_tab.types import Environment, InputError, first, shown
 
 MARGIN = 1e-12  # a rate of growth so close to 1, relatively, is taken for 1
 FEW = 10  # effective episodes
@@ -285,7 +285,7 @@ def effective_sample_size(ratios: Float[Any, " E"]) -> float:
     """
     w = np.asarray(ratios)
     if w.ndim != 1 or not w.size or w.dtype.kind not in "iuf" or not (np.isfinite(w) & (w >= 0)).all():
-        raise InputError(f"ratios must be finite numbers [E] of 0 or more, at least one, not {ratios!r}")
+        raise InputError(f"ratios must be finite numbers [E] of 0 or more, at least one, not {shown(w)}")
     if not w.any():
         return 0.0
     w = w / w.max()  # so that no square overflows

@@ -11,7 +11,7 @@ written as they are typed on the command line (`str`, `parse`): "softmax:0.5".
 
 import dataclasses
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from functools import reduce
 from itertools import accumulate
@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import schedules, tables
 from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
-from jaxrl_tab.types import TOLERANCE, InputError, concrete, first, nearest, pytree
+from jaxrl_tab.types import TOLERANCE, InputError, concrete, first, nearest, pytree, shown
 
 UNAVAILABLE = -1e30  # the value of an action that a state does not have; finite, for 0 times it must be 0
 UNROLLED = 16  # rows up to this length are worked through entry by entry
@@ -110,8 +110,11 @@ def check_policy(obj: Any, name: str) -> None:
     """Raises InputError unless field `name` of `obj` is a policy, or None."""
     value = getattr(obj, name)
     if value is not None and (isinstance(value, type) or not isinstance(value, Policy)):
+        table = isinstance(value, Sequence | np.ndarray | jax.Array) and not isinstance(value, str)
+        hint = "; for probabilities [S, A] it is policies.Table(...)" if table else ""
         raise InputError(
-            f"{type(obj).__name__}: {name} must be a policy such as policies.Softmax(0.5), not {value!r}"
+            f"{type(obj).__name__}: {name} must be a policy such as policies.Softmax(0.5), not "
+            f"{shown(value)}{hint}"
         )
 
 
@@ -267,7 +270,9 @@ class Table:
             raise InputError(f"Table: probabilities must be numbers [S, A], not of shape {pi.shape}")
         wrong = ~((pi >= 0).all(1) & (abs(pi.sum(1) - 1) <= TOLERANCE))
         if (s := first(wrong)) is not None:
-            raise InputError(f"Table: the probabilities in state {s[0]} are not a distribution: {pi[s]}")
+            raise InputError(
+                f"Table: the probabilities in state {s[0]} are not a distribution: {shown(pi[s])}"
+            )
         object.__setattr__(self, "probabilities", pi)  # rows of a list would be leaves by themselves
 
     @property

@@ -23,7 +23,17 @@ from jaxrl_tab import planning, policies, tables
 from jaxrl_tab.algorithms import MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
 from jaxrl_tab.policies import EpsilonGreedy, Policy, Table, check_coverage
 from jaxrl_tab.schedules import Rate, check_number, sample_average
-from jaxrl_tab.types import Algorithm, Environment, InputError, Task, Transition, init_learner, pytree, static
+from jaxrl_tab.types import (
+    Algorithm,
+    Environment,
+    InputError,
+    Task,
+    Transition,
+    init_learner,
+    pytree,
+    shown,
+    static,
+)
 
 
 class ValueState(NamedTuple):
@@ -285,7 +295,9 @@ def _as_table(obj: Any, name: str) -> None:
     if value is None or isinstance(value, Table):
         return
     if not isinstance(value, Sequence | np.ndarray | jax.Array):
-        raise InputError(f"{what} must be probabilities [S, A], or a policies.Table of them, not {value!r}")
+        raise InputError(
+            f"{what} must be probabilities [S, A], or a policies.Table of them, not {shown(value)}"
+        )
     try:
         object.__setattr__(obj, name, Table(value))
     except InputError as error:

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab import tables
-from jaxrl_tab.types import InputError, build, concrete, nearest, pytree, static
+from jaxrl_tab.types import InputError, build, concrete, nearest, pytree, shown, static
 
 ClockName: TypeAlias = Literal["step", "episode", "visit"]
 CLOCKS = ("step", "episode", "visit")
@@ -266,7 +266,7 @@ class Optax:
     def __post_init__(self):
         _check_clock(self.clock)
         if not callable(self.schedule):
-            raise InputError(f"Optax: schedule must be a function of a count, not {self.schedule!r}")
+            raise InputError(f"Optax: schedule must be a function of a count, not {shown(self.schedule)}")
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
         return jnp.asarray(self.schedule(n - 1), float)
@@ -289,7 +289,7 @@ def check_number(obj, name: str, ok, wanted: str) -> None:
     if (number := concrete(value)) is None:
         return
     if number.dtype.kind not in "fiu" or not bool(ok(number).all()) or not np.isfinite(number).all():
-        raise InputError(f"{type(obj).__name__}: {name} must be {wanted}, not {value!r}")
+        raise InputError(f"{type(obj).__name__}: {name} must be {wanted}, not {shown(value)}")
 
 
 # --- what schedules count ----------------------------------------------------------------------------
@@ -475,5 +475,5 @@ def _tail(asker: str, rate: Any, fits: Callable[[float], bool], wanted: str) -> 
         )
     number = concrete(rate)
     if number is None or number.ndim or number.dtype.kind not in "fiu" or not fits(float(number)):
-        raise InputError(f"{asker}: {wanted}, or a schedule, not {rate!r}")
+        raise InputError(f"{asker}: {wanted}, or a schedule, not {shown(rate)}")
     return _tail_at(float(number), "is 0")

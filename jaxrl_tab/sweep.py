@@ -25,6 +25,7 @@ from jaxrl_tab.types import (
     build,
     check_pytree,
     nearest,
+    shown,
 )
 
 METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__
@@ -66,10 +67,10 @@ def sweep(
     for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0)):
         if not isinstance(value, Integral) or not least <= value < 2**31:
             raise InputError(
-                f"{name} must be a whole number of at least {least} and below 2**31, not {value!r}"
+                f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
     if not isinstance(env, Environment):
-        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {env!r}")
+        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     check_pytree("env", env)
     if exact:
         planning.check_finite(env)
@@ -137,7 +138,7 @@ def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[
     """The axes (name -> values), and an instance for every point of the grid, in C order."""
     name = _name_in(METHODS, cls)
     if not isinstance(grid, Mapping):
-        raise InputError(f"grid must be a dict from hyperparameters to values, not {grid!r}")
+        raise InputError(f"grid must be a dict from hyperparameters to values, not {shown(grid)}")
     axes, single = {}, {}
     for parameter, values in grid.items():
         if isinstance(values, Sequence | np.ndarray | jax.Array) and np.ndim(values) > 0:

@@ -24,6 +24,7 @@ from jaxrl_tab.types import (
     check_pytree,
     init_learner,
     said_of_update,
+    shown,
 )
 
 L = TypeVar("L")
@@ -169,7 +170,7 @@ def check_budget(num_steps: int | None, num_episodes: int | None, log_every: int
         raise InputError("give either num_steps or num_episodes")
     for name, value in (("num_steps", num_steps), ("num_episodes", num_episodes), ("log_every", log_every)):
         if value is not None and (not isinstance(value, Integral) or value < 1):
-            raise InputError(f"{name} must be a whole number of at least 1, not {value!r}")
+            raise InputError(f"{name} must be a whole number of at least 1, not {shown(value)}")
 
 
 # --- one step ----------------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ def first(wrong: np.ndarray) -> Any:
 def whole(name: str, what: str, value: Any, least: int = 1) -> int:
     """`value` as an int. Raises InputError unless it is a whole number, `least` to 2**31 - 1."""
     if not isinstance(value, Integral) or not least <= int(value) < 2**31:
-        raise InputError(f"{name}: {what} must be a whole number of at least {least}, not {value!r}")
+        raise InputError(f"{name}: {what} must be a whole number of at least {least}, not {shown(value)}")
     return int(value)
 
 

@@ -185,6 +185,62 @@ def test_one_update_by_hand(method, wants):
         assert (new.clock.step, new.clock.episode) == (1, 1)
 
 
+# --- what is refused ---------------------------------------------------------------------------------
+
+LARGE = np.full((70, 4), 0.25)
+LONG = np.full(100, 0.123456789)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: rl.Sarsa(behaviour=LARGE),  # pyright: ignore[reportArgumentType]
+            "Sarsa: behaviour must be a policy such as policies.Softmax(0.5), not an array of shape (70, 4); "
+            "for probabilities [S, A] it is policies.Table(...)",
+        ),
+        (
+            lambda: rl.TargetQLearning(target=[[0.25, 0.75]]),  # pyright: ignore[reportArgumentType]
+            "TargetQLearning: target must be a policy such as policies.Softmax(0.5), not [[0.25, 0.75]]; "
+            "for probabilities [S, A] it is policies.Table(...)",
+        ),
+        (
+            lambda: policies.Table(LONG[None]),
+            "Table: the probabilities in state 0 are not a distribution: "
+            "[0.12345679 0.12345679 0.12345679 ... 0.12345679 0.12345679 0.12345679]",
+        ),
+        (
+            lambda: rl.ManyTargets(LONG[None, None]),
+            "ManyTargets: the probabilities of policy 0 in state 0 are not a distribution: "
+            "[0.12345679 0.12345679 0.12345679 ... 0.12345679 0.12345679 0.12345679]",
+        ),
+        (
+            lambda: rl.ManyTargets(LARGE[None], behaviour=LARGE),  # pyright: ignore[reportArgumentType]
+            "ManyTargets: behaviour must be policies.Table(b), for there is no one Q to choose by, not an "
+            "array of shape (70, 4)",
+        ),
+        (
+            lambda: rl.Sarsa(gamma=LONG + 1),
+            "Sarsa: gamma must be between 0 and 1, not "
+            "[1.12345679 1.12345679 1.12345679 ... 1.12345679 1.12345679 1.12345679]",
+        ),
+        (
+            lambda: rl.Sarsa(alpha=-LARGE),
+            "Sarsa: alpha must be greater than 0, not an array of shape (70, 4)",
+        ),
+        (
+            lambda: rl.NStepSarsa(n=jnp.ones((2, 2))),
+            "NStepSarsa: n must be a whole number of at least 1, not an array of shape (2, 2)",
+        ),
+    ],
+)
+def test_messages_are_one_short_line_whatever_was_given(make, message):
+    """Broken once: the arrays as they print themselves -> fails."""
+    with pytest.raises(rl.InputError) as error:
+        make()
+    assert str(error.value) == message
+
+
 def test_nearest_name():
     assert nearest("q_lerning", rl.ALGORITHMS) == "did you mean 'q-learning'?"
     assert nearest("xyz", ["a", "b"]) == "choose one of a, b"

@@ -12,7 +12,7 @@ from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.td import TDState, check_learning
 from jaxrl_tab.policies import Table
 from jaxrl_tab.schedules import Clock, Rate
-from jaxrl_tab.types import TOLERANCE, InputError, Transition, concrete, first, pytree
+from jaxrl_tab.types import TOLERANCE, InputError, Transition, concrete, first, pytree, shown
 
 
 class ManyTargetsState(NamedTuple):
@@ -66,7 +66,7 @@ class ManyTargets:
         if not isinstance(self.behaviour, Table | None):
             raise InputError(
                 "ManyTargets: behaviour must be policies.Table(b), for there is no one Q to choose by, not "
-                f"{self.behaviour!r}"
+                f"{shown(self.behaviour)}"
             )
         if (pi := concrete(self.targets)) is None:
             return
@@ -76,7 +76,7 @@ class ManyTargets:
         if (i := first(wrong)) is not None:
             raise InputError(
                 f"ManyTargets: the probabilities of policy {i[0]} in state {i[1]} are not a distribution: "
-                f"{pi[i]}"
+                f"{shown(pi[i])}"
             )
         object.__setattr__(self, "targets", pi)
         for p, target in enumerate(pi):
