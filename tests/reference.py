@@ -287,7 +287,7 @@ class WholeReturns(Agent):
     """Monte Carlo control (boxes of sections 5.3 and 5.4; Silver, lecture 5). In float64.
 
     `returns` counts what was averaged, and is what schedules by visit go by. A time limit leaves the mean of
-    Q(S', .) under the policy.
+    Q(S', .) under the policy. In a batch of episodes the policy stays what it was at first, with its epsilon.
     """
 
     def __init__(self, *args, first_visit=False, batch=1, exploring_starts=False, behaviour=None):
@@ -295,13 +295,19 @@ class WholeReturns(Agent):
         self.q = self.q.astype(float)
         self.first_visit, self.batch, self.exploring_starts = first_visit, batch, exploring_starts
         self.behaviour = behaviour
-        self.acting, self.returns, self.steps = self.q.copy(), np.zeros(self.q.shape, int), []
+        self.returns, self.steps = np.zeros(self.q.shape, int), []
+        self.improve(1)
+
+    def improve(self, episode):
+        """The policy of the next batch, which begins with this episode."""
+        self.acting, self.frozen = self.q.copy(), (self.t, episode, self.returns.copy())
 
     def probs(self, s):
         if self.behaviour is not None:
             return self.behaviour[s]
-        epsilon = self.rates.epsilon(self.t + 1, self.episode, self.returns[s].sum() + 1)
-        return soft(self.acting[s], epsilon)
+        now = self.t, self.episode, self.returns
+        t, episode, returns = now if self.batch == 1 else self.frozen
+        return soft(self.acting[s], self.rates.epsilon(t + 1, episode, returns[s].sum() + 1))
 
     def act(self, s, u):
         return self.choose(self.probs(s), u)
@@ -320,7 +326,7 @@ class WholeReturns(Agent):
             self.walk_back(0.0 if terminal else self.gamma * self.rest(s_next))
             self.steps = []
             if self.episode % self.batch == 0:
-                self.acting = self.q.copy()
+                self.improve(self.episode + 1)
         return self.act(s_next, u)
 
     def rest(self, s):

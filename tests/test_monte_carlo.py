@@ -127,7 +127,7 @@ def test_a_batch_of_one_is_a_policy_that_improves_after_every_episode():
     state, _ = run(rl.MonteCarlo(epsilon=0.0, batch=1))
     assert state.acting is None
     state, _ = run(rl.MonteCarlo(epsilon=0.0, batch=300))
-    assert (state.acting == 0).all() and (state.q[:4] != 0).all()
+    assert (state.acting[0] == 0).all() and (state.q[:4] != 0).all()
 
 
 # --- by hand: gamma 1/2, alpha 1/N -------------------------------------------------------------------
