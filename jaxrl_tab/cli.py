@@ -349,8 +349,8 @@ class Sweep:
     seed: Annotated[int, whole(0)] = 0
     """Which sequence of seeds."""
     exact: Switch = False
-    """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log. (The
-    error of methods of prediction is always recorded.)"""
+    """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
+    (The error of methods of prediction is always recorded.)"""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
     json: Switch = False
