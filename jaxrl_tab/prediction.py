@@ -29,6 +29,7 @@ from jaxrl_tab.types import (
     InputError,
     Task,
     Transition,
+    check_switches,
     init_learner,
     pytree,
     shown,
@@ -79,6 +80,7 @@ class Prediction:
     acts_after_update: ClassVar[bool] = True
 
     def __post_init__(self):
+        check_switches(type(self).__name__, self)
         _as_table(self, "pi")
         check_number(self, "v0", lambda x: x == x, "a number")
         try:

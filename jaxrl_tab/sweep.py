@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
-from numbers import Integral
 from typing import Any
 
 import jax
@@ -24,6 +23,7 @@ from jaxrl_tab.types import (
     InputError,
     build,
     check_pytree,
+    is_whole,
     nearest,
     shown,
 )
@@ -65,7 +65,7 @@ def sweep(
     """
     check_budget(num_steps, num_episodes, log_every)
     for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0)):
-        if not isinstance(value, Integral) or not least <= value < 2**31:
+        if not is_whole(value, least):
             raise InputError(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )

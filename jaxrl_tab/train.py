@@ -6,7 +6,6 @@ words of a step (`rng`) depend on its number alone, so the learner's path does n
 
 from collections.abc import Callable
 from functools import partial
-from numbers import Integral
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
@@ -23,6 +22,7 @@ from jaxrl_tab.types import (
     Transition,
     check_pytree,
     init_learner,
+    is_whole,
     said_of_update,
     shown,
 )
@@ -169,7 +169,7 @@ def check_budget(num_steps: int | None, num_episodes: int | None, log_every: int
     if (num_steps is None) == (num_episodes is None):
         raise InputError("give either num_steps or num_episodes")
     for name, value in (("num_steps", num_steps), ("num_episodes", num_episodes), ("log_every", log_every)):
-        if value is not None and (not isinstance(value, Integral) or value < 1):
+        if value is not None and not is_whole(value):
             raise InputError(f"{name} must be a whole number of at least 1, not {shown(value)}")
 
 

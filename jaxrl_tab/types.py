@@ -67,11 +67,26 @@ def first(wrong: np.ndarray) -> Any:
     return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
 
 
+def is_whole(value: Any, least: int = 1) -> bool:
+    """Whether `value` is a whole number, `least` to 2**31 - 1; True and False are none."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) < 2**31
+
+
 def whole(name: str, what: str, value: Any, least: int = 1) -> int:
-    """`value` as an int. Raises InputError unless it is a whole number, `least` to 2**31 - 1."""
-    if not isinstance(value, Integral) or not least <= int(value) < 2**31:
+    """`value` as an int. Raises InputError unless it `is_whole`."""
+    if not is_whole(value, least):
         raise InputError(f"{name}: {what} must be a whole number of at least {least}, not {shown(value)}")
     return int(value)
+
+
+def check_switches(name: str, obj: Any) -> None:
+    """Raises InputError unless the static fields of `obj` that are declared bool are True or False."""
+    for field in dataclasses.fields(obj):
+        if field.type is not bool or not field.metadata.get("static"):
+            continue
+        if not isinstance(value := getattr(obj, field.name), bool | np.bool_):
+            raise InputError(f"{name}: {field.name} must be True or False, not {shown(value)}")
+        object.__setattr__(obj, field.name, bool(value))
 
 
 def check_pytree(what: str, obj: Any) -> None:

@@ -1,5 +1,7 @@
 """The small parts by numbers worked by hand: tables, words, policies, schedules, updates."""
 
+import dataclasses
+
 import jax
 import jax.extend as jex
 import jax.numpy as jnp
@@ -10,6 +12,8 @@ from scipy import stats
 
 import jaxrl_tab as rl
 from jaxrl_tab import policies, rng, schedules, tables
+from jaxrl_tab.envs import ENVS
+from jaxrl_tab.sweep import METHODS
 from jaxrl_tab.types import Transition, nearest
 
 # --- tables ------------------------------------------------------------------------------------------
@@ -232,6 +236,7 @@ LONG = np.full(100, 0.123456789)
             lambda: rl.NStepSarsa(n=jnp.ones((2, 2))),
             "NStepSarsa: n must be a whole number of at least 1, not an array of shape (2, 2)",
         ),
+        (lambda: rl.NStepSarsa(n=True), "NStepSarsa: n must be a whole number of at least 1, not True"),
     ],
 )
 def test_messages_are_one_short_line_whatever_was_given(make, message):
@@ -239,6 +244,30 @@ def test_messages_are_one_short_line_whatever_was_given(make, message):
     with pytest.raises(rl.InputError) as error:
         make()
     assert str(error.value) == message
+
+
+SWITCHES = [
+    (cls, field.name)
+    for cls in (*ENVS.values(), *METHODS.values())
+    for field in dataclasses.fields(cls)
+    if field.metadata.get("static") and isinstance(field.default, bool)
+]
+
+
+@pytest.mark.parametrize(("cls", "name"), SWITCHES)
+def test_switches_are_true_or_false(cls, name):
+    """Of every environment and method that has one; a string would be as good as True."""
+    for wrong in ("yes", 3, None):
+        with pytest.raises(rl.InputError, match=rf"{name} must be True or False, not {wrong!r}$"):
+            cls(**{name: wrong})
+    for right in (np.True_, np.False_):
+        given = getattr(cls(**{name: right}), name)
+        assert type(given) is bool and given == right
+
+
+def test_there_are_switches():
+    names = {"first_visit", "exploring_starts", "offline", "stochastic"}
+    assert names <= {name for _, name in SWITCHES} and len(SWITCHES) >= 8
 
 
 def test_nearest_name():

@@ -55,8 +55,6 @@ class SarsaLambda(TraceControl):
 
     def __post_init__(self):
         super().__post_init__()
-        if not isinstance(self.offline, bool):
-            raise InputError(f"SarsaLambda: offline must be True or False, not {self.offline!r}")
         if self.offline and self.trace != "accumulating":
             raise InputError(f"SarsaLambda: offline goes with accumulating traces only, not {self.trace}")
 

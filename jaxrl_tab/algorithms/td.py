@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrl_tab import policies, schedules, tables
 from jaxrl_tab.policies import EpsilonGreedy, Policy
 from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
-from jaxrl_tab.types import InputError, Transition, concrete, pytree
+from jaxrl_tab.types import InputError, Transition, check_switches, concrete, pytree
 
 
 class Learner(Protocol):
@@ -63,6 +63,7 @@ class TDControl:
     behaviour: Policy | None = None
 
     def __post_init__(self):
+        check_switches(type(self).__name__, self)
         check_learning(self)
         check_rate(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
         policies.check_policy(self, "behaviour")

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_grid, numbers, unbatched
-from jaxrl_tab.types import InputError, Outcome, nearest, pytree, static, whole
+from jaxrl_tab.types import InputError, Outcome, check_switches, nearest, pytree, static, whole
 
 NAME = "windy-gridworld"
 MOVES = {"four": 4, "king": 8, "king+stay": 9}
@@ -43,8 +43,7 @@ class WindyGridworld(Grid):
     def __post_init__(self):
         if not isinstance(self.moves, str) or self.moves not in MOVES:
             raise InputError(f"{NAME}: moves {self.moves!r} is unknown; {nearest(str(self.moves), MOVES)}")
-        if not isinstance(self.stochastic, bool | np.bool_):
-            raise InputError(f"{NAME}: stochastic must be True or False, not {self.stochastic!r}")
+        check_switches(NAME, self)
         shape, start, goal = check_grid(NAME, self.shape, self.start, self.goal)
         wind = _whole_cells(self.wind)
         if wind.shape[-1:] != (shape[1],):
@@ -53,7 +52,7 @@ class WindyGridworld(Grid):
                 f"not shape {wind.shape}"
             )
         max_steps = whole(NAME, "max_steps", self.max_steps)
-        assign(self, wind=wind, stochastic=bool(self.stochastic), max_steps=max_steps)
+        assign(self, wind=wind, max_steps=max_steps)
         assign(self, shape=shape, start=start, goal=goal)
 
     @property
