@@ -22,8 +22,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import rng, tables
 from jaxrl_tab.algorithms.td import TDControl
+from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import assign, numbers
 from jaxrl_tab.policies import Table
+from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.train import train
 from jaxrl_tab.types import (
     Algorithm,
@@ -303,6 +305,7 @@ def learn(
         InputError: the method can learn only from what it did itself; or the log is not experience of such a
             task, or not of the behaviour policy that the method was given.
     """
+    rng.check_key(key)
     _check(algorithm, experience, num_states, num_actions)
     task = Task(int(num_states), int(num_actions), _longest_episode(experience))
     return _learn(key, algorithm, experience, task, whole("learn", "passes", passes))
@@ -337,6 +340,7 @@ def replay(
     Raises:
         InputError: as `learn`; or the method learns from whole episodes.
     """
+    rng.check_key(key)
     _check(algorithm, experience, num_states, num_actions)
     if said_of_update(algorithm, "learns_from").startswith("episodes"):
         raise InputError(
@@ -348,7 +352,7 @@ def replay(
 
 
 def _check(algorithm: Any, experience: Any, num_states: int, num_actions: int) -> None:
-    check_pytree("algorithm", algorithm)
+    check_pytree("algorithm", algorithm, METHODS)
     if not isinstance(experience, Experience):
         raise InputError(f"experience must be an Experience, not {type(experience).__name__}")
     name, learns_from = type(algorithm).__name__, said_of_update(algorithm, "learns_from")
@@ -428,7 +432,7 @@ def collect(
         InputError: an argument is wrong.
     """
     method = _method(behaviour)
-    check_pytree("env", env)
+    check_pytree("env", env, ENVS)
     logged = _Logged(method, init_learner(method, env))
     _, log = train(key, logged, env, num_steps=num_steps, log_every=1, record=_transition)
     assert log.recorded is not None
@@ -438,8 +442,8 @@ def collect(
 
 def _method(behaviour: Any) -> Any:
     """What acts, as a method."""
-    if isinstance(behaviour, type) or hasattr(behaviour, "update"):
-        check_pytree("behaviour", behaviour)
+    if isinstance(behaviour, type | str) or hasattr(behaviour, "update"):
+        check_pytree("behaviour", behaviour, METHODS)
         return behaviour
     if hasattr(behaviour, "probs") and not isinstance(behaviour, Table):
         raise InputError(

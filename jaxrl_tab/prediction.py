@@ -11,7 +11,8 @@ Off-policy, b acts while v_pi is learned; ratios rho = pi(A | S) / b(A | S) then
     state.v, log.v_error          # V [S]; the root of its mean squared error at the end of each row
 """
 
-from collections.abc import Sequence
+from collections import ChainMap
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -20,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import planning, policies, tables
-from jaxrl_tab.algorithms import MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
+from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
 from jaxrl_tab.policies import EpsilonGreedy, Policy, Table, check_coverage
 from jaxrl_tab.schedules import Rate, check_number, sample_average
 from jaxrl_tab.types import (
@@ -321,3 +322,4 @@ PREDICTION = {
     "off-policy-td": OffPolicyTD,
     "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,
 }
+METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__

@@ -18,6 +18,8 @@ import jax.extend as jex
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key, UInt32
 
+from jaxrl_tab.types import InputError, shown
+
 Stream: TypeAlias = tuple[UInt32[Array, ""], UInt32[Array, ""]]
 
 # Second halves of the Threefry keys that a word seeds, so that draws, splits and folds never share a stream.
@@ -91,6 +93,18 @@ _word_impl = jex.random.define_prng_impl(
 def as_key(word: UInt32[Array, "*n"]) -> Key[Array, "*n"]:
     """Random words as keys: one draw of 32 bits from each returns the word itself."""
     return jax.random.wrap_key_data(word[..., None], impl=_word_impl)
+
+
+def check_key(key: Any) -> None:
+    """Raises InputError unless `key` is one JAX key, of the new kind (`key`) or the old (`PRNGKey`)."""
+    try:
+        *batch, _ = jax.random.key_data(key).shape
+    except (TypeError, ValueError):
+        raise InputError(f"key must be a JAX key such as jax.random.key(0), not {shown(key)}") from None
+    if batch:
+        raise InputError(
+            f"key must be one key, not a batch of shape {tuple(batch)}: jax.vmap goes over its keys"
+        )
 
 
 def stream(key: Key[Array, ""]) -> Stream:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -11,9 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxrl_tab import batch, planning
-from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.prediction import PREDICTION
+from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.results import SweepResult, label, parameters
 from jaxrl_tab.train import Log, Record, check_budget, default_log_every
 from jaxrl_tab.types import (
@@ -27,8 +25,6 @@ from jaxrl_tab.types import (
     nearest,
     shown,
 )
-
-METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__
 
 
 def sweep(

@@ -14,7 +14,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key, UInt32
 
 from jaxrl_tab import planning, policies, rng, tables
+from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.types import (
     Algorithm,
     Environment,
@@ -134,10 +136,11 @@ def train(
         InputError: a number is out of range, or `exact` is asked of an environment without `outcomes`.
     """
     check_budget(num_steps, num_episodes, log_every)
+    rng.check_key(key)
+    check_pytree("algorithm", algorithm, METHODS)
+    check_pytree("env", env, ENVS)
     if exact:
         planning.check_finite(env)
-    check_pytree("algorithm", algorithm)
-    check_pytree("env", env)
     return _train(key, algorithm, env, num_steps, num_episodes, log_every, bool(exact), record)
 
 

@@ -89,8 +89,14 @@ def check_switches(name: str, obj: Any) -> None:
         object.__setattr__(obj, field.name, bool(value))
 
 
-def check_pytree(what: str, obj: Any) -> None:
-    """Raises InputError unless `obj` is an instance of a class that JAX can take apart."""
+def check_pytree(what: str, obj: Any, registry: Mapping[str, type] | None = None) -> None:
+    """Raises InputError unless `obj` is an instance of a class that JAX can take apart.
+
+    Where it is a string, the message names the class that has this name in `registry`, or else the first.
+    """
+    if isinstance(obj, str) and registry:
+        cls = registry.get(obj, next(iter(registry.values())))
+        raise InputError(f"{what} must be an instance, such as {cls.__name__}(), not {shown(obj)}")
     if isinstance(obj, type):
         raise InputError(f"{what} must be an instance, such as {obj.__name__}(), not the class")
     if jax.tree_util.all_leaves([obj]):

@@ -180,3 +180,43 @@ def test_exact_values_beside_the_log(windy):
 def test_bad_budgets_are_refused(windy, budget, message):
     with pytest.raises(rl.InputError, match=message):
         rl.train(jax.random.key(0), rl.Sarsa(), windy, **budget)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"algorithm": "q-learning"}, "algorithm must be an instance, such as QLearning(), not 'q-learning'"),
+        ({"algorithm": "td"}, "algorithm must be an instance, such as TD(), not 'td'"),
+        ({"algorithm": "sarsaa"}, "algorithm must be an instance, such as Sarsa(), not 'sarsaa'"),
+        ({"algorithm": rl.Sarsa}, "algorithm must be an instance, such as Sarsa(), not the class"),
+        ({"env": "cliff-walking"}, "env must be an instance, such as CliffWalking(), not 'cliff-walking'"),
+        ({"key": 0}, "key must be a JAX key such as jax.random.key(0), not 0"),
+        ({"key": None}, "key must be a JAX key such as jax.random.key(0), not None"),
+        ({"key": np.zeros(2)}, "key must be a JAX key such as jax.random.key(0), not [0. 0.]"),
+        (
+            {"key": jax.random.split(jax.random.key(0), 3)},
+            "key must be one key, not a batch of shape (3,): jax.vmap goes over its keys",
+        ),
+    ],
+)
+def test_names_classes_and_numbers_are_refused_where_instances_and_keys_are_wanted(windy, change, message):
+    """Also by `learn`, `replay` and `collect`, which take no names either."""
+    good = {"key": jax.random.key(0), "algorithm": rl.QLearning(), "env": windy} | change
+    log = rl.Experience([0], [0], [0.0], [1], [True])
+    key, method, env = good.values()
+    calls = [lambda: rl.train(key, method, env, num_steps=1), lambda: rl.collect(key, method, env, 1)]
+    if "env" not in change:
+        calls.append(lambda: rl.learn(key, method, log, 2, 2))
+        calls.append(lambda: rl.replay(key, method, log, 2, 2, num_updates=1))
+    for call in calls:
+        with pytest.raises(rl.InputError) as error:
+            call()
+        assert str(error.value).replace("behaviour", "algorithm") == message
+
+
+def test_keys_of_the_old_kind_are_keys(windy):
+    """The same run as with the new kind, alone and in a batch."""
+    run = lambda key: rl.train(key, rl.Sarsa(), windy, num_steps=50)[0].q
+    old = jax.random.PRNGKey(3)
+    np.testing.assert_array_equal(run(old), run(jax.random.key(3)))
+    np.testing.assert_array_equal(jax.jit(jax.vmap(run))(old[None])[0], run(old))
