@@ -564,7 +564,7 @@ def test_a_log_must_fit_the_task_and_the_method_before_anything_is_compiled(argu
         (rl.QLearning, r"behaviour must be an instance, such as QLearning\(\), not the class"),
         (UNIFORM[:2], r"of shape \(2, 4\), and the task has 8 states"),
         (2 * UNIFORM, "the probabilities in state 0 are not a distribution"),
-        ("random", r"probabilities must be numbers \[S, A\]"),
+        ("random", r"behaviour must be an instance, such as Sarsa\(\), not 'random'"),
     ],
 )
 def test_who_acts_is_checked(behaviour, message):
