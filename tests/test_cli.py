@@ -594,6 +594,17 @@ def test_as_a_program_it_ends_with_its_exit_code_and_no_traceback():
     assert done.stderr == "jaxrl-tab: Sarsa: alpha must be greater than 0, not 0.0\n"
 
 
+@pytest.mark.parametrize("command", ["list", "sweep -h"])
+def test_a_reader_that_goes_away_ends_it_quietly(command):
+    """As `| head` does; here the reader is gone before the first line. Broken once: not caught -> fails."""
+    program = [sys.executable, "-m", "jaxrl_tab", *command.split()]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stdout and running.stderr
+        running.stdout.close()
+        assert running.stderr.read() == ""
+    assert running.returncode == 141
+
+
 def test_listing_imports_nothing_heavy():
     code = (
         "import sys; from jaxrl_tab.cli import main; main(['list', '--json']);"
