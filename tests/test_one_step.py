@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
-from test_reference import ENVS, STEPS, random_mdp, task_of, uniforms, words_of
+from test_reference import ENVS, GAMMAS, STEPS, initial_tables, random_mdp, task_of, uniforms, words_of
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning, policies, rng, schedules
 from jaxrl_tab.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.types import Transition
 
-ALPHAS, GAMMAS = (0.5, 0.25, 0.5, 0.125), (0.0, 0.5, 0.9, 1.0)
+ALPHAS = 0.5, 0.25, 0.5, 0.125
 EPSILON = 0.25
 
 
@@ -29,17 +29,6 @@ def target_words(key):
     """The word of each step by which A' of the target policy is drawn."""
     draw = jax.vmap(lambda word: jax.random.bits(jax.random.fold_in(rng.as_key(word), 0), dtype=jnp.uint32))
     return uniforms(draw(words_of_updates(key)))
-
-
-def initial_tables(env):
-    """Q0 for each of GAMMAS, [4, S, A]: 0.5 everywhere, so that there are ties.
-
-    Where gamma q is rounded, what ties in one order of operations differs in another: there all entries start
-    apart.
-    """
-    q0 = np.full((len(GAMMAS), env.num_states, env.num_actions), 0.5, np.float32)
-    q0[GAMMAS.index(0.9)] = np.random.default_rng(2).normal(size=q0.shape[1:])
-    return q0
 
 
 def table(env):
