@@ -91,7 +91,7 @@ HYPERPARAMETERS = Group(
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code: 0, 1 (a figure is off), 2 (wrong input) or 130 (Ctrl-C).
 
-    Where the reader of its output goes away, as `| head` does, it ends quietly, with 141 as the shell has it.
+    Where the reader of its output goes away, as `| head` does, it ends quietly with 1.
     """
     argv = sys.argv[1:] if argv is None else list(argv)
     try:
@@ -101,7 +101,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
-        return 141
+        return 1
     except InputError as error:
         print(f"{PROG}: {error}", file=sys.stderr)
         return 2
