@@ -50,6 +50,12 @@ def test_in_any_order(all_runs, method):
     same(many(seeds, method), all_runs, seeds)
 
 
+def test_results_stand_at_the_number_of_the_run_and_not_at_the_value_of_its_seed(all_runs, method):
+    """Seeds not counted from 0, one of them twice. Broken once: results in the order of seeds -> fails."""
+    seeds = np.array([401, 7, 401, 130])
+    same(many(seeds, method), all_runs, seeds)
+
+
 def test_on_one_device_and_on_two(all_runs, method):
     assert len(jax.devices()) == 2
     seeds = np.arange(100)

@@ -142,6 +142,28 @@ def test_the_coin_is_fair_and_says_nothing_about_the_action_of_the_same_word():
         assert abs(share.mean() - 0.5) < 4 * 0.5 / np.sqrt(len(share))
 
 
+@pytest.mark.parametrize("row", [[1, 1, 0, 1], [0, 2, 2, 0], [3, 3, 3, 3], [0, 0, 1, 0]])
+def test_behaviour_and_target_split_ties_alike(row):
+    """What acts greedily, what is drawn, and what each greedy target averages over: the same probabilities.
+
+    Broken once: the first maximal action for `Greedy` alone, or for what acts alone -> fails.
+    """
+    want = np.isin(row, max(row)) / row.count(max(row))
+    for cls in (rl.QLearning, rl.TargetQLearning, rl.ExpectedSarsa, rl.DoubleQLearning):
+        method = cls(epsilon=0.0)
+        state = method.init(1, 4)
+        state = state._replace(
+            **{f: jnp.array([row], float) for f in ("q", "q1", "q2") if f in state._fields}
+        )
+        np.testing.assert_allclose(method.probs(state, jnp.int32(0)), want, rtol=1e-6)
+        if hasattr(method, "target_probs"):
+            np.testing.assert_allclose(method.target_probs(state, jnp.int32(0)), want, rtol=1e-6)
+    np.testing.assert_allclose(
+        Greedy().probs(jnp.array(row, float), state.clock, jnp.int32(0)), want, rtol=1e-6
+    )
+    np.testing.assert_allclose(planning.greedy_policy(np.array([row], float))[0], want)
+
+
 def test_a_target_that_goes_by_visits_has_them_counted():
     """Broken once: only the behaviour policy was asked whether it counts -> fails with an AssertionError."""
     method = rl.TargetQLearning(target=EpsilonGreedy(schedules.Power(clock="visit")))

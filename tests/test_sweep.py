@@ -49,6 +49,17 @@ def test_each_point_of_the_grid_is_the_run_with_its_own_hyperparameters(windy, g
     np.testing.assert_array_equal(log.rewards[0], grid.log.rewards[1, 1, 2])
 
 
+def test_seeds_have_keys_of_their_own_and_configurations_share_them(grid):
+    """With epsilon = 1 the words alone decide which pairs are tried. Of a seed they are the same for every
+
+    step size, which is meant (common random numbers); of two seeds they never are. Broken once: one key for
+    all seeds, a key by the run's place in the batch -> fails.
+    """
+    tried = grid.q[:, 2] != 0
+    np.testing.assert_array_equal(tried[0], tried[1])
+    assert len(np.unique(tried[0], axis=0)) == 4
+
+
 def test_another_root_seed_gives_other_runs(windy, grid):
     other = rl.sweep(windy, "sarsa", {"alpha": [0.5], "epsilon": [0.1]}, num_seeds=4, seed=1, **BUDGET)
     assert not (other.q[0, 0] == grid.q[0, 0]).all(axis=(1, 2)).any()
