@@ -101,9 +101,11 @@ EVERYWHERE = ("every visit", "first visit", "constant alpha, batch")
     [(kind, name) for kind in KINDS for name in ENVS if kind in EVERYWHERE or name == "random mdp"],
 )
 def test_every_step_agrees_with_the_plain_loop(kind, env_name):
-    """Also at gamma = 0, where all returns of an episode but the last rewards' are small.
+    """Broken once -> each fails: what follows a time limit discounted twice, or 0; all visits for first ones;
 
-    Broken once: BROKEN
+    the first visit of the run for that of the episode; the memory not cleared; from the first step to the
+    last; 1/N without this visit; a batch not waited for, or ending an episode early; acting by the latest Q
+    in a batch; exploring starts with actions of the policy, or in terminal states too.
     """
     (env, task), (alpha, epsilon, fields) = task_apart(env_name), KINDS[kind]
     (alpha, plain_alpha), (epsilon, plain_epsilon) = ALPHAS[alpha], EPSILONS[epsilon]
@@ -170,7 +172,7 @@ def test_every_visit_and_first_visit(after):
 def test_first_visits_are_found_at_gamma_0(after):
     """The returns are the rewards: the first of state 0 is 1.
 
-    Broken once: a visit is the first where gamma^t > 0 and a trace says so -> fails: SEE
+    Broken once: "not yet seen" where a trace that gamma has faded to 0 says so -> fails.
     """
     np.testing.assert_array_equal(after(LOOP, gamma=0.0, first_visit=True), [1.0, 2.0, 0.0])
     np.testing.assert_array_equal(after(LOOP, LOOP[1:], gamma=0.0, first_visit=True), [2.5, 2.0, 0.0])
@@ -187,7 +189,10 @@ def test_an_episode_is_forgotten_when_it_is_over(after):
 
 
 def test_a_time_limit_leaves_the_value_of_the_state_it_was_reached_in(after):
-    """G = 8 + 2/2 and so on backwards, where V(2) = 2; at a terminal state it would not count."""
+    """G = 8 + 2/2, where V(2) = 2; at a terminal state it does not count.
+
+    Broken once: a time limit treated as terminal -> fails.
+    """
     episodes = ((2, 2.0, 1),), ((0, 8.0, 2),)
     np.testing.assert_array_equal(after(*episodes, cut=True), [9.0, 0.0, 2.0])
     np.testing.assert_array_equal(after(*episodes), [8.0, 0.0, 2.0])
@@ -213,7 +218,9 @@ def test_the_forward_view_is_what_its_definition_says(env_name):
 
     And where alpha is the same for all steps of an episode it is the off-line backward view.
 
-    Broken once: BROKEN
+    Broken once: G not discounted; nothing after the time limit; by the Q that the walk has changed; a
+    bootstrap through terminal states; the next value not shared with lambda; one step size for all -> each
+    fails.
     """
     (env, task), (alpha, plain_alpha) = task_apart(env_name), ALPHAS[FORWARD[env_name]]
     lambdas = (0.5, 0.0, 1.0, 0.9)

@@ -62,7 +62,11 @@ EVERYWHERE = ("weighted", "per-decision, table, first")
     [(kind, name) for kind in KINDS for name in ENVS if kind in EVERYWHERE or name == "random mdp"],
 )
 def test_every_step_agrees_with_the_plain_loop(kind, env_name):
-    """Broken once: BROKEN"""
+    """Broken once -> each fails: its own ratio in a weight; pi by the Q before the update; W not a
+
+    product; ordinary without weights; per-decision ratios on the own reward; b by another policy; mean
+    weights of all visits in first-visit; nothing, or the mean under b, after a time limit.
+    """
     (env, task), (target, fields) = task_apart(env_name), KINDS[kind]
     ours, plain = TARGETS[target]
     shape = env.num_states, env.num_actions
@@ -121,7 +125,7 @@ def test_it_learns_the_values_of_the_target_policy(weighting):
 
     (Weighted averages are biased, by what falls like 1 over the number of episodes.)
 
-    Broken once: BROKEN
+    Broken once: ratios cut at 1; per-decision without ratios -> fails.
     """
     env = short_episodes()
     fields = {"gamma": GAMMA, "target": Table(PI), "behaviour": Table(B)}
@@ -138,14 +142,14 @@ def test_it_learns_the_values_of_the_target_policy(weighting):
 def test_the_greedy_target_is_learned_while_exploring():
     """Behaving at random. Only where two actions differ by 0.12 some runs take the worse one.
 
-    Broken once: BROKEN
+    Broken once: the behaviour policy as target -> fails.
     """
     env = short_episodes()
     q = learned(rl.OffPolicyMonteCarlo(gamma=GAMMA, epsilon=1.0))
     v_star, q_star = planning.value_iteration(env, GAMMA)
     regret = (v_star[:3] - np.take_along_axis(q_star[None, :3], q.argmax(2)[..., None], 2)[..., 0]).max(1)
     assert (regret < 0.13).all()
-    assert (abs(q.max(2).mean(0) - v_star[:3]) < 0.1).all()
+    assert (abs(q.mean(0) - q_star[:3]) < 4 * q.std(0, ddof=1) / np.sqrt(RUNS)).all()
     uniform = planning.evaluate(env, np.full((4, 2), 0.5), GAMMA)
     assert (v_star - uniform)[:3].min() > 1
 
@@ -195,7 +199,7 @@ def learn():
 def test_three_ways_to_weigh(weighting, value, learn):
     """Of (0, 1), whose own action has no ratio; (1, 0) and (1, 1) are last, with weight 1.
 
-    Broken once: BROKEN
+    Broken once: ratios cut at 1 -> fails.
     """
     q = learn(weighting)
     np.testing.assert_allclose(q, [[1, value], [4, 8], [1, 1]], rtol=1e-6)

@@ -71,7 +71,10 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_step_agrees_with_the_plain_loop(kind):
-    """Broken once: BROKEN"""
+    """Broken once -> each fails: acting at random, or by pi for b; rho on the whole error, or upside down; no
+
+    ratio of its own action in off-policy Monte Carlo.
+    """
     cls, fields, plain, alpha = KINDS[kind]
     env = random_mdp()
     policies = (
@@ -105,7 +108,7 @@ def policies_for(cls):
 def test_it_learns_the_values_of_the_policy(name):
     """The mean over runs is v_pi, within 4 of its standard errors, and is not v_b. (Step sizes go to 0.)
 
-    Broken once: BROKEN
+    Broken once: off-policy TD without its ratio -> fails.
     """
     cls, env = PREDICTION[name], short_episodes()
     fades = {} if isinstance(cls().alpha, Schedule) else {"alpha": Power(0.8, clock="visit")}
@@ -132,8 +135,7 @@ def with_a_state_out_of_reach():
 def test_what_all_methods_promise(name):
     """Shapes and dtypes; a sweep by name; no run depends on those beside it, to the last bit; the error of V.
 
-    Broken once: the mean over all states; over those out of reach; the error before the row; v_pi of the
-    behaviour policy -> each fails.
+    Broken once: the error over all states; that from the values of another policy -> each fails.
     """
     cls, env = PREDICTION[name], with_a_state_out_of_reach()
     append = lambda probs: Table(np.append(probs, [[0.5, 0.5]], 0))
@@ -188,7 +190,7 @@ def test_methods_keep_the_protocol(name):
 
 
 def test_policies_can_be_an_axis():
-    """Each policy has its own column. Broken once: acting by the default policy -> fails."""
+    """Each policy has its own column."""
     env = short_episodes()
     flat = np.full((4, 2), 0.5)
     both = rl.sweep(env, "td", {"pi": [Table(TARGET), Table(flat)]}, num_seeds=2, num_steps=300)

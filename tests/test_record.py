@@ -23,7 +23,7 @@ def clock_and_start(state):
 def test_rows_are_recorded_at_their_end(unit, number, every, windy):
     """Also of the last row, which is shorter. (In a dataset, and beside exact values: see test_prediction.)
 
-    Broken once: recorded before the row; the shorter last row without its own; its axes lost -> each fails.
+    Broken once: recorded before the row, by steps or by episodes; axes lost in the shorter row -> each fails.
     """
     budget = {unit: number, "log_every": every}
     run = lambda key: rl.train(key, METHOD, windy, record=clock_and_start, **budget)
@@ -77,10 +77,9 @@ class Lottery(FixedStart):
 
 
 def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
-    """The reward of a step tells which problem it is, all steps of a run are of one, and exact values too.
+    """The reward of a step tells which problem it is; all steps of a run are of one, and exact values too.
 
-    Broken once: the problem drawn from the key of the sweep, or anew in each row; the exact value of the
-    environment as given -> each fails.
+    Broken once: one problem for all; the environment as it was given -> each fails.
     """
     sweep = partial(rl.sweep, Lottery(), "sarsa", num_steps=300, exact=True)
     log = sweep({"alpha": [1.0, 0.5]}, num_seeds=5).log
