@@ -150,8 +150,6 @@ def test_the_greedy_target_is_learned_while_exploring():
     regret = (v_star[:3] - np.take_along_axis(q_star[None, :3], q.argmax(2)[..., None], 2)[..., 0]).max(1)
     assert (regret < 0.13).all()
     assert (abs(q.mean(0) - q_star[:3]) < 4 * q.std(0, ddof=1) / np.sqrt(RUNS)).all()
-    uniform = planning.evaluate(env, np.full((4, 2), 0.5), GAMMA)
-    assert (v_star - uniform)[:3].min() > 1
 
 
 # --- by hand: states 0, 1 and a terminal 2; two actions, of which pi takes 0, and b either; gamma 1/2 ------
