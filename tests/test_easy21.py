@@ -1,6 +1,5 @@
 """Easy21: cards turned by hand, the exact values by plain sweeps, and games card by card."""
 
-
 import jax
 import numpy as np
 import pytest
