@@ -70,6 +70,16 @@ def backward(step: Callable[[Int[Array, ""], T], T], length: Int[Array, ""], car
     return lax.fori_loop(jnp.int32(0), length, lambda i, carry: step(length - 1 - i, carry), carry)
 
 
+def count(
+    visits: Int[Array, "L S A"] | None, counts: Bool[Array, ""], *at: Int[Array, ""]
+) -> tuple[Int[Array, "L S A"] | None, Int[Array, ""] | None]:
+    """N <- N + 1 where it `counts`, on the walk back; and N as it then is. None where nobody counts."""
+    if visits is None:
+        return None, None
+    visits = tables.write(visits, tables.entry(visits, *at) + counts, *at)
+    return visits, tables.entry(visits, *at)  # from the new table: see `lane_by_lane`
+
+
 def visit(
     seen: Int[Array, "S A"] | None, number: Int[Array, ""], s: Int[Array, ""], a: Int[Array, ""]
 ) -> tuple[Int[Array, "S A"] | None, Bool[Array, ""]]:

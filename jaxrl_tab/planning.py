@@ -26,7 +26,7 @@ from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab import policies
-from jaxrl_tab.types import TOLERANCE, Environment, FiniteEnvironment, InputError, check_pytree, first
+from jaxrl_tab.types import Environment, FiniteEnvironment, InputError, check_pytree, first, is_distribution
 
 GAIN = 1e-11  # policy iteration changes an action for more than this, relative to the largest value
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
@@ -110,7 +110,7 @@ def _check_model(name: str, model: Model) -> None:
             f"initial one of [S], for one environment and not a batch; they give {shapes} and {start.shape}"
         )
     index = np.arange(num_states)
-    if (i := first(~_is_distribution(prob))) is not None:
+    if (i := first(~is_distribution(prob))) is not None:
         raise InputError(f"{name}: the probabilities of the outcomes of (s, a) = {i} are not a distribution")
     if (i := first(((s_next < 0) | (s_next >= num_states)).any(-1))) is not None:
         raise InputError(f"{name}: an outcome of (s, a) = {i} is not one of the states 0 to {num_states - 1}")
@@ -122,7 +122,7 @@ def _check_model(name: str, model: Model) -> None:
         raise InputError(
             f"{name}: state {i[0]} is terminal, so action {i[1]} must lead back to it with reward 0"
         )
-    if not _is_distribution(start):
+    if not is_distribution(start):
         raise InputError(f"{name}: the probabilities of the start states are not a distribution")
 
 
@@ -569,17 +569,12 @@ def _name(env: Any) -> str:
     return type(env).__name__
 
 
-def _is_distribution(prob: np.ndarray) -> Any:
-    """Whether the last axis holds probabilities that add up to 1."""
-    return (prob >= 0).all(-1) & (abs(prob.sum(-1) - 1) < TOLERANCE)
-
-
 def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
     probs = np.asarray(policy_probs, np.float64)
     shape = model.prob.shape[:2]
     if probs.shape != shape:
         raise InputError(f"policy_probs must have shape [S, A] = {shape}, not {probs.shape}")
-    if (i := first(~_is_distribution(probs))) is not None:
+    if (i := first(~is_distribution(probs))) is not None:
         raise InputError(
             f"policy_probs of state {i[0]} are {probs[i].tolist()}; they must be 0 or more and add up to 1"
         )

@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import schedules, tables
 from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
-from jaxrl_tab.types import TOLERANCE, InputError, concrete, first, nearest, pytree, shown
+from jaxrl_tab.types import InputError, concrete, first, is_distribution, nearest, pytree, shown
 
 UNAVAILABLE = -1e30  # the value of an action that a state does not have; finite, for 0 times it must be 0
 UNROLLED = 16  # rows up to this length are worked through entry by entry
@@ -268,8 +268,7 @@ class Table:
             return
         if pi.ndim != 2 or pi.dtype.kind not in "biuf":
             raise InputError(f"Table: probabilities must be numbers [S, A], not of shape {pi.shape}")
-        wrong = ~((pi >= 0).all(1) & (abs(pi.sum(1) - 1) <= TOLERANCE))
-        if (s := first(wrong)) is not None:
+        if (s := first(~is_distribution(pi))) is not None:
             raise InputError(
                 f"Table: the probabilities in state {s[0]} are not a distribution: {shown(pi[s])}"
             )
@@ -373,10 +372,10 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
         if (pi := concrete(target.probabilities)) is None:
             return
         can = pi > 0
-    if isinstance(target, EpsilonGreedy) and target.available is not None:
-        if (there := concrete(target.available)) is None:
+    if isinstance(target, EpsilonGreedy):
+        if (there := _there(target)) is None:
             return
-        can = there > 0
+        can = there
     if can.ndim and out.ndim and can.shape != out.shape:
         raise InputError(f"{what}: target is a table {can.shape}, and behaviour one {out.shape}")
     if at := first(can & out):
@@ -403,16 +402,19 @@ def _left_out(policy: Policy) -> np.ndarray | None:
         case EpsilonGreedy() if isinstance(policy.epsilon, schedules.Schedule):
             return None
         case EpsilonGreedy():
-            epsilon, there = concrete(policy.epsilon), policy.available
-            there = None if there is None else concrete(there)
-            if epsilon is None or (policy.available is not None and there is None):
-                return None
-            return (epsilon == 0).any() if there is None else (there == 0) | (epsilon == 0).any()
+            epsilon, there = concrete(policy.epsilon), _there(policy)
+            return None if epsilon is None or there is None else ~there | (epsilon == 0).any()
         case Softmax():
             return np.array(False)
         case Greedy() | UCB():
             return np.array(True)
     return None
+
+
+def _there(policy: EpsilonGreedy) -> np.ndarray | None:
+    """The actions that there are, bool [S, A], or [] where there are all; None where that is traced."""
+    there = np.array(True) if policy.available is None else concrete(policy.available)
+    return None if there is None else there > 0
 
 
 def _is_greedy(policy: Policy) -> bool:

@@ -123,7 +123,7 @@ class Prediction:
 class TD(Prediction):
     """TD(0): V(S) <- V(S) + alpha [R + gamma V(S') - V(S)] (book, equation 6.2)."""
 
-    def control(self) -> Algorithm:
+    def control(self) -> Sarsa:
         return Sarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0)
 
 
@@ -211,7 +211,7 @@ class OffPolicyPrediction(Prediction):
 
 
 @pytree
-class OffPolicyTD(OffPolicyPrediction):
+class OffPolicyTD(OffPolicyPrediction, TD):
     """TD(0) with importance sampling (Silver, lecture 5).
 
     V(S) <- V(S) + alpha [rho (R + gamma V(S')) - V(S)]
@@ -221,9 +221,6 @@ class OffPolicyTD(OffPolicyPrediction):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[str] = "transitions of b"
-
-    def control(self) -> Sarsa:
-        return Sarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0)
 
     def update(self, key, state: ValueState, t: Transition):
         assert state.target is not None

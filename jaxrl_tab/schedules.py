@@ -417,8 +417,7 @@ def is_glie(epsilon: Rate) -> Verdict:
     everywhere = (
         "every state that is visited for ever"
         if epsilon.clock == "visit"
-        else f"every state, assuming that each is visited at a positive rate per {epsilon.clock} whatever is "
-        "learned (clock='visit' needs no such assumption)"
+        else f"every state, {_assumption(epsilon)}"
     )
     why = f"epsilon {words}, to 0, and its sum is infinite: it becomes greedy, and tries all actions for ever"
     return Verdict(True, f"{why} in {everywhere}")
@@ -452,14 +451,17 @@ def is_robbins_monro(alpha: Rate) -> Verdict:
     if order > 1:
         return Verdict(False, f"alpha {words}, so its sum is finite: it may stop short of its goal")
     assert isinstance(alpha, Family)  # numbers are judged by now
-    pairs = (
-        "that is visited for ever"
-        if alpha.clock == "visit"
-        else f"assuming that each is visited at a positive rate per {alpha.clock} whatever is learned "
-        "(clock='visit' needs no such assumption)"
-    )
+    pairs = "that is visited for ever" if alpha.clock == "visit" else _assumption(alpha)
     why = f"alpha {words}, so its sum is infinite and that of its squares is finite"
     return Verdict(True, f"{why}, for every pair (s, a) {pairs}")
+
+
+def _assumption(rate: Family) -> str:
+    """What is assumed of a rate that does not go by visits."""
+    return (
+        f"assuming that each is visited at a positive rate per {rate.clock} whatever is learned "
+        "(clock='visit' needs no such assumption)"
+    )
 
 
 def _tail(asker: str, rate: Any, fits: Callable[[float], bool], wanted: str) -> Tail:

@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -196,9 +196,12 @@ def _exact_value(
 
 
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
-    """Those with this gamma whose exact values may differ: of control one."""
+    """Those with this gamma whose exact values may differ: of control one, of prediction one for each pi."""
     same = [config for config in configs if config.gamma == gamma]
-    return same if hasattr(same[0], "exact_value") else same[:1]
+    if not hasattr(same[0], "exact_value"):
+        return same[:1]
+    by_pi: dict[int, Any] = {id(config.pi): config for config in cast(list[Any], same)}
+    return list(by_pi.values())
 
 
 def _judge(env: Environment, config: Any) -> float:

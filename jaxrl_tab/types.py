@@ -62,6 +62,11 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
 TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds written as 0.333 do not
 
 
+def is_distribution(prob: np.ndarray) -> Any:
+    """Whether the last axis holds probabilities that add up to 1, bool [...]."""
+    return (prob >= 0).all(-1) & (abs(prob.sum(-1) - 1) < TOLERANCE)
+
+
 def first(wrong: np.ndarray) -> Any:
     """The index of the first True, as a tuple of int, or None: what a message about an array names."""
     return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+from by_hand import learned
 from test_reference import ENVS, STEPS, random_mdp, task_of, words_of
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning, schedules
 from jaxrl_tab.schedules import Optax, Power
-from jaxrl_tab.types import Transition
 
 GAMMAS = (0.0, 0.5, 0.9, 1.0)
 EPSILON = 0.25
@@ -135,32 +135,15 @@ def test_a_batch_of_one_is_a_policy_that_improves_after_every_episode():
 # --- by hand: gamma 1/2, alpha 1/N -------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def after():
-    """Q after episodes of (S, R, S') each, the last S' terminal or, with `cut`, where time ran out."""
-
-    @jax.jit
-    def learn(method, transitions):
-        key = jax.random.key(0)
-        one = lambda state, t: (method.update(key, state, t)[0], None)
-        return jax.lax.scan(one, method.init(3, 1, 10), transitions)[0]
-
-    def after(*episodes, gamma=0.5, cut=False, **fields):
-        rows = []
-        for episode in episodes:
-            for i, (s, r, s_next) in enumerate(episode):
-                last = i == len(episode) - 1
-                rows.append((s, 0, r, s_next, 0.0 if last and not cut else gamma, last))
-        transitions = Transition(*map(jnp.asarray, zip(*rows, strict=True)))
-        return learn(rl.MonteCarlo(gamma=jnp.float32(gamma), **fields), transitions).q[:, 0]
-
-    return after
+def after(*episodes, gamma=0.5, cut=False, **fields):
+    """Q after episodes of (S, R, S') each; see `by_hand.learned`."""
+    return learned(rl.MonteCarlo(gamma=jnp.float32(gamma), **fields), 3, episodes, gamma, cut)
 
 
 LOOP = ((0, 1.0, 0), (0, 4.0, 1), (1, 2.0, 0), (0, 8.0, 2))
 
 
-def test_every_visit_and_first_visit(after):
+def test_every_visit_and_first_visit():
     """The returns are 8, 2 + 8/2 = 6, 4 + 6/2 = 7 and 1 + 7/2 = 4.5; those of state 0 are 4.5, 7 and 8.
 
     Broken once: the last visit for the first -> fails.
@@ -169,7 +152,7 @@ def test_every_visit_and_first_visit(after):
     np.testing.assert_array_equal(after(LOOP, first_visit=True), [4.5, 6.0, 0.0])
 
 
-def test_first_visits_are_found_at_gamma_0(after):
+def test_first_visits_are_found_at_gamma_0():
     """The returns are the rewards: the first of state 0 is 1.
 
     Broken once: "not yet seen" where a trace that gamma has faded to 0 says so -> fails.
@@ -178,7 +161,7 @@ def test_first_visits_are_found_at_gamma_0(after):
     np.testing.assert_array_equal(after(LOOP, LOOP[1:], gamma=0.0, first_visit=True), [2.5, 2.0, 0.0])
 
 
-def test_an_episode_is_forgotten_when_it_is_over(after):
+def test_an_episode_is_forgotten_when_it_is_over():
     """Each of two episodes is averaged once, and what was visited in the first is new in the second.
 
     Broken once: the memory not cleared at the end of the episode -> fails.
@@ -188,7 +171,7 @@ def test_an_episode_is_forgotten_when_it_is_over(after):
     np.testing.assert_array_equal(after(LOOP, ((1, 2.0, 2),)), [6.5, 4.0, 0.0])
 
 
-def test_a_time_limit_leaves_the_value_of_the_state_it_was_reached_in(after):
+def test_a_time_limit_leaves_the_value_of_the_state_it_was_reached_in():
     """G = 8 + 2/2, where V(2) = 2; at a terminal state it does not count.
 
     Broken once: a time limit treated as terminal -> fails.

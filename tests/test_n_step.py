@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+from by_hand import learned
 from test_one_step import ALPHAS, EPSILON, GAMMAS, initial_tables
 from test_reference import ENVS, STEPS, random_mdp, task_of, words_of
 
 import jaxrl_tab as rl
 from jaxrl_tab import schedules
-from jaxrl_tab.types import Transition
 
 LONG = 200  # more steps than any of these episodes has
 
@@ -71,34 +71,16 @@ def test_looking_further_than_the_episode_is_monte_carlo(alpha, plain):
 # --- by hand: three states and a terminal one, one action, gamma 1/2, alpha 1/2, Q0 = 1 -----------------
 
 
-@pytest.fixture(scope="module")
-def after():
-    """Q after episodes of (S, R, S') each, the last S' terminal or, with `cut`, where time ran out."""
-
-    @jax.jit
-    def learn(method, transitions):
-        key = jax.random.key(0)
-        one = lambda state, t: (method.update(key, state, t)[0], None)
-        return jax.lax.scan(one, method.init(4, 1), transitions)[0]
-
-    def after(n, *episodes, cut=False):
-        rows = []
-        for episode in episodes:
-            for i, (s, r, s_next) in enumerate(episode):
-                last = i == len(episode) - 1
-                rows.append((s, 0, r, s_next, 0.0 if last and not cut else 0.5, last))
-        columns = zip(*rows, strict=True)
-        transitions = Transition(*map(jnp.asarray, columns))
-        return learn(rl.NStepSarsa(alpha=0.5, gamma=0.5, q0=1.0, n=n), transitions).q[:, 0]
-
-    return after
+def after(n, *episodes, cut=False):
+    """Q after episodes of (S, R, S') each; see `by_hand.learned`."""
+    return learned(rl.NStepSarsa(alpha=0.5, gamma=0.5, q0=1.0, n=n), 4, episodes, 0.5, cut)
 
 
 WALK = ((0, 1.0, 1), (1, 2.0, 2), (2, 4.0, 3))
 
 
 @pytest.mark.parametrize("n", [3, 5])
-def test_the_tail_is_complete_and_ends_at_the_terminal_state(n, after):
+def test_the_tail_is_complete_and_ends_at_the_terminal_state(n):
     """G = 1 + 2/2 + 4/4 = 3, 2 + 4/2 = 4, and 4. The value of the terminal state, 1, counts nowhere.
 
     Broken once: only the oldest step learned at the end; weight not 0 where S' is terminal -> fails.
@@ -106,12 +88,12 @@ def test_the_tail_is_complete_and_ends_at_the_terminal_state(n, after):
     np.testing.assert_array_equal(after(n, WALK), [2.0, 2.5, 2.5, 1.0])
 
 
-def test_two_steps_ahead(after):
+def test_two_steps_ahead():
     """G = 1 + 2/2 + 1/4 = 2.25 (Q(2) is still 1), then 2 + 4/2 = 4, and 4."""
     np.testing.assert_array_equal(after(2, WALK), [1.625, 2.5, 2.5, 1.0])
 
 
-def test_a_time_limit_bootstraps_from_the_state_it_was_reached_in(after):
+def test_a_time_limit_bootstraps_from_the_state_it_was_reached_in():
     """G = 3 + 1/8, 4 + 1/4, 4 + 1/2, each with the value 1 of state 3.
 
     Broken once: treated as terminal -> fails.
@@ -119,7 +101,7 @@ def test_a_time_limit_bootstraps_from_the_state_it_was_reached_in(after):
     np.testing.assert_array_equal(after(3, WALK, cut=True), [2.0625, 2.625, 2.75, 1.0])
 
 
-def test_the_tail_learns_from_the_oldest_step_on_and_by_q_as_it_is(after):
+def test_the_tail_learns_from_the_oldest_step_on_and_by_q_as_it_is():
     """0 -> 1 -> 0 and time is up. First G = 1 + 2/2 + 1/4 = 2.25, so Q(0) = 1.625; then 2 + 1.625/2 = 2.8125.
 
     Broken once: backwards; or by the Q of before the tail -> fails.
@@ -128,7 +110,7 @@ def test_the_tail_learns_from_the_oldest_step_on_and_by_q_as_it_is(after):
     np.testing.assert_array_equal(q, [1.625, 1.90625, 1.0, 1.0])
 
 
-def test_nothing_is_remembered_of_the_episode_before(after):
+def test_nothing_is_remembered_of_the_episode_before():
     """Twice the same episode: the second learns from its own rewards alone, from Q as the first left it.
 
     Broken once: the memory not cleared -> fails.

@@ -12,7 +12,7 @@ from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.td import TDState, check_learning
 from jaxrl_tab.policies import Table
 from jaxrl_tab.schedules import Clock, Rate
-from jaxrl_tab.types import TOLERANCE, InputError, Transition, concrete, first, pytree, shown
+from jaxrl_tab.types import InputError, Transition, concrete, first, is_distribution, pytree, shown
 
 
 class ManyTargetsState(NamedTuple):
@@ -72,8 +72,7 @@ class ManyTargets:
             return
         if pi.ndim != 3 or not pi.size or pi.dtype.kind not in "biuf":
             raise InputError(f"ManyTargets: targets must be numbers [P, S, A], not of shape {pi.shape}")
-        wrong = ~((pi >= 0).all(2) & (abs(pi.sum(2) - 1) <= TOLERANCE))
-        if (i := first(wrong)) is not None:
+        if (i := first(~is_distribution(pi))) is not None:
             raise InputError(
                 f"ManyTargets: the probabilities of policy {i[0]} in state {i[1]} are not a distribution: "
                 f"{shown(pi[i])}"

@@ -117,10 +117,7 @@ def _walk(first_visit, lane, learned, steps, length, rest, alpha, gamma, clock):
         (q, visits), g = carry
         s, a, r, first = (tables.entry(x, lane, i) for x in steps)
         g = r + g
-        n = None
-        if visits is not None:
-            visits = tables.write(visits, tables.entry(visits, lane, s, a) + first, lane, s, a)
-            n = tables.entry(visits, lane, s, a)  # from the new table: see `lane_by_lane`
+        visits, n = episode.count(visits, first, lane, s, a)
         old = tables.entry(q, lane, s, a)
         new = old + schedules.at_visit(alpha, clock, n) * (g - old)
         q = tables.write(q, jnp.where(first, new, old) if first_visit else new, lane, s, a)

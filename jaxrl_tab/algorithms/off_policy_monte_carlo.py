@@ -149,10 +149,7 @@ def _walk(weighting, first_visit, of_states, lane, learned, steps, length, rest,
         g = r + g
         if of_states:  # the action is part of what follows the state
             g, w = weigh(q, visits, g, w)
-        n = None
-        if visits is not None:
-            visits = tables.write(visits, tables.entry(visits, *at) + first, *at)
-            n = tables.entry(visits, *at)  # from the new table: see `lane_by_lane`
+        visits, n = episode.count(visits, first, *at)
         step = schedules.at_visit(alpha, clock, n)
         if weighting == "weighted":
             old = tables.entry(mean_weight, *at)
