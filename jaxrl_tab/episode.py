@@ -92,4 +92,4 @@ def visit(
         return None, jnp.bool(True)
     before = tables.entry(seen, s, a)
     now = jnp.maximum(before, number)  # which is `number`: what is written needs what is read, so no copy
-    return tables.put(seen, now[None, None], s, a), before != number
+    return tables.put(seen, now, s, a), before != number

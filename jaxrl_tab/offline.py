@@ -378,6 +378,9 @@ def _longest_episode(experience: Experience) -> int:
     return int(np.diff(np.flatnonzero(last), prepend=-1).max())
 
 
+UPDATE, DRAW = 0, 1  # decisions, as `rng` numbers them
+
+
 # How often is no constant of the programs, so another number needs no new one.
 @partial(jax.jit, static_argnums=3, inline=True)
 def _learn(key, algorithm, experience, task, passes):
@@ -387,8 +390,7 @@ def _learn(key, algorithm, experience, task, passes):
 
     def update(learner, numbered):
         i, t = numbered
-        word, _ = rng.words(stream, i, 0)
-        learner, _ = algorithm.update(rng.as_key(word), learner, t)
+        learner, _ = algorithm.update(rng.as_key(rng.word(stream, i, UPDATE)), learner, t)
         return learner, None
 
     def one_pass(k, learner):
@@ -404,7 +406,7 @@ def _replay(key, algorithm, experience, task, num_updates):
     stream, size = rng.stream(key), len(transitions.s)
 
     def update(i, learner):
-        update_key, draw_key = map(rng.as_key, rng.words(stream, i, 0))
+        update_key, draw_key = (rng.as_key(rng.word(stream, i, decision)) for decision in (UPDATE, DRAW))
         drawn = jax.random.randint(draw_key, (), 0, size)
         t = jax.tree.map(lambda x: tables.entry(x, drawn), transitions)
         learner, _ = algorithm.update(update_key, learner, t)

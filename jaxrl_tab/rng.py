@@ -1,8 +1,9 @@
 """Random numbers for the loop: one word a decision.
 
 Splitting a key in every step costs more than the step. Instead the word of a decision is Threefry-2x32 of
-(run key, step, pair of decisions) and of nothing else: no word depends on how steps or runs are grouped, none
-is used twice, and under `vmap` the lanes of a block draw theirs together, in vector operations.
+(run key, step, decision) and of nothing else: no word depends on how steps or runs are grouped, none is used
+twice, and under `vmap` the lanes of a block draw theirs together, in vector operations. A call gives two
+words: they serve the same decision in two steps that follow each other.
 
 Each word is then handed on as a JAX **key** of its own kind, so environments and methods take a `key` and
 call `jax.random` on it as usual. Asked for one 32-bit draw, such a key gives its word itself, for nothing.
@@ -11,12 +12,14 @@ carries 32 bits of entropy, independent of all other decisions.
 """
 
 import math
-from typing import Any, TypeAlias
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.extend as jex
 import jax.numpy as jnp
-from jaxtyping import Array, Int, Key, UInt32
+from jax import lax
+from jaxtyping import Array, Bool, Int, Key, UInt32
 
 from jaxrl_tab.types import InputError, shown
 
@@ -113,8 +116,48 @@ def stream(key: Key[Array, ""]) -> Stream:
     return word0, word1
 
 
-def words(
-    stream: Stream, step: Int[Array, "*n"], pair: int
-) -> tuple[UInt32[Array, "*n"], UInt32[Array, "*n"]]:
-    """Two independent words for a step, uint32; `pair` names which two of its decisions they serve."""
-    return threefry(stream, step.astype(jnp.uint32), jnp.uint32(pair))
+def word(stream: Stream, step: Int[Array, ""], decision: int) -> UInt32[Array, ""]:
+    """The word of a decision in a step, uint32 []. Decisions are numbered by whoever makes them."""
+    step = step.astype(jnp.uint32)
+    return jnp.where(step & 1 == 1, *reversed(_call(stream, step >> 1, decision)))
+
+
+class Words(NamedTuple):
+    """The words of one decision in a chunk of steps; see `words`.
+
+    Attributes:
+        begins_odd: whether the number of the first step is odd, bool [].
+        even, odd: the words of the steps with even and with odd numbers, uint32 [calls].
+    """
+
+    begins_odd: Bool[Array, ""]
+    even: UInt32[Array, " calls"]
+    odd: UInt32[Array, " calls"]
+
+    def at(self, i: Int[Array, ""]) -> UInt32[Array, ""]:
+        """The word of the i-th step of the chunk."""
+        read = partial(lax.dynamic_index_in_dim, keepdims=False, allow_negative_indices=False)
+        is_odd = (i & 1 == 1) ^ self.begins_odd
+        return jnp.where(is_odd, read(self.odd, i >> 1), read(self.even, (i + 1) >> 1))
+
+
+def words(stream: Stream, first: Int[Array, ""], steps: int, decision: int) -> Words:
+    """The words of `decision` in the steps `first`, ..., `first + steps - 1`, as `word` gives them.
+
+    They are worked out call by call, in a loop, so that under `vmap` the lanes lie side by side in memory.
+    Both words of a call leave the loop as the halves of one complex number: of two results XLA would compute
+    each by itself, and so do all the work twice.
+    """
+    first = first.astype(jnp.uint32)
+    as_real, as_word = (partial(lax.bitcast_convert_type, new_dtype=t) for t in (jnp.float32, jnp.uint32))
+
+    def call(_, i):
+        return None, lax.complex(*map(as_real, _call(stream, (first >> 1) + i, decision)))
+
+    _, both = lax.scan(call, None, jnp.arange(steps // 2 + 1, dtype=jnp.uint32))
+    return Words(first & 1 == 1, as_word(lax.real(both)), as_word(lax.imag(both)))
+
+
+def _call(stream: Stream, call: Array, decision: int) -> tuple[Array, Array]:
+    """The words of a decision in two steps that follow each other, an even one and an odd one."""
+    return threefry(stream, call, jnp.uint32(decision))

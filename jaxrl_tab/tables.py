@@ -1,49 +1,57 @@
 """The operations on a table of values: read a row or an entry, add to an entry. And how lanes batch them.
 
-`q.at[s, a].add(x)` under `vmap` is a scatter, and XLA's CPU backend neither fuses a scatter nor keeps it in
-the one kernel that a whole loop of steps is compiled to. A loop over the lanes that writes one entry each
-stays in that kernel: it is what a person would write in C. Writing therefore brings its own
-batching rule; outside `vmap` it is the plain indexing that it looks like.
+For one run they are plain indexing. Under `vmap`, XLA's CPU backend would make a scatter of a write, which it
+neither fuses nor keeps in the one kernel that a whole loop of steps is compiled to; and it would fuse a read
+into each of the expressions that use it, and work out its address in each. So they bring a batching rule of
+their own: a loop over the lanes that does nothing but move entries between the tables and vectors over lanes.
+All arithmetic then runs on those. On other platforms they are the gather and the scatter that they look like.
 """
 
+import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
-from jaxtyping import Array, Int, Num
+from jaxtyping import Array, Int, Num, UInt32
 
 T = TypeVar("T")
+
+GROUP = 8  # lanes in one turn of a loop over lanes: fewer do not hide what a turn costs, more do not gain
+LONG_ROW = 16  # rows with more entries than this are left to XLA
 
 
 def row(table: Num[Array, "S A"], s: Int[Array, ""]) -> Num[Array, " A"]:
     """`table[s]`, [A]. `s` must be a state: it is not checked."""
-    return lax.dynamic_index_in_dim(table, s, keepdims=False, allow_negative_indices=False)
+    return entry(table, s)
 
 
-def entry(table: Num[Array, "*n"], *index: Int[Array, ""]) -> Num[Array, ""]:
-    """`table[index]`, []. `index` must be in range: it is not checked."""
-    return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+def entry(table: Num[Array, "..."], *index: Int[Array, ""]) -> Num[Array, "..."]:
+    """`table[index]`, [] where there is an index for each axis. They must be in range: it is not checked."""
+    return _read(*_as_list(table, index))
 
 
 def add(
     table: Num[Array, "S A"], s: Int[Array, ""], a: Int[Array, ""], x: Num[Array, ""]
 ) -> Num[Array, "S A"]:
     """`table` with `x` added to entry (s, a). Both must be in range: they are not checked."""
-    return put(table, (entry(table, s, a) + x.astype(table.dtype))[None, None], s, a)
+    return put(table, entry(table, s, a) + x.astype(table.dtype), s, a)
 
 
-def put(table: Num[Array, "..."], block: Num[Array, "..."], *corner: Int[Array, ""]) -> Num[Array, "..."]:
-    """`table` with `block` (as many axes, none longer) written at `corner`, an index for each axis."""
-    return lane_by_lane(_put, table, block, corner)
+def put(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
+    """`table` with entry `index` set to `x`. The index must be in range: it is not checked."""
+    entries, at = _as_list(table, index)
+    return _write(entries, at, x.astype(table.dtype)).reshape(table.shape)
 
 
 def write(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
     """`table` with entry `index` set to `x`, inside the body of `lane_by_lane` and other plain loops."""
-    block = x.astype(table.dtype).reshape((1,) * table.ndim)
-    return lax.dynamic_update_slice(table, block, _int32(index), allow_negative_indices=False)
+    entries, at = _as_list(table, index)
+    return _write_one(entries, at, x.astype(table.dtype)).reshape(table.shape)
 
 
 def lane_by_lane(body: Callable[..., T], tables: T, *given: Any) -> T:
@@ -66,6 +74,8 @@ def lane_by_lane(body: Callable[..., T], tables: T, *given: Any) -> T:
         return jax.tree.map(lambda x: x[0], body(jnp.int32(0), tables, *given))
 
     def lanes(tables, *given):
+        if not _lane_by_lane():
+            return jax.vmap(one)(tables, *given)
         count = jnp.int32(jax.tree.leaves(tables)[0].shape[0])
         return lax.fori_loop(jnp.int32(0), count, lambda lane, tables: body(lane, tables, *given), tables)
 
@@ -80,6 +90,11 @@ def lane_by_lane(body: Callable[..., T], tables: T, *given: Any) -> T:
         return split, _all_true(tables)
 
     return _with_lanes(one, one_rule)(tables, *given)
+
+
+def _lane_by_lane() -> bool:
+    """Whether lanes go one after another: on a CPU. (`lax.platform_dependent` adds 2 s to compiling.)"""
+    return jax.default_backend() == "cpu"
 
 
 def _with_lanes(function: Callable[..., T], rule: Callable[..., Any]) -> Callable[..., T]:
@@ -99,11 +114,109 @@ def _all_true(tables: Any) -> Any:
     return jax.tree.map(lambda _: True, tables)
 
 
-def _put(lane: Array, table: Array, block: Array, corner: tuple[Array, ...]) -> Array:
-    block = lax.dynamic_index_in_dim(block, lane, allow_negative_indices=False)
-    start = (lane, *(entry(index, lane) for index in corner))
-    return lax.dynamic_update_slice(table, block, _int32(start), allow_negative_indices=False)
+# --- reading and writing, for one lane and for many --------------------------------------------------
 
 
-def _int32(index: tuple[Array, ...]) -> tuple[Array, ...]:
-    return tuple(x.astype(jnp.int32) for x in index)  # of one type, also under x64
+def _as_list(table: Array, index: tuple[Array, ...]) -> tuple[Array, Array]:
+    """`table` as a list of what an index selects, and the index as one number.
+
+    A number without a sign: XLA keeps every index in range, which costs twice as much with one.
+    """
+    table, at = jnp.asarray(table), jnp.uint32(0)
+    for size, x in zip(table.shape, index, strict=False):
+        at = at * jnp.uint32(size) + jnp.asarray(x).astype(jnp.uint32)
+    return table.reshape(-1, *table.shape[len(index) :]), at
+
+
+def _merge_lanes(axis_size: int, batched: Any, entries: Array, at: Array) -> tuple[Array, Array]:
+    """The tables of all lanes as one list, and where in it each lane finds its own."""
+    if not batched[1]:
+        at = jnp.broadcast_to(at, (axis_size, *at.shape))
+    if not batched[0]:
+        return entries, at
+    if math.prod(entries.shape[:2]) >= 2**32:
+        raise ValueError(f"the tables of {axis_size} lanes have 2**32 entries or more: take fewer lanes")
+    # A constant: to work out where each lane begins would cost as much as the rest of its address.
+    first = np.arange(axis_size, dtype=np.uint32) * np.uint32(entries.shape[1])
+    return entries.reshape(-1, *entries.shape[2:]), at + first.reshape(-1, *(1,) * (at.ndim - 1))
+
+
+def _read_one(entries: Num[Array, "N ..."], at: UInt32[Array, ""]) -> Num[Array, "..."]:
+    return lax.dynamic_index_in_dim(entries, at, keepdims=False, allow_negative_indices=False)
+
+
+def _write_one(entries: Num[Array, " N"], at: UInt32[Array, ""], x: Num[Array, ""]) -> Num[Array, " N"]:
+    return lax.dynamic_update_slice(entries, x[None], (at,), allow_negative_indices=False)
+
+
+@custom_vmap
+def _read(entries: Num[Array, "N ..."], at: UInt32[Array, "*lanes"]) -> Num[Array, "..."]:
+    """`entries[at]`."""
+    if at.ndim == 0:
+        return _read_one(entries, at)
+    if _lane_by_lane() and math.prod(entries.shape[1:]) <= LONG_ROW:
+        return _read_lanes(entries, at.ravel()).reshape(*at.shape, *entries.shape[1:])
+    return entries.at[at].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+@_read.def_vmap
+def _read_rule(axis_size, batched, entries, at):
+    return _read(*_merge_lanes(axis_size, batched, entries, at)), True
+
+
+@custom_vmap
+def _write(
+    entries: Num[Array, " N"], at: UInt32[Array, "*lanes"], x: Num[Array, "*lanes"]
+) -> Num[Array, " N"]:
+    """`entries` with `x` at `at`."""
+    if at.ndim == 0:
+        return _write_one(entries, at, x)
+    if _lane_by_lane():
+        return _write_lanes(entries, at.ravel(), x.ravel())
+    return entries.at[at].set(x, mode="promise_in_bounds", unique_indices=True)
+
+
+@_write.def_vmap
+def _write_rule(axis_size, batched, entries, at, x):
+    entries, at, x = _broadcast(axis_size, batched, (entries, at, x))
+    return _write(*_merge_lanes(axis_size, (True, True), entries, at), x).reshape(entries.shape), True
+
+
+def _read_lanes(entries: Array, at: Array) -> Array:
+    """`entries[at]` [lanes, ...], of which the lanes lie side by side in memory."""
+    rest = (jnp.uint32(0),) * (entries.ndim - 1)
+    put = partial(lax.dynamic_update_slice, allow_negative_indices=False)
+
+    def read(first, group, out):
+        got = [_read_one(entries, i)[..., None] for i in group[0]]
+        if not rest:
+            return put(out, jnp.concatenate(got), (first,))
+        for k, column in enumerate(got):
+            out = put(out, column, (*rest, first + jnp.uint32(k)))
+        return out
+
+    out = lax.empty((*entries.shape[1:], len(at)), entries.dtype)
+    return jnp.moveaxis(_over_lanes(read, out, at), -1, 0)
+
+
+def _write_lanes(entries: Array, at: Array, x: Array) -> Array:
+    def write(first, group, entries):
+        for i, value in zip(*group, strict=True):
+            entries = _write_one(entries, i, value)
+        return entries
+
+    return _over_lanes(write, entries, at, x)
+
+
+def _over_lanes(body: Callable[..., Array], carry: Array, *given: Array) -> Array:
+    """`carry = body(first lane, what is given of the group, carry)` for one group of lanes after another."""
+    lanes = len(given[0])
+    size = math.gcd(lanes, GROUP)
+
+    def turn(g, carry):
+        first = g * jnp.uint32(size)
+        of_group = partial(lax.dynamic_slice_in_dim, start_index=first, slice_size=size)
+        group = [of_group(x, allow_negative_indices=False) for x in given]
+        return body(first, [[x[k] for k in range(size)] for x in group], carry)
+
+    return lax.fori_loop(jnp.uint32(0), jnp.uint32(lanes // size), turn, carry)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int, Key, UInt32
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import planning, policies, rng, tables
 from jaxrl_tab.envs import ENVS
@@ -31,6 +31,7 @@ from jaxrl_tab.types import (
 
 L = TypeVar("L")
 
+DRAWN_TOGETHER = 32  # for about so many steps the random words are worked out at once; see `_steps`
 CHUNKS = 256, 16  # so many steps are taken at once where a run ends with an episode; see `_run_until`
 
 
@@ -87,16 +88,24 @@ class _Start(NamedTuple):
     action: Callable
 
 
-class _Words(NamedTuple):
-    """The random words of a step, one for each decision."""
+class _Decisions(NamedTuple):
+    """One for each decision that is made in a step: its number in `rng`, its words, or its key."""
 
-    update: UInt32[Array, ""]
-    start: UInt32[Array, ""]
-    step: UInt32[Array, ""]
-    reset: UInt32[Array, ""]
+    update: Any
+    step: Any
+    reset: Any
+    start: Any
+
+    def map(self, function: Callable[[Any], Any]) -> "_Decisions":
+        return _Decisions(*map(function, self))
 
 
-Step: TypeAlias = Callable[[_Run], tuple[_Run, Log]]
+IN_A_STEP = _Decisions(update=0, step=1, reset=2, start=3)
+BEFORE_RESET, BEFORE_START = 4, 5  # at time 0
+INSTANCE = 6
+
+
+Step: TypeAlias = Callable[[_Run, _Decisions], tuple[_Run, Log]]
 Record: TypeAlias = Callable[[Any], dict[str, Array]]
 Measured: TypeAlias = Callable[[Any], dict[str, Any]]
 
@@ -150,15 +159,15 @@ def _train(key, algorithm, env, num_steps, num_episodes, log_every, exact, recor
     log_every = log_every or default_log_every(num_steps)
     stream = rng.stream(key)
     if hasattr(env, "instance"):
-        env = env.instance(rng.as_key(rng.words(stream, jnp.int32(0), 3)[0]))
+        env = env.instance(rng.as_key(rng.word(stream, jnp.int32(0), INSTANCE)))
     measure = _make_measure(algorithm, env, exact, record)
     start = _make_start(algorithm, env)
-    step = _make_step(stream, algorithm, env, start)
+    step = _make_step(algorithm, env, start)
     run = _start(stream, algorithm, env, start)
     if num_steps is not None:
-        run, log = _run_steps(step, run, num_steps, log_every, measure)
+        run, log = _run_steps(stream, step, run, num_steps, log_every, measure)
     else:
-        run, log = _run_episodes(step, run, num_episodes, log_every, measure)
+        run, log = _run_episodes(stream, step, run, num_episodes, log_every, measure)
     return run.learner, log
 
 
@@ -192,7 +201,7 @@ def _make_start(algorithm: Algorithm, env: Environment) -> _Start:
     )
 
 
-def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _Start) -> Step:
+def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
     """The step of the agent in its environment: run -> (run, the step's own Log)."""
 
     # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
@@ -201,10 +210,7 @@ def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment, start
         env_step = env.tabulated_step()
     acts_after_update = said_of_update(algorithm, "acts_after_update")
 
-    def step(run: _Run) -> tuple[_Run, Log]:
-        # A deterministic environment never looks at the second pair, and the compiler then drops its call.
-        words = _Words(*rng.words(stream, run.t, 0), *rng.words(stream, run.t, 1))
-        key = jax.tree.map(rng.as_key, words)
+    def step(run: _Run, key: _Decisions) -> tuple[_Run, Log]:
         s_next, reward, terminal = env_step(key.step, run.s, run.a)
         s_next = jnp.asarray(s_next, jnp.int32)
         reward, terminal = jnp.asarray(reward, run.g.dtype), jnp.asarray(terminal, bool)
@@ -219,7 +225,7 @@ def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment, start
         s = jnp.where(last, s_start, s_next)
         if acts_after_update and start.action == algorithm.policy:
             # A' and the first action of an episode are drawn alike: one draw serves, whichever is wanted.
-            a = algorithm.policy(rng.as_key(jnp.where(last, words.start, words.update)), learner, s)
+            a = algorithm.policy(key.update, learner, s)
         else:
             a = jnp.where(last, start.action(key.start, learner, s_start), a_next)
         g = run.g + run.discount * reward
@@ -246,10 +252,12 @@ def _make_step(stream: rng.Stream, algorithm: Algorithm, env: Environment, start
 
 def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _Start) -> _Run:
     """The run at time 0, in a start state with its first action chosen."""
-    reset_key, action_key = map(rng.as_key, rng.words(stream, jnp.int32(0), 2))
+    reset_key, start_key = (
+        rng.as_key(rng.word(stream, jnp.int32(0), decision)) for decision in (BEFORE_RESET, BEFORE_START)
+    )
     learner = init_learner(algorithm, env)
     s = jnp.asarray(start.state(reset_key), jnp.int32)
-    a = start.action(action_key, learner, s)
+    a = start.action(start_key, learner, s)
     zero = jnp.zeros((), learner.q.dtype)
     return _Run(learner, t=jnp.int32(0), s=s, a=a, length=jnp.int32(0), g=zero, discount=zero + 1)
 
@@ -257,18 +265,40 @@ def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _S
 # --- many steps --------------------------------------------------------------------------------------
 
 
+def _steps(stream: rng.Stream, one: Callable, carry: Any, number: int) -> Any:
+    """`carry = one(carry, keys)` for so many steps; `carry[0]` is the run.
+
+    The random words of some steps are worked out together, before these steps: in the step itself XLA would
+    do it anew in each expression that uses them.
+    """
+    chunks = -(-number // DRAWN_TOGETHER)
+    size = -(-number // chunks)
+
+    def chunk(c, carry):
+        words = IN_A_STEP.map(lambda decision: rng.words(stream, carry[0].t, size, decision))
+        step = lambda i, carry: one(carry, words.map(lambda word: rng.as_key(word.at(i))))
+        return lax.fori_loop(0, jnp.minimum(size, number - c * size), step, carry)
+
+    return lax.fori_loop(0, chunks, chunk, carry)
+
+
+def _step(stream: rng.Stream, one: Callable, carry: Any) -> Any:
+    """One of the `_steps`, by itself."""
+    return one(carry, IN_A_STEP.map(lambda decision: rng.as_key(rng.word(stream, carry[0].t, decision))))
+
+
 def _run_steps(
-    step: Step, run: _Run, num_steps: int, log_every: int, measure: Measured | None
+    stream: rng.Stream, step: Step, run: _Run, num_steps: int, log_every: int, measure: Measured | None
 ) -> tuple[_Run, Log]:
     """`num_steps` steps, with a row of the log after each `log_every` and after the last."""
 
-    def one(carry, _):
+    def one(carry, keys):
         run, total = carry
-        run, log = step(run)
-        return (run, jax.tree.map(jnp.add, total, log)), None
+        run, log = step(run, keys)
+        return run, jax.tree.map(jnp.add, total, log)
 
     def row(run: _Run, size: int) -> tuple[_Run, Log]:
-        (run, log), _ = lax.scan(one, (run, _zero_log(run)), length=size)
+        run, log = _steps(stream, one, (run, _zero_log(run)), size)
         return run, log._replace(**measure(run.learner)) if measure else log
 
     run, log = lax.scan(lambda run, _: row(run, log_every), run, length=num_steps // log_every)
@@ -279,18 +309,18 @@ def _run_steps(
 
 
 def _run_episodes(
-    step: Step, run: _Run, num_episodes: int, log_every: int, measure: Measured | None
+    stream: rng.Stream, step: Step, run: _Run, num_episodes: int, log_every: int, measure: Measured | None
 ) -> tuple[_Run, Log]:
     """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
     rows = -(-num_episodes // log_every)
     log = jax.tree.map(lambda x: jnp.zeros(rows, x.dtype), _zero_log(run))
     carry = run, log, jnp.int32(0)
     if measure is None:
-        run, log, _ = _run_until(step, carry, num_episodes, log_every)
+        run, log, _ = _run_until(stream, step, carry, num_episodes, log_every)
         return run, log
 
     def row(carry, target):
-        carry = _run_until(step, carry, target, log_every)
+        carry = _run_until(stream, step, carry, target, log_every)
         return carry, measure(carry[0].learner)
 
     targets = jnp.minimum(log_every * jnp.arange(1, rows + 1), num_episodes)
@@ -298,7 +328,7 @@ def _run_episodes(
     return run, log._replace(**measured)
 
 
-def _run_until(step: Step, carry, target: int | Int[Array, ""], log_every: int):
+def _run_until(stream: rng.Stream, step: Step, carry, target: int | Int[Array, ""], log_every: int):
     """Runs on until `target` episodes are over. `carry` is (run, log [rows], episodes).
 
     Under `vmap` a loop whose length differs from lane to lane keeps the lanes that are done by selecting
@@ -306,23 +336,23 @@ def _run_until(step: Step, carry, target: int | Int[Array, ""], log_every: int):
     reached in one; the chunk in which it is, is run again in smaller ones, and in the end step by step.
     """
 
-    def one(carry):
+    def one(carry, keys):
         run, log, episodes = carry
-        run, now = step(run)
+        run, now = step(run, keys)
         row = episodes // log_every
         log = tables.lane_by_lane(_add_to_row, log, row, now)
         return run, log, episodes + now.episodes
 
     def run_chunk(size, state):
         carry, _ = state
-        after = lax.fori_loop(0, size, lambda _, carry: one(carry), carry)
+        after = _steps(stream, one, carry, size)
         reached = after[-1] >= target
         return jax.tree.map(lambda old, new: jnp.where(reached, old, new), carry, after), reached
 
     for size in CHUNKS:
         state = carry, carry[-1] >= target
         carry, _ = lax.while_loop(lambda state: ~state[1], partial(run_chunk, size), state)
-    return lax.while_loop(lambda carry: carry[-1] < target, one, carry)
+    return lax.while_loop(lambda carry: carry[-1] < target, partial(_step, stream, one), carry)
 
 
 def _zero_log(run: _Run) -> Log:

@@ -43,13 +43,14 @@ def test_add_where_only_some_arguments_have_lanes():
 
 
 def test_the_word_of_a_step_depends_on_the_step_alone():
+    """Drawn one by one, or in chunks that begin anywhere and have any length: and all differ."""
     stream = rng.stream(jax.random.key(5))
-    first, second = rng.words(stream, jnp.arange(100), 0)
-    later, _ = rng.words(stream, jnp.arange(40, 47), 0)
-    np.testing.assert_array_equal(later, first[40:47])
-    other, _ = rng.words(stream, jnp.arange(100), 1)
-    words = np.concatenate([first, second, other])
-    assert len(np.unique(words)) == 300
+    words = jnp.stack([rng.word(stream, jnp.arange(100), decision) for decision in range(4)])
+    for first, steps in ((40, 7), (41, 7), (41, 8), (0, 1), (99, 1)):
+        chunk = rng.words(stream, jnp.int32(first), steps, 2)
+        got = jax.jit(jax.vmap(chunk.at))(jnp.arange(steps))
+        np.testing.assert_array_equal(got, words[2, first : first + steps])
+    assert len(np.unique(words)) == 400
 
 
 def test_threefry_is_the_one_behind_jax_random():
@@ -61,7 +62,7 @@ def test_threefry_is_the_one_behind_jax_random():
 def test_words_are_uniform_and_independent_across_runs_steps_and_decisions():
     """Chi-squared on the top 4 bits of neighbouring words, in each of three directions."""
     streams = jax.vmap(lambda i: rng.stream(jax.random.fold_in(jax.random.key(0), i)))(jnp.arange(200))
-    draw = jax.vmap(lambda stream: jnp.stack(rng.words(stream, jnp.arange(500), 0)))
+    draw = jax.vmap(lambda stream: jnp.stack([rng.word(stream, jnp.arange(500), d) for d in range(2)]))
     top = np.asarray(draw(streams)) >> 28  # [runs, decisions, steps]
     for x, y in ((top[1:], top[:-1]), (top[:, 1], top[:, 0]), (top[..., 1:], top[..., :-1])):
         counts = np.bincount((16 * x + y).ravel(), minlength=256)

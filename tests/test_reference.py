@@ -9,6 +9,7 @@ import reference
 import jaxrl_tab as rl
 from jaxrl_tab import rng
 from jaxrl_tab.schedules import Optax, Power
+from jaxrl_tab.train import BEFORE_RESET, BEFORE_START, IN_A_STEP
 
 STEPS = 600
 
@@ -17,12 +18,21 @@ def uniforms(words):
     return (np.asarray(words) >> 8).astype(np.float32) * np.float32(2**-24)
 
 
-def words_of(key, steps=STEPS):
+def words_of(key, method, steps=STEPS):
+    """The words of a run of `method` with this key, as numbers in [0, 1).
+
+    One that acts after its update draws the first action of an episode as it draws any other A'.
+    """
+    as_any_other = getattr(method, "acts_after_update", False) and not getattr(
+        method, "exploring_starts", False
+    )
     stream = rng.stream(key)
-    t = jnp.arange(steps)
-    first = rng.words(stream, jnp.int32(0), 2)
-    pairs = (*rng.words(stream, t, 0), *rng.words(stream, t, 1))
-    return reference.Words(*map(uniforms, pairs), *map(uniforms, first))
+    draw = lambda t, decision: uniforms(rng.word(stream, t, decision))
+    of_steps = {name: draw(jnp.arange(steps), n) for name, n in IN_A_STEP._asdict().items()}
+    before = {"first_reset": BEFORE_RESET, "first_action": BEFORE_START}
+    if as_any_other:
+        of_steps["start"] = of_steps["update"]
+    return reference.Words(**of_steps, **{name: draw(jnp.int32(0), n) for name, n in before.items()})
 
 
 def task_of(env):
@@ -79,7 +89,14 @@ def test_every_step_agrees_with_the_plain_loop(name, env_name):
     for i in range(4):
         rates = reference.Rates(lambda *_, i=i: float(alphas[i]), lambda *_: 0.25)
         q, _, finished = reference.td_control(
-            name, task, env.num_actions, rates, float(gammas[i]), STEPS, words_of(keys[i]), q0=q0[i]
+            name,
+            task,
+            env.num_actions,
+            rates,
+            float(gammas[i]),
+            STEPS,
+            words_of(keys[i], rl.ALGORITHMS[name]),
+            q0=q0[i],
         )
         # Sums of products may be rounded otherwise, in another order or as one operation.
         tolerance = 0 if GAMMAS[i] != 0.9 and name != "expected-sarsa" else 1e-4
@@ -111,7 +128,7 @@ def test_schedules_tick_where_the_plain_loop_ticks(name, clock):
     rates = reference.Rates(
         lambda *now: 0.5 ** (1 + (count(*now) - 1) % 3), lambda *now: np.float32(1) / np.float32(count(*now))
     )
-    q, visits, _ = reference.td_control(name, task_of(env), 3, rates, 1.0, STEPS, words_of(key))
+    q, visits, _ = reference.td_control(name, task_of(env), 3, rates, 1.0, STEPS, words_of(key, method))
     np.testing.assert_array_equal(state.q, q)
     assert visits.sum() == STEPS
     if clock == "visit":

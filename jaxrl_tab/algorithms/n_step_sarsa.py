@@ -100,7 +100,7 @@ class NStepSarsa(TDControl):
 
 def _remember(memory: Memory, slot: Int[Array, ""], t: Transition, alpha: Float[Array, ""]) -> Memory:
     """The memory with this step in `slot`, and its reward in the returns of all steps."""
-    put = lambda x, value: tables.put(x, value[None], slot)
+    put = lambda x, value: tables.put(x, value, slot)
     g, weight = put(memory.g, jnp.zeros_like(alpha)), put(memory.weight, jnp.ones_like(alpha))
     return Memory(
         s=put(memory.s, t.s),

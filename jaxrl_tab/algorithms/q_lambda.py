@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from jaxrl_tab import tables
+from jaxrl_tab import policies, tables
 from jaxrl_tab.algorithms.traces import TraceControl, TraceState
 from jaxrl_tab.types import Transition, pytree
 
@@ -24,7 +24,7 @@ class QLambda(TraceControl):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
         row_next = tables.row(state.q, t.s_next)
-        q_next = row_next.max()
+        q_next = policies.largest(row_next)
         delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
         goes_on = tables.entry(row_next, a_next) == q_next
         state = self.learn(state, t, delta)

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from jaxrl_tab import tables
+from jaxrl_tab import policies, tables
 from jaxrl_tab.algorithms.td import TDControl, TDState
 from jaxrl_tab.types import Transition, pytree
 
@@ -21,7 +21,7 @@ class QLearning(TDControl):
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)
-        q_next = tables.row(state.q, t.s_next).max()
+        q_next = policies.largest(tables.row(state.q, t.s_next))
         delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
         state = self.learn(state, t, delta)
         return state, self.policy(key, state, t.s_next)
