@@ -1,0 +1,168 @@
+"""What a benchmark is made of, and how it is measured: in turn, round after round.
+
+Speed drifts with the load and the clock of the machine, so the parties of a task run in turn, round after
+round, and what counts is the ratio within a round. Flags, devices and threads are settled when a process
+starts, so each module that is a party, on each number of cores, has its own process, which is kept waiting
+while the others run.
+"""
+
+import importlib
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Mapping
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Timing(NamedTuple):
+    """One round of one party.
+
+    Attributes:
+        seconds: time from the call to the results, compilation apart.
+        outcomes: a number for each lane that tells what it learned, [lanes]; None where there is none.
+    """
+
+    seconds: float
+    outcomes: np.ndarray | None = None
+
+
+Round = Callable[[int], Timing]  # runs all lanes once, with random numbers named by a whole number
+
+
+class Party(NamedTuple):
+    """Who does a task, and how: `function(**given)` of `module` compiles, and gives a Round."""
+
+    name: str
+    module: str
+    function: str
+    given: Mapping[str, Any]
+
+
+class Target(NamedTuple):
+    """What a party is compared with: the ratio of their speeds within a round, party / against.
+
+    Attributes:
+        party, against: their names.
+        least, aim: the ratio to reach, and the one to hope for; None: none was set.
+        times: it is the ratio of their times, and `least` the one to stay under.
+    """
+
+    party: str
+    against: str
+    least: float | None = None
+    aim: float | None = None
+    times: bool = False
+
+
+class Task(NamedTuple):
+    """What all its parties do, in turn.
+
+    Attributes:
+        name: as the table shows it.
+        cores: how many each party may use.
+        work, unit: how much each party does in a round, and of what; a speed is so many units a second.
+        parties: in the order in which they take turns.
+        targets: what is compared with what.
+        outcome: what the outcomes are, on which all parties must agree; None where they need not.
+    """
+
+    name: str
+    cores: int
+    work: float
+    unit: str
+    parties: tuple[Party, ...]
+    targets: tuple[Target, ...]
+    outcome: str | None = None
+
+
+class Record(NamedTuple):
+    """One round of one party of one task.
+
+    Attributes:
+        mean, variance, lanes: of the outcomes; None where there are none.
+    """
+
+    task: str
+    cores: int
+    round: int
+    party: str
+    seconds: float
+    mean: float | None = None
+    variance: float | None = None
+    lanes: int | None = None
+
+
+def measure(tasks: Iterable[Task], rounds: int, progress: Callable[[Task], None]) -> list[Record]:
+    """The records of all tasks, in the order in which they ran. `progress` hears of each task that begins."""
+    records = []
+    processes: dict[tuple[str, int], _Process] = {}
+    for task in tasks:
+        progress(task)
+        for party in task.parties:
+            if (key := (party.module, task.cores)) not in processes:
+                processes[key] = _Process(*key)
+        turns = [(party, processes[party.module, task.cores]) for party in task.parties]
+        for party, process in turns:  # all compile at the same time
+            process.tell("prepare", party.name, party.function, party.given)
+        for _, process in turns:
+            process.answer()
+        for number in range(rounds):
+            for party, process in turns:
+                process.tell("run", party.name, number)
+                records.append(_record(task, number, party, process.answer()))
+    return records
+
+
+def _record(task: Task, number: int, party: Party, timing: Timing) -> Record:
+    record = Record(task.name, task.cores, number, party.name, timing.seconds)
+    if (x := timing.outcomes) is None:
+        return record
+    return record._replace(mean=float(x.mean(dtype=float)), variance=float(x.var(dtype=float)), lanes=len(x))
+
+
+def fresh(module: str, function: str, cores: int, **given: Any) -> Any:
+    """What `function(**given)` of `module` returns in a process of its own, on so many cores."""
+    process = _Process(module, cores)
+    process.tell("call", function, given)
+    return process.answer()
+
+
+class _Process:
+    """A process that works for one module. It ends when nobody holds this any more."""
+
+    def __init__(self, module: str, cores: int):
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        context.Process(target=_serve, args=(theirs, module, cores), daemon=True).start()
+        theirs.close()  # so that a process that died is noticed
+
+    def tell(self, *order: Any) -> None:
+        self.pipe.send(order)
+
+    def answer(self) -> Any:
+        return self.pipe.recv()
+
+
+def _serve(pipe: Connection, module: str, cores: int) -> None:
+    """Compiles, runs rounds and calls functions, as it is told."""
+    os.environ["JAX_PLATFORMS"] = "cpu"
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])  # before JAX and Numba start threads
+    work = importlib.import_module(module)
+    prepared: dict[str, Round] = {}  # of the task at hand, and of earlier ones
+
+    def prepare(name: str, function: str, given: Mapping[str, Any]) -> None:
+        prepared[name] = getattr(work, function)(**given)
+
+    orders = {
+        "prepare": prepare,
+        "run": lambda name, number: prepared[name](number),
+        "call": lambda function, given: getattr(work, function)(**given),
+    }
+    while True:
+        try:
+            order, *what = pipe.recv()
+        except EOFError:  # nobody will ask any more
+            return
+        pipe.send(orders[order](*what))
