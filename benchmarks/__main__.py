@@ -5,50 +5,74 @@ import importlib.util
 import json
 import os
 import sys
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from benchmarks import report
-from benchmarks.rounds import measure
+from benchmarks import growth, problems, report
+from benchmarks.rounds import Task, measure
 from benchmarks.tasks import FULL, QUICK, ROWS, SLOW
 
 ROUNDS, QUICK_ROUNDS = 9, 3
+WIDTH = 160  # of the table where nobody looks at it in a terminal
 
 
 def main() -> int:
     args = _arguments()
-    if importlib.util.find_spec("numba") is None:
-        print("the benchmark needs Numba: pip install -e '.[bench]'", file=sys.stderr)
-        return 2
     cores = min(2, len(os.sched_getaffinity(0)))
     size = QUICK if args.quick else FULL
     rounds = args.rounds or (QUICK_ROUNDS if args.quick else ROUNDS)
-    names = args.only or [name for name in ROWS if not (args.quick and name in SLOW)]
-    print(f"{report.cpu_model()}, {report.cores(cores)}; {rounds} rounds", file=sys.stderr)
-
-    tasks = [task for name in names for task in ROWS[name](size, cores)]
-    records = measure(
-        tasks, rounds, lambda task: print(f"{task.name}, {report.cores(task.cores)}", file=sys.stderr)
-    )
-    rows = [row for task in tasks for row in report.rows(task, records)]
-    differences = [line for task in tasks for line in report.disagreements(task, records)]
-    Console(width=None if sys.stdout.isatty() else 160).print(report.table(rows))
-    for line in differences:
-        print(f"NOT THE SAME LEARNING: {line}", file=sys.stderr)
+    found: dict[str, Any] = {
+        "machine": report.machine(),
+        "versions": report.versions(),
+        "settings": {"cores": cores, "rounds": rounds, **size._asdict(), **problems.settings()},
+    }
+    _say(f"{report.cpu_model()}, {report.cores(cores)}")
+    if args.growth:
+        points = growth.measure(size, cores, _say)
+        growth.draw(points, args.growth)
+        found["growth"] = {what: [point._asdict() for point in series] for what, series in points.items()}
+        differences = []
+    else:
+        names = args.only or [name for name in ROWS if not (args.quick and name in SLOW)]
+        tasks = [task for name in names for task in ROWS[name](size, cores)]
+        needs_numba = any(party.library == "numba" for task in tasks for party in task.parties)
+        if needs_numba and importlib.util.find_spec("numba") is None:
+            _say("this part of the benchmark needs Numba: pip install -e '.[bench]'")
+            return 2
+        compared, differences = _compare(tasks, rounds)
+        found |= compared
     if args.json:
-        found: dict[str, Any] = {
-            "machine": report.machine(),
-            "versions": report.versions(),
-            "settings": {"rounds": rounds, "size": size._asdict()},
-            "rows": [row._asdict() for row in rows],
-            "disagreements": differences,
-            "tasks": [task._asdict() | {"parties": [p._asdict() for p in task.parties]} for task in tasks],
-            "rounds": [record._asdict() for record in records],
-        }
         args.json.write_text(json.dumps(found, indent=1) + "\n")
     return 1 if differences else 0
+
+
+def _compare(tasks: Sequence[Task], rounds: int) -> tuple[dict[str, Any], list[str]]:
+    """Measures and prints; returns what goes into the JSON, and where parties do not learn the same."""
+    begun = time.perf_counter()
+
+    def progress(task: Task) -> None:
+        _say(f"{time.perf_counter() - begun:4.0f} s  {task.name}, {report.cores(task.cores)}")
+
+    records = measure(tasks, rounds, progress)
+    rows = [row for task in tasks for row in report.rows(task, records)]
+    differences = [line for task in tasks for line in report.disagreements(task, records)]
+    Console(width=None if sys.stdout.isatty() else WIDTH).print(report.table(rows, rounds))
+    for line in differences:
+        _say(f"NOT THE SAME LEARNING: {line}")
+    compared = {
+        "rows": [row._asdict() for row in rows],
+        "disagreements": differences,
+        "rounds": [record._asdict() for record in records],
+    }
+    return compared, differences
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def _arguments() -> argparse.Namespace:
@@ -58,13 +82,16 @@ def _arguments() -> argparse.Namespace:
         "code is 1 where two parties do not learn the same.",
     )
     parser.add_argument(
-        "--only", nargs="+", choices=ROWS, metavar="NAME", help=f"some rows: {', '.join(ROWS)}"
+        "--only", nargs="+", choices=ROWS, metavar="NAME", help=f"only these rows, of {', '.join(ROWS)}"
     )
-    parser.add_argument("--quick", action="store_true", help="under a minute: fewer lanes, rounds and rows")
-    parser.add_argument("--rounds", type=int, metavar="N", help=f"default: {ROUNDS}, or {QUICK_ROUNDS}")
     parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="also write versions, machine and all rounds"
+        "--quick", action="store_true", help=f"fewer lanes and rounds, and not {' and '.join(SLOW)}"
     )
+    parser.add_argument("--rounds", type=int, metavar="N", help=f"default: {ROUNDS}, quick {QUICK_ROUNDS}")
+    parser.add_argument(
+        "--growth", type=Path, metavar="PNG", help="instead: time and memory by states and lanes, as a plot"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write versions, machine, all rounds")
     return parser.parse_args()
 
 

@@ -65,7 +65,7 @@ def many_lanes(method: str, lanes: int, steps: int) -> Round:
     return _rounds(program, lambda seed: jax.random.split(jax.random.key(seed), lanes))
 
 
-def one_lane(method: str, steps: int) -> Round:
+def one_run(method: str, steps: int) -> Round:
     """One run, without `vmap`."""
     return _rounds(jax.jit(lambda key: train(key, method, steps)), jax.random.key)
 

@@ -1,10 +1,10 @@
 """GLIE Monte Carlo control of Blackjack in Numba, as fast as we could make it: cards are drawn and played.
 
-A hand is one number, 2 sum + usable ace, and a card that is added to it one look-up: half the rules of the game
-are in a table, and none is a branch. Sum and ace in two variables, with arithmetic instead of the table, took
-1.15 times as long. What is left is bounded by branches that nobody can predict: whether a player with less
-than 12 gets another card, whether the game goes on, whether the dealer takes one more. A decision to explore,
-the action and the next card share a word of 64 bits.
+A hand is one number, 2 sum + usable ace, and a card that is added to it is one look-up: half the rules of the
+game are in a table, and none is a branch. Sum and ace in two variables, with arithmetic instead of the table,
+took 1.15 times as long. What is left is bounded by branches that nobody can predict: whether a player with
+less than 12 gets another card, whether the game goes on, whether the dealer takes one more. A decision to
+explore, the action and the next card share a word of 64 bits.
 """
 
 import numba  # pyright: ignore[reportMissingImports] (of the extra "bench")

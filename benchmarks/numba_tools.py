@@ -22,9 +22,12 @@ LOW_32 = U(2**32 - 1)
 inline = numba.njit(forceinline=True)
 
 
-def rounds(kernel: Callable, lanes: int, *given) -> Round:
-    """A round is `kernel(seeds uint64 [lanes], out [lanes], *given)`, on as many threads as there are cores."""
-    kernel(np.arange(4, dtype=U), np.zeros(4, np.float32), *(type(x)(1) for x in given))  # compiles
+def rounds(kernel: Callable, lanes: int, *given: int) -> Round:
+    """A round is `kernel(seeds uint64 [lanes], outcomes float32 [lanes], *given)`, a thread for each core.
+
+    `given` are whole numbers: how much each lane does.
+    """
+    kernel(np.arange(4, dtype=U), np.zeros(4, np.float32), *(1 for _ in given))  # compiles
 
     def run(seed: int) -> Timing:
         seeds = np.arange(lanes, dtype=U) + U(seed << 32)

@@ -5,7 +5,7 @@ leaves out what it compiles and the exact optimum that it works out beside.
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,9 @@ import numpy as np
 import jaxrl_tab as rl
 from benchmarks import problems
 from benchmarks.rounds import Round, Timing
+from jaxrl_tab.types import Environment
+
+Outcome = Callable[[rl.Log], np.ndarray]
 
 rl.use_all_cores()  # those that this process has been given
 
@@ -45,7 +48,7 @@ def blackjack(lanes: int, episodes: int) -> Round:
     return _sweeps(rl.make("blackjack"), "monte-carlo", grid, _last_return, lanes, **budget)
 
 
-def one_lane(method: str, steps: int) -> Round:
+def one_run(method: str, steps: int) -> Round:
     """`train` of one run, jitted, with a key that is new in each round."""
     algorithm, env = rl.ALGORITHMS[method](**CONTROL), rl.make("windy-gridworld")
     program = jax.jit(partial(rl.train, algorithm=algorithm, env=env, num_steps=steps))
@@ -66,7 +69,7 @@ def method_names() -> list[str]:
 
 
 def any_method(method: str, lanes: int, steps: int) -> Round:
-    """A registered method with its own step size: of control on the windy gridworld, else on the random walk."""
+    """A method as it is by default: of control on the windy gridworld, of prediction on the random walk."""
     if method in rl.PREDICTION:
         return _sweeps(rl.make("random-walk"), method, {}, _episodes, lanes, num_steps=steps)
     return _sweeps(rl.make("windy-gridworld"), method, {}, _episodes, lanes, num_steps=steps)
@@ -90,7 +93,7 @@ def on_devices(method: str, lanes: int, steps: int, devices: int) -> Round:
 
 
 def _sweeps(
-    env: rl.types.Environment, method: str, grid: Mapping[str, Any], outcome: Any, lanes: int, **budget: int
+    env: Environment, method: str, grid: Mapping[str, Any], outcome: Outcome, lanes: int, **budget: Any
 ) -> Round:
     def sweep(num_seeds: int, seed: int) -> rl.SweepResult:
         return rl.sweep(env, method, grid, num_seeds=num_seeds, seed=seed, **budget)

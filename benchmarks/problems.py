@@ -11,10 +11,16 @@ import numpy as np
 EPSILON = 0.1
 ALPHA = 0.5
 
-# Sarsa(lambda). A pair that comes in every step is credited 1 / (1 - lambda) = 10 times, so that it is learned
-# with an effective step size of 1: the largest alpha at which it goes straight to its target.
+# Of Sarsa(lambda). The accumulating trace of a pair that comes in every step goes to 1 / (1 - lambda) = 10,
+# so this alpha is in effect 1 at the most; with more than 2 Q may diverge.
 ALPHA_OF_TRACES = 0.1
 LAMBDA = 0.9
+
+
+def settings() -> dict[str, float]:
+    """These numbers by name, for the record."""
+    return {"alpha": ALPHA, "epsilon": EPSILON, "alpha_of_traces": ALPHA_OF_TRACES, "lambda": LAMBDA}
+
 
 # The windy gridworld (book, example 6.5).
 SHAPE = (7, 10)  # states are numbered row by row from the top left

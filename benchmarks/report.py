@@ -134,9 +134,12 @@ def _pooled(records: Sequence[Record]) -> Mean:
 # --- to people and programs --------------------------------------------------------------------------
 
 
-def table(rows: Iterable[Row]) -> Table:
-    """All comparisons; speeds in millions of units per second."""
-    view = Table("task", "cores", "", "M/s", "against", "M/s", "ratio", "lowest to highest", "target", "")
+def table(rows: Iterable[Row], rounds: int) -> Table:
+    """All comparisons; speeds in millions of steps or episodes per second, or seconds of a start."""
+    view = Table(
+        *("task", "cores", "", "million/s", "against", "million/s", "ratio", "lowest, highest", "target", ""),
+        caption=f"medians of {rounds} rounds; the ratios are those within a round",
+    )
     for i in (1, 3, 5, 6, 7, 8):
         view.columns[i].justify = "right"
     last = None
@@ -153,7 +156,7 @@ def table(rows: Iterable[Row]) -> Table:
             row.against,
             _speed(row, row.speed_against),
             f"{row.ratio:.3g}",
-            f"{row.low:.3g} – {row.high:.3g}",
+            f"{row.low:.3g}, {row.high:.3g}",
             _promise(row),
             f"[{style}]{row.verdict}[/]" if style else "",
         )

@@ -2,10 +2,11 @@
 
 Speed drifts with the load and the clock of the machine, so the parties of a task run in turn, round after
 round, and what counts is the ratio within a round. Flags, devices and threads are settled when a process
-starts, so each module that is a party, on each number of cores, has its own process, which is kept waiting
-while the others run.
+starts, so each library, on each number of cores, has its own process, which is kept waiting while the others
+run.
 """
 
+import contextlib
 import importlib
 import multiprocessing
 import os
@@ -32,11 +33,18 @@ Round = Callable[[int], Timing]  # runs all lanes once, with random numbers name
 
 
 class Party(NamedTuple):
-    """Who does a task, and how: `function(**given)` of `module` compiles, and gives a Round."""
+    """Who does a task, and how.
+
+    Attributes:
+        name: as the table shows it.
+        library: parties of one library share a process.
+        call: "module:function", which compiles, and gives a Round.
+        given: its arguments.
+    """
 
     name: str
-    module: str
-    function: str
+    library: str
+    call: str
     given: Mapping[str, Any]
 
 
@@ -101,11 +109,11 @@ def measure(tasks: Iterable[Task], rounds: int, progress: Callable[[Task], None]
     for task in tasks:
         progress(task)
         for party in task.parties:
-            if (key := (party.module, task.cores)) not in processes:
-                processes[key] = _Process(*key)
-        turns = [(party, processes[party.module, task.cores]) for party in task.parties]
+            if (key := (party.library, task.cores)) not in processes:
+                processes[key] = _Process(task.cores)
+        turns = [(party, processes[party.library, task.cores]) for party in task.parties]
         for party, process in turns:  # all compile at the same time
-            process.tell("prepare", party.name, party.function, party.given)
+            process.tell("prepare", party.name, party.call, party.given)
         for _, process in turns:
             process.answer()
         for number in range(rounds):
@@ -122,47 +130,50 @@ def _record(task: Task, number: int, party: Party, timing: Timing) -> Record:
     return record._replace(mean=float(x.mean(dtype=float)), variance=float(x.var(dtype=float)), lanes=len(x))
 
 
-def fresh(module: str, function: str, cores: int, **given: Any) -> Any:
-    """What `function(**given)` of `module` returns in a process of its own, on so many cores."""
-    process = _Process(module, cores)
-    process.tell("call", function, given)
+def fresh(call: str, cores: int, **given: Any) -> Any:
+    """What "module:function" returns in a process of its own, on so many cores."""
+    process = _Process(cores)
+    process.tell("call", call, given)
     return process.answer()
 
 
 class _Process:
-    """A process that works for one module. It ends when nobody holds this any more."""
+    """A process that does as it is told. It ends when nobody holds this any more."""
 
-    def __init__(self, module: str, cores: int):
+    def __init__(self, cores: int):
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
-        context.Process(target=_serve, args=(theirs, module, cores), daemon=True).start()
+        context.Process(target=_serve, args=(theirs, cores), daemon=True).start()
         theirs.close()  # so that a process that died is noticed
 
     def tell(self, *order: Any) -> None:
         self.pipe.send(order)
 
     def answer(self) -> Any:
-        return self.pipe.recv()
+        try:
+            return self.pipe.recv()
+        except EOFError:
+            raise SystemExit("a process of the benchmark died; what it said is above") from None
 
 
-def _serve(pipe: Connection, module: str, cores: int) -> None:
-    """Compiles, runs rounds and calls functions, as it is told."""
+def _serve(pipe: Connection, cores: int) -> None:
+    """Compiles, runs rounds and calls functions, until nobody asks any more."""
     os.environ["JAX_PLATFORMS"] = "cpu"
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])  # before JAX and Numba start threads
-    work = importlib.import_module(module)
-    prepared: dict[str, Round] = {}  # of the task at hand, and of earlier ones
+    prepared: dict[str, Round] = {}  # of the task at hand; of earlier ones what has not been replaced
 
     def prepare(name: str, function: str, given: Mapping[str, Any]) -> None:
-        prepared[name] = getattr(work, function)(**given)
+        prepared[name] = call(function, given)
 
-    orders = {
-        "prepare": prepare,
-        "run": lambda name, number: prepared[name](number),
-        "call": lambda function, given: getattr(work, function)(**given),
-    }
-    while True:
-        try:
+    def run(name: str, number: int) -> Timing:
+        return prepared[name](number)
+
+    def call(path: str, given: Mapping[str, Any]) -> Any:
+        module, _, function = path.partition(":")
+        return getattr(importlib.import_module(module), function)(**given)
+
+    orders = {"prepare": prepare, "run": run, "call": call}
+    with contextlib.suppress(EOFError):
+        while True:
             order, *what = pipe.recv()
-        except EOFError:  # nobody will ask any more
-            return
-        pipe.send(orders[order](*what))
+            pipe.send(orders[order](*what))
