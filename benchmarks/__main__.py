@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 
 from benchmarks import growth, problems, report
-from benchmarks.rounds import Task, measure
+from benchmarks.rounds import Task, cores_in_words, measure
 from benchmarks.tasks import FULL, QUICK, ROWS, SLOW
 
 ROUNDS, QUICK_ROUNDS = 9, 3
@@ -30,7 +30,7 @@ def main() -> int:
         "versions": report.versions(),
         "settings": {"cores": cores, "rounds": rounds, **size._asdict(), **problems.settings()},
     }
-    _say(f"{report.cpu_model()}, {report.cores(cores)}")
+    _say(f"{report.cpu_model()}, {cores_in_words(cores)}")
     if args.growth:
         points = growth.measure(size, cores, _say)
         growth.draw(points, args.growth)
@@ -53,11 +53,7 @@ def main() -> int:
 def _compare(tasks: Sequence[Task], rounds: int) -> tuple[dict[str, Any], list[str]]:
     """Measures and prints; returns what goes into the JSON, and where parties do not learn the same."""
     begun = time.perf_counter()
-
-    def progress(task: Task) -> None:
-        _say(f"{time.perf_counter() - begun:4.0f} s  {task.name}, {report.cores(task.cores)}")
-
-    records = measure(tasks, rounds, progress)
+    records = measure(tasks, rounds, lambda what: _say(f"{time.perf_counter() - begun:4.0f} s  {what}"))
     rows = [row for task in tasks for row in report.rows(task, records)]
     differences = [line for task in tasks for line in report.disagreements(task, records)]
     Console(width=None if sys.stdout.isatty() else WIDTH).print(report.table(rows, rounds))

@@ -1,7 +1,8 @@
-"""The README's sweep as a person starts it: a fresh process, with an empty compilation cache, then a filled one.
+"""The README's sweep as a person starts it: a fresh process, with its compilation cache empty, then filled.
 
-The basis is what cannot be spared: a fresh process that imports jax, matplotlib and xarray, plus the seconds
-that the command of the same round, with the filled cache, spent on the steps themselves, by its own account.
+JAX's own variable says where the cache is, as for any program. The basis is what cannot be spared: a fresh
+process that imports jax, matplotlib and xarray, plus the seconds that the command of the same round, with the
+filled cache, spent on the steps themselves, by its own account.
 """
 
 import os
@@ -35,7 +36,7 @@ def imports_and_steps() -> Round:
     def run(number: int) -> Timing:
         seconds = _seconds("-c", "import jax, matplotlib, xarray")
         with h5py.File(_folder(number) / "again" / "results.nc") as data:
-            return Timing(seconds + sum(float(method.attrs["seconds"]) for method in data.values()))
+            return Timing(seconds + sum(method.attrs["seconds"].item() for method in data.values()))
 
     return run
 

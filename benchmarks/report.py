@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 from scipy import stats
 
-from benchmarks.rounds import Record, Target, Task
+from benchmarks.rounds import Record, Target, Task, cores_in_words
 
 TOLERANCE = 4  # standard errors
 PACKAGES = ("jaxrl-tab", "jax", "jaxlib", "numba", "llvmlite", "numpy")
@@ -117,8 +117,8 @@ def disagreements(task: Task, records: Iterable[Record]) -> list[str]:
         bound = stats.t.isf(stats.norm.sf(TOLERANCE), min(x.n, y.n) - 1) * np.hypot(x.error, y.error)
         if not abs(x.mean - y.mean) <= bound:
             lines.append(
-                f"{task.name}, {cores(task.cores)}: {task.outcome} {x.mean:.4g} of {one} and {y.mean:.4g} of "
-                f"{other} differ by more than {bound:.2g}"
+                f"{task.name}, {cores_in_words(task.cores)}: {task.outcome}: {one} {x.mean:.5g}, "
+                f"{other} {y.mean:.5g}; by chance they differ by {bound:.2g} at the most"
             )
     return lines
 
@@ -172,10 +172,6 @@ def _promise(row: Row) -> str:
         return ""
     aim = "" if row.aim is None else f", aim {row.aim:g}"
     return f"{'<' if row.times else '≥'} {row.least:g}{aim}"
-
-
-def cores(count: int) -> str:
-    return f"{count} core{'s' if count > 1 else ''}"
 
 
 def machine() -> dict[str, Any]:

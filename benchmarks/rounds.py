@@ -8,9 +8,10 @@ run.
 
 import contextlib
 import importlib
+import itertools
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
@@ -102,25 +103,34 @@ class Record(NamedTuple):
     lanes: int | None = None
 
 
-def measure(tasks: Iterable[Task], rounds: int, progress: Callable[[Task], None]) -> list[Record]:
-    """The records of all tasks, in the order in which they ran. `progress` hears of each task that begins."""
-    records = []
+def measure(tasks: Sequence[Task], rounds: int, progress: Callable[[str], None]) -> list[Record]:
+    """The records of all tasks, in the order in which they ran. `progress` hears what is going on."""
+    progress("compiling")
     processes: dict[tuple[str, int], _Process] = {}
+    turns: list[tuple[Task, Party, _Process]] = []
     for task in tasks:
-        progress(task)
         for party in task.parties:
             if (key := (party.library, task.cores)) not in processes:
                 processes[key] = _Process(task.cores)
-        turns = [(party, processes[party.library, task.cores]) for party in task.parties]
-        for party, process in turns:  # all compile at the same time
-            process.tell("prepare", party.name, party.call, party.given)
-        for _, process in turns:
-            process.answer()
+            turns.append((task, party, processes[key]))
+    for task, party, process in turns:  # all processes compile at the same time
+        process.tell("prepare", (task.name, party.name), party.call, party.given)
+    for _, _, process in turns:
+        process.answer()
+
+    records = []
+    for task, group in itertools.groupby(turns, key=lambda turn: turn[0]):
+        parties = list(group)
+        progress(f"{task.name}, {cores_in_words(task.cores)}")
         for number in range(rounds):
-            for party, process in turns:
-                process.tell("run", party.name, number)
+            for _, party, process in parties:
+                process.tell("run", (task.name, party.name), number)
                 records.append(_record(task, number, party, process.answer()))
     return records
+
+
+def cores_in_words(count: int) -> str:
+    return f"{count} core{'s' if count > 1 else ''}"
 
 
 def _record(task: Task, number: int, party: Party, timing: Timing) -> Record:
@@ -160,12 +170,12 @@ def _serve(pipe: Connection, cores: int) -> None:
     """Compiles, runs rounds and calls functions, until nobody asks any more."""
     os.environ["JAX_PLATFORMS"] = "cpu"
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])  # before JAX and Numba start threads
-    prepared: dict[str, Round] = {}  # of the task at hand; of earlier ones what has not been replaced
+    prepared: dict[tuple[str, str], Round] = {}  # by the names of task and party
 
-    def prepare(name: str, function: str, given: Mapping[str, Any]) -> None:
+    def prepare(name: tuple[str, str], function: str, given: Mapping[str, Any]) -> None:
         prepared[name] = call(function, given)
 
-    def run(name: str, number: int) -> Timing:
+    def run(name: tuple[str, str], number: int) -> Timing:
         return prepared[name](number)
 
     def call(path: str, given: Mapping[str, Any]) -> Any:

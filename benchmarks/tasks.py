@@ -83,14 +83,14 @@ def _windy(method: str, size: Size, cores: int, *targets: Target) -> Task:
 
 
 def one_run(size: Size, cores: int) -> list[Task]:
-    """One run alone, on one core."""
+    """One run alone, which cannot use more than one core."""
     tasks = []
     for method in METHODS:
         given = {"method": method, "steps": size.lone_steps}
         tasks.append(
             Task(
                 f"{method}, one run alone",
-                cores=1,
+                cores,
                 work=size.lone_steps,
                 unit="steps",
                 parties=(
