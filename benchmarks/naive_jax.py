@@ -37,7 +37,7 @@ def learn(q, s, a, reward, done, q_next):
 
 
 def train(key, method: str, steps: int):
-    """One lane: the number of episodes finished in so many steps."""
+    """One lane: Q after so many steps, and the number of episodes finished."""
 
     def step(carry, _):
         key, q, s, a, episodes = carry
@@ -55,8 +55,8 @@ def train(key, method: str, steps: int):
     key, first_key = jax.random.split(key)
     q = jnp.zeros((SHAPE[0] * SHAPE[1], len(MOVES)))
     carry = key, q, jnp.int32(START), epsilon_greedy(first_key, q[START]), jnp.int32(0)
-    (_, _, _, _, episodes), _ = jax.lax.scan(step, carry, length=steps)
-    return episodes
+    (_, q, _, _, episodes), _ = jax.lax.scan(step, carry, length=steps)
+    return q, episodes
 
 
 def many_lanes(method: str, lanes: int, steps: int) -> Round:
@@ -75,7 +75,7 @@ def _rounds(program, keys) -> Round:
 
     def run(seed: int) -> Timing:
         begun = time.perf_counter()
-        episodes = np.asarray(compiled(keys(seed)))
+        _, episodes = jax.tree.map(np.asarray, compiled(keys(seed)))
         return Timing(time.perf_counter() - begun, np.atleast_1d(episodes))
 
     return run

@@ -21,6 +21,7 @@ LONGEST = 32  # more cards than any hand can take
 STICK, HIT = U(0), U(1)
 TEN = U(9)  # the ranks from here on count 10, and look alike to the player
 CARDS_SHOWN = U(10)
+PAIRS = HANDS * 10 * 2  # flat [hand, card shown, action]
 
 
 def _hand_after() -> np.ndarray:
@@ -107,10 +108,9 @@ def lane_by_lane(lanes: int, episodes: int) -> Round:
     last_tenth = episodes // 10
 
     @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, mean_return, episodes):
+    def kernel(seeds, tables, mean_return, episodes):
         for i in numba.prange(seeds.size):
-            q = np.zeros(U(HANDS) * CARDS_SHOWN * U(2), np.float32)
-            n = np.zeros(q.size, np.float32)
+            q, n = tables[i], np.zeros(PAIRS, np.float32)
             path = np.zeros(LONGEST, np.uint16)
             rng = generator(seeds[i])
             won = np.float32(0)
@@ -127,4 +127,4 @@ def lane_by_lane(lanes: int, episodes: int) -> Round:
                     won += g
             mean_return[i] = won / last_tenth
 
-    return rounds(kernel, lanes, episodes)
+    return rounds(kernel, lanes, PAIRS, episodes)

@@ -58,28 +58,25 @@ def lane_by_lane(lanes: int, steps: int) -> Round:
     """One lane after another; the outcome of a lane is its number of episodes."""
 
     @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, episodes, steps):
+    def kernel(seeds, tables, episodes, steps):
         for i in numba.prange(seeds.size):
-            q = np.zeros(REWARDS.size, np.float32)
+            q = tables[i]
             lane = begin(q, seeds[i])
             for _ in range(steps):
                 lane = step(q, lane)
             episodes[i] = lane[2]
 
-    return rounds(kernel, lanes, steps)
+    return rounds(kernel, lanes, REWARDS.size, steps)
 
 
 def four_abreast(lanes: int, steps: int) -> Round:
     """Four lanes in turn; the number of lanes must be a multiple of 4."""
 
     @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, episodes, steps):
+    def kernel(seeds, tables, episodes, steps):
         for block in numba.prange(seeds.size // 4):
             i = 4 * block
-            q0 = np.zeros(REWARDS.size, np.float32)
-            q1 = np.zeros(REWARDS.size, np.float32)
-            q2 = np.zeros(REWARDS.size, np.float32)
-            q3 = np.zeros(REWARDS.size, np.float32)
+            q0, q1, q2, q3 = tables[i], tables[i + 1], tables[i + 2], tables[i + 3]
             lane0 = begin(q0, seeds[i])
             lane1 = begin(q1, seeds[i + 1])
             lane2 = begin(q2, seeds[i + 2])
@@ -94,4 +91,4 @@ def four_abreast(lanes: int, steps: int) -> Round:
             episodes[i + 2] = lane2[2]
             episodes[i + 3] = lane3[2]
 
-    return rounds(kernel, lanes, steps)
+    return rounds(kernel, lanes, REWARDS.size, steps)

@@ -32,9 +32,9 @@ def every_pair(lanes: int, steps: int) -> Round:
     ONE, ALPHA, FADE, SMALL = (np.float32(x) for x in (1, ALPHA_OF_TRACES, LAMBDA, 1e-12))
 
     @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, episodes, steps):
+    def kernel(seeds, tables, episodes, steps):
         for i in numba.prange(seeds.size):
-            q, marks = np.zeros(PAIRS, np.float32), np.zeros(PAIRS, np.float32)
+            q, marks = tables[i], np.zeros(PAIRS, np.float32)
             word, rng = xoshiro256pp(generator(seeds[i]))
             row, a, finished = START_ROW, epsilon_greedy(q, START_ROW, word), U(0)
             scale = mark = ONE
@@ -62,7 +62,7 @@ def every_pair(lanes: int, steps: int) -> Round:
                     finished += U(1)
             episodes[i] = finished
 
-    return rounds(kernel, lanes, steps)
+    return rounds(kernel, lanes, NEXT_ROW.size, steps)
 
 
 def when_read(lanes: int, steps: int) -> Round:
@@ -86,7 +86,7 @@ def when_read(lanes: int, steps: int) -> Round:
         q_row[U(3)] = value(table, credit, row + U(3))
 
     @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, episodes, steps):
+    def kernel(seeds, tables, episodes, steps):
         for i in numba.prange(seeds.size):
             settled, marks, settled_at = np.zeros(PAIRS), np.zeros(PAIRS), np.zeros(PAIRS)
             table = settled, marks, settled_at
@@ -123,6 +123,8 @@ def when_read(lanes: int, steps: int) -> Round:
                     read_row(q_row, table, credit, row)
                     a = epsilon_greedy(q_row, U(0), word)
                     finished += U(1)
+            for k in range(PAIRS):
+                tables[i, k] = value(table, credit, k)
             episodes[i] = finished
 
-    return rounds(kernel, lanes, steps)
+    return rounds(kernel, lanes, NEXT_ROW.size, steps)

@@ -22,21 +22,22 @@ LOW_32 = U(2**32 - 1)
 inline = numba.njit(forceinline=True)
 
 
-def rounds(kernel: Callable, lanes: int, *given: int) -> Round:
-    """A round is `kernel(seeds uint64 [lanes], outcomes float32 [lanes], *given)`, a thread for each core.
+def rounds(kernel: Callable, lanes: int, pairs: int, *given: int) -> Round:
+    """A round is `kernel(seeds, tables, outcomes, *given)`, a thread for each core.
 
-    `given` are whole numbers: how much each lane does.
+    The kernel reads a seed for each lane, uint64 [lanes], and fills in Q, float32 [lanes, pairs], and the
+    outcomes, float32 [lanes]. `given` are whole numbers: how much each lane does.
     """
-    kernel(np.arange(4, dtype=U), np.zeros(4, np.float32), *(1 for _ in given))  # compiles
 
-    def run(seed: int) -> Timing:
+    def run(lanes: int, seed: int, *given: int) -> Timing:
         seeds = np.arange(lanes, dtype=U) + U(seed << 32)
-        outcomes = np.zeros(lanes, np.float32)
         begun = time.perf_counter()
-        kernel(seeds, outcomes, *given)
+        tables, outcomes = np.zeros((lanes, pairs), np.float32), np.zeros(lanes, np.float32)
+        kernel(seeds, tables, outcomes, *given)
         return Timing(time.perf_counter() - begun, outcomes)
 
-    return run
+    run(4, 0, *(1 for _ in given))  # compiles
+    return lambda seed: run(lanes, seed, *given)
 
 
 # --- random numbers ----------------------------------------------------------------------------------

@@ -12,6 +12,8 @@ with branches for ties, exploration and walls took 25 ns:
 A step takes one word of 64 bits.
 """
 
+import functools
+
 import numba  # pyright: ignore[reportMissingImports] (of the extra "bench")
 import numpy as np
 
@@ -63,18 +65,21 @@ STEP = {"q-learning": q_learning, "sarsa": sarsa}
 
 def lane_by_lane(method: str, lanes: int, steps: int) -> Round:
     """One lane after another; the outcome of a lane is its number of episodes."""
-    step = STEP[method]
+    return rounds(_one_after_another(STEP[method]), lanes, NEXT_ROW.size, steps)
 
+
+@functools.cache  # so that one lane and many share what is compiled
+def _one_after_another(step):
     @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, episodes, steps):
+    def kernel(seeds, tables, episodes, steps):
         for i in numba.prange(seeds.size):
-            q = np.zeros(NEXT_ROW.size, np.float32)
+            q = tables[i]
             lane = begin(q, seeds[i])
             for _ in range(steps):
                 lane = step(q, lane)
             episodes[i] = lane[2]
 
-    return rounds(kernel, lanes, steps)
+    return kernel
 
 
 def four_abreast(method: str, lanes: int, steps: int) -> Round:
@@ -82,13 +87,10 @@ def four_abreast(method: str, lanes: int, steps: int) -> Round:
     step = STEP[method]
 
     @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, episodes, steps):
+    def kernel(seeds, tables, episodes, steps):
         for block in numba.prange(seeds.size // 4):
             i = 4 * block
-            q0 = np.zeros(NEXT_ROW.size, np.float32)
-            q1 = np.zeros(NEXT_ROW.size, np.float32)
-            q2 = np.zeros(NEXT_ROW.size, np.float32)
-            q3 = np.zeros(NEXT_ROW.size, np.float32)
+            q0, q1, q2, q3 = tables[i], tables[i + 1], tables[i + 2], tables[i + 3]
             lane0 = begin(q0, seeds[i])
             lane1 = begin(q1, seeds[i + 1])
             lane2 = begin(q2, seeds[i + 2])
@@ -103,4 +105,4 @@ def four_abreast(method: str, lanes: int, steps: int) -> Round:
             episodes[i + 2] = lane2[2]
             episodes[i + 3] = lane3[2]
 
-    return rounds(kernel, lanes, steps)
+    return rounds(kernel, lanes, NEXT_ROW.size, steps)
