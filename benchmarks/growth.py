@@ -72,7 +72,7 @@ def _largest_resident_set() -> float:
 
 
 def draw(points: Mapping[str, Sequence[Point]], file: Path) -> None:
-    """A panel for what grows, each with time and memory on logarithmic axes."""
+    """A panel for each thing that grows, with the time of a step and the memory."""
     from jaxrl_tab import plot
 
     canvas = plot.canvas(11, 4.4)
@@ -86,7 +86,7 @@ def draw(points: Mapping[str, Sequence[Point]], file: Path) -> None:
         other.plot(x, [p.mebibytes for p in found], "s--", color=memory)
         other.set_ylabel("peak memory, MiB", color=memory)
         other.spines["top"].set_visible(False)
-        for axes in (ax, other):
-            axes.set_yscale("log")
+        other.set_ylim(bottom=0)
+        ax.set_yscale("log")
         ax.set_xscale("log", base=10 if what == "states" else 2)
     canvas.savefig(file)

@@ -1,5 +1,6 @@
 """From the records to ratios, verdicts, a table and JSON."""
 
+import contextlib
 import importlib.metadata
 import itertools
 import os
@@ -179,8 +180,12 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    found = {name: importlib.metadata.version(name) for name in PACKAGES}
-    return found | {"python": platform.python_version()}
+    """Of Python and of the packages that are there."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
 
 
 def cpu_model() -> str:
