@@ -1,1 +1,1 @@
-"""Throughput beside peers, measured side by side in one run: `python -m benchmarks.throughput`."""
+"""How fast it is beside its peers, measured side by side: `python -m benchmarks`."""

@@ -1,27 +1,116 @@
-"""Our side of the benchmark: the public way, `jaxrl_tab.sweep`."""
+"""Our side: `sweep` and `train`, as a user calls them.
+
+A round of `sweep` is what it says it took: the runs with their logs, and the copy of these to the host. That
+leaves out what it compiles and the exact optimum that it works out beside.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
 
 import jaxrl_tab as rl
-from benchmarks.task import ALPHA, EPSILON, STEPS, Round, Timing
+from benchmarks import problems
+from benchmarks.rounds import Round, Timing
+from jaxrl_tab.types import Environment
+
+Outcome = Callable[[rl.Log], np.ndarray]
+
+rl.use_all_cores()  # those that this process has been given
+
+CONTROL = {"alpha": problems.ALPHA, "epsilon": problems.EPSILON}
+WITH_TRACES = CONTROL | {"alpha": problems.ALPHA_OF_TRACES, "lam": problems.LAMBDA}
 
 
-def ours(method: str, lanes: int, cores: int) -> Round:
-    """`sweep` with one device a core. A round includes a log of 80 rows a lane and its copy to the host."""
-    if cores > 1:
-        rl.use_all_cores()
-    if jax.local_device_count() != cores:
-        raise RuntimeError(f"there are {jax.local_device_count()} JAX devices for {cores} cores")
+def windy(method: str, lanes: int, steps: int) -> Round:
+    return _sweeps(rl.make("windy-gridworld"), method, CONTROL, _episodes, lanes, num_steps=steps)
+
+
+def sarsa_lambda(lanes: int, steps: int) -> Round:
     env = rl.make("windy-gridworld")
+    return _sweeps(env, "sarsa-lambda", WITH_TRACES, _episodes, lanes, num_steps=steps)
 
+
+def garnet(lanes: int, steps: int) -> Round:
+    mdp = problems.garnet()
+    prob = np.zeros((*mdp.reward.shape, len(mdp.reward)))
+    np.put_along_axis(prob, mdp.successors, mdp.prob, axis=-1)
+    env = rl.envs.FiniteMDP(prob, mdp.reward, terminal=mdp.terminal)
+    return _sweeps(env, "q-learning", CONTROL, _episodes, lanes, num_steps=steps)
+
+
+def blackjack(lanes: int, episodes: int) -> Round:
+    grid = {"epsilon": rl.schedules.glie()}
+    budget = {"num_episodes": episodes, "log_every": episodes // 10}
+    return _sweeps(rl.make("blackjack"), "monte-carlo", grid, _last_return, lanes, **budget)
+
+
+def one_run(method: str, steps: int) -> Round:
+    """`train` of one run, jitted, with a key that is new in each round."""
+    algorithm, env = rl.ALGORITHMS[method](**CONTROL), rl.make("windy-gridworld")
+    program = jax.jit(partial(rl.train, algorithm=algorithm, env=env, num_steps=steps))
+    jax.block_until_ready(program(jax.random.key(0)))  # compiles
+
+    def run(seed: int) -> Timing:
+        key = jax.random.key(seed)
+        begun = time.perf_counter()
+        _, log = jax.block_until_ready(program(key))
+        return Timing(time.perf_counter() - begun, np.asarray(log.episodes).sum(keepdims=True))
+
+    return run
+
+
+def method_names() -> list[str]:
+    """All that are registered."""
+    return [*rl.ALGORITHMS, *rl.PREDICTION]
+
+
+def any_method(method: str, lanes: int, steps: int) -> Round:
+    """A method as it is by default: of control on the windy gridworld, of prediction on the random walk."""
+    if method in rl.PREDICTION:
+        return _sweeps(rl.make("random-walk"), method, {}, _episodes, lanes, num_steps=steps)
+    return _sweeps(rl.make("windy-gridworld"), method, {}, _episodes, lanes, num_steps=steps)
+
+
+def on_devices(method: str, lanes: int, steps: int, devices: int) -> Round:
+    """Runs on the first so many of this process's devices."""
+    env = rl.make("windy-gridworld")
+    algorithms = jax.tree.map(lambda x: np.full(lanes, x, np.float32), rl.ALGORITHMS[method](**CONTROL))
+    budget = rl.batch.Budget(num_steps=steps, num_episodes=None, log_every=None, exact=False)
+    used = jax.devices()[:devices]
+    if len(used) < devices:
+        raise RuntimeError(f"{devices} devices were asked for, and there are {len(used)}")
+
+    def run(seed: int) -> Timing:
+        out = rl.batch.run(env, algorithms, jax.random.key(seed), np.arange(lanes), budget, devices=used)
+        return Timing(out.seconds, _episodes(out.log))
+
+    run(0)  # compiles
+    return run
+
+
+def _sweeps(
+    env: Environment, method: str, grid: Mapping[str, Any], outcome: Outcome, lanes: int, **budget: Any
+) -> Round:
     def sweep(num_seeds: int, seed: int) -> rl.SweepResult:
-        grid = {"alpha": ALPHA, "epsilon": EPSILON}
-        return rl.sweep(env, method, grid, num_seeds=num_seeds, num_steps=STEPS, seed=seed)
+        return rl.sweep(env, method, grid, num_seeds=num_seeds, seed=seed, **budget)
 
     def run(seed: int) -> Timing:
         result = sweep(lanes, seed)
-        return Timing(result.seconds, np.asarray(result.log.episodes).sum(-1))
+        return Timing(result.seconds, outcome(result.log))
 
     sweep(1, 0)  # compiles: the program is the same for any number of seeds
     return run
+
+
+def _episodes(log: rl.Log) -> np.ndarray:
+    """Episodes finished in each lane, int [lanes]."""
+    return np.asarray(log.episodes).sum(-1)
+
+
+def _last_return(log: rl.Log) -> np.ndarray:
+    """Mean return of each lane in the last row of the log, float [lanes]."""
+    return np.asarray(log.returns[..., -1] / log.episodes[..., -1])

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.task import ALPHA, EPSILON, GOAL, MOVES, SHAPE, START, STEPS, WIND, Round, Timing
+from benchmarks.problems import ALPHA, EPSILON, GOAL, MOVES, SHAPE, START, WIND
+from benchmarks.rounds import Round, Timing
 
 
 def env_step(s, a):
@@ -35,8 +36,8 @@ def learn(q, s, a, reward, done, q_next):
     return q.at[s, a].add(ALPHA * (reward + jnp.where(done, 0, q_next) - q[s, a]))
 
 
-def train(key, method: str):
-    """One lane: the number of episodes finished in STEPS steps."""
+def train(key, method: str, steps: int):
+    """One lane: Q after so many steps, and the number of episodes finished."""
 
     def step(carry, _):
         key, q, s, a, episodes = carry
@@ -54,17 +55,27 @@ def train(key, method: str):
     key, first_key = jax.random.split(key)
     q = jnp.zeros((SHAPE[0] * SHAPE[1], len(MOVES)))
     carry = key, q, jnp.int32(START), epsilon_greedy(first_key, q[START]), jnp.int32(0)
-    (_, _, _, _, episodes), _ = jax.lax.scan(step, carry, length=STEPS)
-    return episodes
+    (_, q, _, _, episodes), _ = jax.lax.scan(step, carry, length=steps)
+    return q, episodes
 
 
-def naive(method: str, lanes: int) -> Round:
-    keys = jax.ShapeDtypeStruct((lanes,), jax.random.key(0).dtype)
-    program = jax.jit(jax.vmap(lambda key: train(key, method))).lower(keys).compile()
+def many_lanes(method: str, lanes: int, steps: int) -> Round:
+    """The outcome of a lane is its number of episodes."""
+    program = jax.jit(jax.vmap(lambda key: train(key, method, steps)))
+    return _rounds(program, lambda seed: jax.random.split(jax.random.key(seed), lanes))
+
+
+def one_run(method: str, steps: int) -> Round:
+    """One run, without `vmap`."""
+    return _rounds(jax.jit(lambda key: train(key, method, steps)), jax.random.key)
+
+
+def _rounds(program, keys) -> Round:
+    compiled = program.lower(jax.eval_shape(keys, 0)).compile()
 
     def run(seed: int) -> Timing:
         begun = time.perf_counter()
-        episodes = np.asarray(program(jax.random.split(jax.random.key(seed), lanes)))
-        return Timing(time.perf_counter() - begun, episodes)
+        _, episodes = jax.tree.map(np.asarray, compiled(keys(seed)))
+        return Timing(time.perf_counter() - begun, np.atleast_1d(episodes))
 
     return run

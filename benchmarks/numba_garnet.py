@@ -1,0 +1,94 @@
+"""Q-learning on a finite MDP of 1000 states, 4 actions and 5 successors, in Numba."""
+
+import numba  # pyright: ignore[reportMissingImports] (of the extra "bench")
+import numpy as np
+
+from benchmarks.numba_tools import ACTIONS, U, best, generator, inline, one_of_the_best, rounds, xoshiro256pp
+from benchmarks.problems import ALPHA, EPSILON, garnet
+from benchmarks.rounds import Round
+
+# A word of a step is cut into 24 bits for S', 20 for exploring and 20 for the action.
+BITS_24, BITS_20 = U(2**24 - 1), U(2**20 - 1)
+EXPLORE_BELOW_20 = U(round(EPSILON * 2**20))
+STEP_SIZE = np.float32(ALPHA)
+
+
+def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(edges uint32, entered uint16, reward float32), of each flat (S, A): 4, 8 and 1.
+
+    S' is successor k where k of the edges are not above 24 random bits. In `entered` a state is where its
+    row begins, plus 1 where it is terminal.
+    """
+    mdp = garnet()
+    edges = np.round(mdp.prob.cumsum(-1)[..., :-1] * 2**24).astype(np.uint32)
+    entered = np.zeros((*mdp.reward.shape, 8), np.uint16)
+    entered[..., : mdp.successors.shape[-1]] = ACTIONS * mdp.successors + mdp.terminal[mdp.successors]
+    return edges.ravel(), entered.ravel(), mdp.reward.astype(np.float32).ravel()
+
+
+EDGES, ENTERED, REWARDS = _tables()
+
+
+@inline
+def step(q, lane):
+    row, a, episodes, rng = lane
+    word, rng = xoshiro256pp(rng)
+    here = row + a
+    below, edge = np.uint32(word & BITS_24), here << U(2)
+    k = U(EDGES[edge] <= below) + U(EDGES[edge + U(1)] <= below)
+    k += U(EDGES[edge + U(2)] <= below) + U(EDGES[edge + U(3)] <= below)
+    into = U(ENTERED[(here << U(3)) + k])
+    done = into & U(1)
+    row = into - done
+    q[here] += STEP_SIZE * (REWARDS[here] + best(q, row) - q[here])  # the rows of terminal states stay 0
+    row *= U(1) - done  # episodes start in state 0
+    explore = (word >> U(44)) < EXPLORE_BELOW_20
+    below_12 = (((word >> U(24)) & BITS_20) * U(12)) >> U(20)
+    return row, one_of_the_best(q, row, explore, below_12), episodes + done, rng
+
+
+@inline
+def begin(q, seed):
+    """A lane at time 0: (row of S, A, episodes, generator)."""
+    word, rng = xoshiro256pp(generator(seed))
+    return U(0), word >> U(62), U(0), rng
+
+
+def lane_by_lane(lanes: int, steps: int) -> Round:
+    """One lane after another; the outcome of a lane is its number of episodes."""
+
+    @numba.njit(parallel=True, error_model="numpy")
+    def kernel(seeds, tables, episodes, steps):
+        for i in numba.prange(seeds.size):
+            q = tables[i]
+            lane = begin(q, seeds[i])
+            for _ in range(steps):
+                lane = step(q, lane)
+            episodes[i] = lane[2]
+
+    return rounds(kernel, lanes, REWARDS.size, steps)
+
+
+def four_abreast(lanes: int, steps: int) -> Round:
+    """Four lanes in turn; the number of lanes must be a multiple of 4."""
+
+    @numba.njit(parallel=True, error_model="numpy")
+    def kernel(seeds, tables, episodes, steps):
+        for block in numba.prange(seeds.size // 4):
+            i = 4 * block
+            q0, q1, q2, q3 = tables[i], tables[i + 1], tables[i + 2], tables[i + 3]
+            lane0 = begin(q0, seeds[i])
+            lane1 = begin(q1, seeds[i + 1])
+            lane2 = begin(q2, seeds[i + 2])
+            lane3 = begin(q3, seeds[i + 3])
+            for _ in range(steps):
+                lane0 = step(q0, lane0)
+                lane1 = step(q1, lane1)
+                lane2 = step(q2, lane2)
+                lane3 = step(q3, lane3)
+            episodes[i] = lane0[2]
+            episodes[i + 1] = lane1[2]
+            episodes[i + 2] = lane2[2]
+            episodes[i + 3] = lane3[2]
+
+    return rounds(kernel, lanes, REWARDS.size, steps)
