@@ -108,23 +108,21 @@ def test_each_table_of_double_q_learning_learns_half_of_the_time_by_the_other():
     the action that is best by Q1 (Q2) has its value by Q2 (Q1). The tables differ here.
     """
     with jax.enable_x64():
-        model = planning.enumerate_model(random_mdp())
-        q1, q2 = jax.random.normal(jax.random.key(0), (2, *model.prob.shape[:2]), float)
+        model = planning.exact_model(random_mdp())
+        q1, q2 = np.random.default_rng(0).normal(size=(2, *model.prob.shape[:2]))
         method = rl.DoubleQLearning(alpha=1.0, gamma=0.9)
-        start = method.init(*q1.shape)._replace(q1=q1, q2=q2)
 
-        def updated(word, s, a, k):
-            s_next, reward, terminal = (x[s, a, k] for x in (model.s_next, model.reward, model.terminal))
+        def updated(word, s, a, reward, s_next, terminal):
+            start = method.init(*q1.shape)._replace(q1=jnp.asarray(q1), q2=jnp.asarray(q2))
             t = Transition(s, a, reward, s_next, jnp.where(terminal, 0, 0.9), terminal)
             new, _ = method.update(rng.as_key(word), start, t)
             return new.q1[s, a], new.q2[s, a]
 
-        grid = jnp.meshgrid(*(jnp.arange(n) for n in model.prob.shape), indexing="ij")
-        every = jax.vmap(updated, (None, 0, 0, 0))
-        run = jax.jit(lambda word: every(word, *(x.ravel() for x in grid)))
-        heads1, heads2 = ((x.reshape(model.prob.shape) * model.prob).sum(-1) for x in run(jnp.uint32(7)))
-        tails1, tails2 = ((x.reshape(model.prob.shape) * model.prob).sum(-1) for x in run(jnp.uint32(6)))
-    model, q1, q2 = jax.tree.map(np.asarray, (model, q1, q2))
+        s, a, _ = np.indices(model.prob.shape, dtype=np.int32)
+        outcomes = (x.ravel() for x in (s, a, model.reward, model.s_next, model.terminal))
+        every = jax.jit(jax.vmap(jax.vmap(updated, (None, 0, 0, 0, 0, 0)), (0, *5 * (None,))))
+        updates = np.array(every(np.array([7, 6], np.uint32), *outcomes))  # [table, coin, outcomes]
+    (heads1, tails1), (heads2, tails2) = (updates.reshape(2, 2, *model.prob.shape) * model.prob).sum(-1)
     greedy = lambda q: (q == q.max(1, keepdims=True)) / (q == q.max(1, keepdims=True)).sum(1, keepdims=True)
     np.testing.assert_allclose(heads1, planning.backup(model, (greedy(q1) * q2).sum(1), 0.9), atol=1e-12)
     np.testing.assert_allclose(tails2, planning.backup(model, (greedy(q2) * q1).sum(1), 0.9), atol=1e-12)
