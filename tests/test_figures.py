@@ -15,7 +15,6 @@ from jaxrl_tab.cli import main
 from jaxrl_tab.figures import FIGURES, Check, Number
 from jaxrl_tab.figures.page import page
 
-
 pytestmark = pytest.mark.usefixtures("step_by_step")
 
 
