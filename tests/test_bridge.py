@@ -33,7 +33,7 @@ def target_probs(method, env, q):
     with jax.enable_x64():
         state = method.init(env.num_states, env.num_actions)._replace(q=jnp.asarray(q))
         of = getattr(method, "target_probs", method.probs)
-        return np.asarray(jax.vmap(lambda s: of(state, s))(jnp.arange(env.num_states)))
+        return np.asarray(jax.jit(jax.vmap(lambda s: of(state, s)))(jnp.arange(env.num_states)))
 
 
 def full_backup(row, method, env, q):
@@ -45,10 +45,13 @@ def full_backup(row, method, env, q):
 # --- the table ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("env", ENVS.values(), ids=ENVS)
-@pytest.mark.parametrize(("row", "name"), ONE_STEP, ids=[name for _, name in ONE_STEP])
-def test_the_mean_of_the_sample_backup_is_the_full_backup(row, name, env):
+@pytest.mark.parametrize(
+    ("row", "name", "env_name"),
+    [(*one, env) for one in ONE_STEP for env in ENVS if env == "windy" or one[1] == "sarsa"],
+)
+def test_the_mean_of_the_sample_backup_is_the_full_backup(row, name, env_name):
     """Broken once, each -> fails: gamma for `t.discount` in any method; in Sarsa the greedy action for A'."""
+    env = ENVS[env_name]
     method, q = ALGORITHMS[name](epsilon=EPSILON, gamma=GAMMA), some_q(env)
     got = bridge.expected_backup(method, env, q)
     assert got.dtype == np.float64

@@ -173,7 +173,7 @@ def test_sweep_records_exact_values_and_schedules(tmp_path):
     """
     out = tmp_path / "cliff"
     command = "-m jaxrl_tab sweep cliff-walking sarsa --alpha 0.5 --epsilon glie"
-    command += " --episodes 30 --seeds 128 --exact"
+    command += " --steps 3000 --log-every 100 --seeds 128 --exact"
     argv = [sys.executable, *command.split(), "--out", str(out)]
     done = subprocess.run(argv, capture_output=True, text=True, check=True, timeout=100)
     assert "epsilon glie" in done.stdout
@@ -184,7 +184,7 @@ def test_sweep_records_exact_values_and_schedules(tmp_path):
     assert json.loads(ds.attrs["fixed"])["epsilon"] == "glie"
 
 
-def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_path, capsys):
+def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_path, capsys, step_by_step):
     """The random walk with ends 0 and 1: v_pi from the middle is 1/2, and there is no optimum to reach."""
     out = tmp_path / "walk"
     command = "sweep random-walk td-lambda --states 5 --left-reward 0 --lam 0 1 --alpha 0.1 --episodes 30"
@@ -206,7 +206,7 @@ def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_
 
 def test_beside_prediction_stands_the_value_of_the_policy_and_no_optimum(capsys):
     """Either door half of the time: 2.5, and not 3. Broken once: v* for prediction too -> fails."""
-    assert call("sweep two-doors td --alpha 0.1 --steps 20 --seeds 2 --json") == 0
+    assert call("sweep two-doors td --alpha 0.1 --steps 20 --log-every 20 --seeds 2 --json") == 0
     (row,) = json.loads(capsys.readouterr().out)["summary"]
     assert row["optimum"] == pytest.approx(2.5)
 
@@ -214,7 +214,7 @@ def test_beside_prediction_stands_the_value_of_the_policy_and_no_optimum(capsys)
 def test_policies_and_mixed_rates_make_grids_beside_the_mean_optimum_over_problems(capsys):
     """Broken once: v* of the problem whose means are 0 beside runs that each draw their own -> fails."""
     command = "sweep k-armed-testbed q-learning --alpha 0.1 sample-average --behaviour softmax:0.5"
-    assert call(command, "--steps", "50", "--seeds", "2", "--json") == 0
+    assert call(command, "--steps", "50", "--log-every", "50", "--seeds", "2", "--json") == 0
     summary = json.loads(capsys.readouterr().out)["summary"]
     assert [row["alpha"] for row in summary] == ["0.1", "sample-average"]
     assert [row["optimum"] for row in summary] == pytest.approx([1.538753] * 2)

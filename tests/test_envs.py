@@ -637,12 +637,15 @@ def test_error(call, message):
 def test_the_tabulated_step_is_the_step(name):
     """`train` reads outcomes from tables: from the same key the same outcome, for all pairs."""
     env = ENVIRONMENTS[name]
-    s, a = (x.ravel() for x in jnp.meshgrid(jnp.arange(env.num_states), jnp.arange(env.num_actions)))
-    keys = jax.random.split(jax.random.key(0), (5, len(s)))
-    got, want = (
-        jax.jit(jax.vmap(jax.vmap(step), (0, None, None)))(keys, s, a)
-        for step in (env.tabulated_step(), env.step)
-    )
+    s, a = (x.ravel().astype(np.int32) for x in np.indices((env.num_states, env.num_actions)))
+
+    @jax.jit
+    def both(key):
+        keys = jax.random.split(key, (5, len(s)))
+        steps = env.tabulated_step(), env.step
+        return [jax.vmap(jax.vmap(step), (0, None, None))(keys, s, a) for step in steps]
+
+    got, want = both(jax.random.key(0))
     for x, y in zip(got, want, strict=True):
         np.testing.assert_array_equal(x, y)
         assert x.dtype == y.dtype

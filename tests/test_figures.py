@@ -15,12 +15,16 @@ from jaxrl_tab.cli import main
 from jaxrl_tab.figures import FIGURES, Check, Number
 from jaxrl_tab.figures.page import page
 
+pytestmark = pytest.mark.usefixtures("step_by_step")
+
+
+def with_budget(figure, budget, **changes):
+    return dataclasses.replace(figure, experiment=functools.partial(figure.experiment, **budget), **changes)
+
 
 def small(figure, **changes):
     """The figure with the budget of a trial run."""
-    return dataclasses.replace(
-        figure, experiment=functools.partial(figure.experiment, **figure.small), **changes
-    )
+    return with_budget(figure, figure.small, **changes)
 
 
 def number(measured, expected, standard_error, relation="is"):
@@ -69,10 +73,16 @@ def test_a_number_that_is_not_there_is_off(relation):
     assert not number([1.0, np.nan], 1.0, 1.0, relation).check({}).ok
 
 
-IN_FULL = ("windy-gridworld", "cliff-walking", "k-armed-testbed", "maximization-bias", "blackjack-regret")
+# With these budgets, where they are not the figure's own.
+IN_FULL = {
+    "windy-gridworld": {},
+    "cliff-walking": {"num_seeds": 200},
+    "k-armed-testbed": {"num_problems": 1000},
+    "maximization-bias": {"num_seeds": 1000},
+}
 # These need many programs, or many games, to be drawn at all, which takes minutes. What they are made of and
 # show is tested in test_figure_experiments, test_n_step and test_importance; `figure --all` checks all of it.
-BY_HAND = ("bias-variance", "importance-sampling", "blackjack")
+BY_HAND = ("bias-variance", "importance-sampling", "blackjack", "blackjack-regret")
 
 
 def run(figure):
@@ -91,7 +101,7 @@ def check_drawing(figure, datasets, file):
     figure.draw(datasets).savefig(file)
 
 
-@pytest.mark.parametrize("name", [name for name in FIGURES if name not in IN_FULL + BY_HAND])
+@pytest.mark.parametrize("name", [name for name in FIGURES if name not in {*IN_FULL, *BY_HAND}])
 def test_the_figure_runs_is_drawn_and_has_its_numbers(name, tmp_path):
     """In a trial run: of two seeds, say, so of no worth, but all is there."""
     figure = small(FIGURES[name])
@@ -102,7 +112,7 @@ def test_the_figure_runs_is_drawn_and_has_its_numbers(name, tmp_path):
 @pytest.mark.parametrize("name", IN_FULL)
 def test_the_numbers_of_the_figure_come_out(name, tmp_path):
     """Within three standard errors of those in GROUND_TRUTH, at this seed; the program itself allows four."""
-    figure = FIGURES[name]
+    figure = with_budget(FIGURES[name], IN_FULL[name])
     datasets = run(figure)
     checks = [number.check(datasets) for number in figure.numbers]
     assert not [check for check in checks if not check.apart < 3]

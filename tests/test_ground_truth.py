@@ -1,9 +1,13 @@
-"""Published and independently simulated numbers (fixed seeds; tolerances in standard errors)."""
+"""Published and independently simulated numbers (fixed seeds; tolerances in standard errors).
+
+Those of figures come out in test_figures.
+"""
 
 import numpy as np
 import pytest
 
 import jaxrl_tab as rl
+from jaxrl_tab import planning
 
 
 def within(got, want, errors=3.0):
@@ -31,19 +35,10 @@ def test_windy_gridworld_sarsa_ends_at_episodes_of_26_steps_and_not_of_17(sarsa)
     within(lengths / episodes - 25.9, 0, errors=4)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("method", "want"), [("sarsa", -26.79), ("q-learning", -49.94)])
-def test_cliff_walking_on_line(method, want):
-    """Book, example 6.6: Q-learning learns the shorter path and falls; mean return of episodes 401 to 500."""
-    cliff = rl.make("cliff-walking")
-    result = rl.sweep(cliff, method, {"alpha": 0.5, "epsilon": 0.1}, num_seeds=400, num_episodes=500)
-    within(result.log.returns[:, 400:].mean(-1), want)
-    assert result.optimal_value == -13
-
-
-def test_methods_find_what_is_optimal(windy):
-    """With all actions explored and a step size that falls, the greedy policy of each ends up exact."""
+@pytest.mark.parametrize("method", ["q-learning", "expected-sarsa"])
+def test_methods_find_what_is_optimal(method, windy):
+    """With all actions explored the greedy policy of most runs ends up exact."""
     grid = {"alpha": 0.5, "epsilon": 0.1}
-    for method in ("q-learning", "expected-sarsa"):
-        result = rl.sweep(windy, method, grid, num_seeds=20, num_steps=50_000, log_every=50_000, exact=True)
-        assert np.median(result.log.greedy_value) == pytest.approx(-15, rel=1e-5), method
+    q = rl.sweep(windy, method, grid, num_seeds=20, num_steps=20_000, log_every=20_000).q
+    values = [planning.policy_value(windy, planning.greedy_policy(table)) for table in q]
+    assert np.median(values) == pytest.approx(-15, rel=1e-5)

@@ -7,7 +7,7 @@ import pytest
 import reference
 from by_hand import learned
 from test_one_step import ALPHAS, EPSILON, GAMMAS, initial_tables
-from test_reference import ENVS, STEPS, random_mdp, task_of, words_of
+from test_reference import STEPS, env_and_task, task_of, words_of
 
 import jaxrl_tab as rl
 from jaxrl_tab import schedules
@@ -15,16 +15,18 @@ from jaxrl_tab import schedules
 LONG = 200  # more steps than any of these episodes has
 
 
-@pytest.mark.parametrize("env_name", ENVS)
-@pytest.mark.parametrize("n", [1, 3, LONG])
+@pytest.mark.parametrize(
+    ("n", "env_name"),
+    [(1, "random mdp"), (3, "random mdp"), (3, "windy, stochastic, king"), (LONG, "cliff")],
+)
 def test_every_step_agrees_with_the_plain_loop(n, env_name):
     """n = 1 is held against the plain loop of Sarsa.
 
     Broken once: the tail dropped; backwards; by the Q before it; the memory not cleared; a time limit treated
     as terminal -> fails.
     """
-    env = ENVS[env_name]()
-    task, shape = task_of(env), (env.num_states, env.num_actions)
+    env, task = env_and_task(env_name)
+    shape = env.num_states, env.num_actions
     keys, q0 = jax.random.split(jax.random.key(5), 4), initial_tables(env)
 
     def run(key, alpha, gamma, q0):
@@ -126,8 +128,8 @@ def test_nothing_is_remembered_of_the_episode_before():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("n", "alpha", "error"), [(1, 0.8, 0.3451), (2, 0.6, 0.2763), (8, 0.25, 0.2755)])
-def test_root_mean_square_error_on_the_walk(n, alpha, error):
+@pytest.mark.parametrize(("n", "alpha", "error"), [(2, 0.6, 0.2763), (8, 0.25, 0.2755)])
+def test_root_mean_square_error_on_the_walk(n, alpha, error, step_by_step):
     """Mean over the first 10 episodes and the 19 states (book, figure 7.2), by long simulation elsewhere."""
     truth = np.arange(-9, 10) / 10
     rms = lambda state: {"rms": jnp.sqrt(((state.q[1:-1, 0] - truth) ** 2).mean())}
@@ -139,7 +141,7 @@ def test_root_mean_square_error_on_the_walk(n, alpha, error):
         log = rl.train(key, method, rl.RandomWalk(), num_episodes=10, log_every=1, record=rms)[1]
         return log.recorded["rms"].mean()
 
-    got = np.asarray(run(jax.random.split(jax.random.key(0), 2000)))
+    got = np.asarray(run(jax.random.split(jax.random.key(0), 1000)))
     assert abs(got.mean() - error) < 4 * got.std() / np.sqrt(len(got)) + 0.5e-4
 
 
@@ -147,8 +149,3 @@ def test_root_mean_square_error_on_the_walk(n, alpha, error):
 def test_n_must_be_a_whole_number(n):
     with pytest.raises(rl.InputError, match=r"NStepSarsa: n must be a whole number of at least 1, not "):
         rl.NStepSarsa(n=n)
-
-
-def test_n_in_a_sweep():
-    result = rl.sweep(random_mdp(), rl.NStepSarsa, {"n": [1, 3]}, num_seeds=2, num_steps=50)
-    assert result.to_xarray().sizes["n"] == 2

@@ -63,14 +63,16 @@ def test_n0_over_n0_plus_earlier_visits():
     method = rl.Sarsa(alpha=Harmonic(3.0), epsilon=Harmonic(3.0), gamma=0.0, q0=1.0)
     state = method.init(2, 2)._replace(q=jnp.array([[1.0, 0.0], [1.0, 0.0]]))
 
+    update, probs = jax.jit(method.update), jax.jit(method.probs)
+
     def explores(s):  # pi of the worse action is epsilon / 2
-        return 2 * float(method.probs(state, jnp.int32(s))[1])
+        return 2 * float(probs(state, jnp.int32(s))[1])
 
     for visits in range(4):
         assert explores(0) == pytest.approx(3 / (3 + visits))
         assert explores(1) == 1
         t = Transition(*map(jnp.asarray, (0, 0, 1.0, 1, 0.0, False)))
-        state, _ = method.update(jax.random.key(0), state, t)
+        state, _ = update(jax.random.key(0), state, t)
 
 
 def test_the_first_step_size_by_visit_is_1():

@@ -76,9 +76,14 @@ def test_s_next_is_the_state_before_the_reset(walk):
     np.testing.assert_array_equal(t.s[1:][~ended], t.s_next[:-1][~ended])
 
 
-def test_the_action_that_update_gave_is_the_action_taken(windy):
+@pytest.fixture(scope="module")
+def windy_run(windy):
+    return record(windy)
+
+
+def test_the_action_that_update_gave_is_the_action_taken(windy_run):
     """Broken once: A' drawn again after Sarsa's update -> fails, and so do the plain loops of Sarsa."""
-    t, a_next, _ = record(windy)
+    t, a_next, _ = windy_run
     goes_on = t.last[:-1] == 0
     np.testing.assert_array_equal(t.a[1:][goes_on], a_next[:-1][goes_on])
     assert set(t.a) == {0, 1, 2, 3}
@@ -102,9 +107,9 @@ def test_the_log_adds_up_to_the_transitions(walk):
     assert log.steps[-1] == N % 7 and log.steps.dtype == jnp.int32
 
 
-def test_log_every_changes_nothing_but_the_rows(windy):
+def test_log_every_changes_nothing_but_the_rows(windy, windy_run):
     one, _, _ = record(windy, log_every=N)
-    many, _, _ = record(windy, log_every=30)
+    many, _, _ = windy_run
     for x, y in zip(one, many, strict=True):
         np.testing.assert_array_equal(x, y)
 
@@ -130,7 +135,8 @@ def test_episodes_are_what_the_same_number_of_steps_gives(windy, episodes):
     steps = int(log.steps[2].sum())
     key = jax.random.split(jax.random.key(1), 4)[2]
     method = rl.Sarsa(alpha=0.5, epsilon=0.25)
-    again, by_steps = jax.jit(lambda key: rl.train(key, method, windy, num_steps=steps))(key)
+    budget = {"num_steps": steps, "log_every": steps}
+    again, by_steps = jax.jit(lambda key: rl.train(key, method, windy, **budget))(key)
     np.testing.assert_array_equal(again.q, state.q[2])
     assert by_steps.episodes.sum() == 30
 
@@ -152,18 +158,16 @@ def test_exact_values_beside_the_log(windy):
     while (more := come_to | set(s_next[sorted(come_to)].ravel().tolist())) != come_to:
         come_to = more
     assert len(come_to) < 69  # the wind keeps some cells out of reach: they do not count
-    run = lambda **budget: jax.jit(lambda key: rl.train(key, method, windy, **budget, exact=True))(
-        jax.random.key(0)
-    )
-    for state, log in (run(num_steps=9000, log_every=3000), run(num_episodes=200, log_every=50)):
-        policy = rl.planning.greedy_policy(np.asarray(state.q))
-        want = rl.planning.policy_value(windy, policy)
-        np.testing.assert_allclose(log.greedy_value[-1], want, rtol=1e-4)
-        error = np.abs(state.q - q_star)[sorted(come_to - {37})].max()
-        np.testing.assert_allclose(log.q_error[-1], error, rtol=1e-4)
-        assert log.greedy_value.shape == log.steps.shape
-        assert log.greedy_value.max() <= v_star[30] + 1e-3
-        assert log.q_error[-1] < log.q_error[0]
+    budget = {"num_steps": 9000, "log_every": 3000, "exact": True}
+    state, log = jax.jit(lambda key: rl.train(key, method, windy, **budget))(jax.random.key(0))
+    policy = rl.planning.greedy_policy(np.asarray(state.q))
+    want = rl.planning.policy_value(windy, policy)
+    np.testing.assert_allclose(log.greedy_value[-1], want, rtol=1e-4)
+    error = np.abs(state.q - q_star)[sorted(come_to - {37})].max()
+    np.testing.assert_allclose(log.q_error[-1], error, rtol=1e-4)
+    assert log.greedy_value.shape == log.steps.shape
+    assert log.greedy_value.max() <= v_star[30] + 1e-3
+    assert log.q_error[-1] < log.q_error[0]
 
 
 @pytest.mark.parametrize(
@@ -216,7 +220,7 @@ def test_names_classes_and_numbers_are_refused_where_instances_and_keys_are_want
 
 def test_keys_of_the_old_kind_are_keys(windy):
     """The same run as with the new kind, alone and in a batch."""
-    run = lambda key: rl.train(key, rl.Sarsa(), windy, num_steps=50)[0].q
+    run = lambda key: rl.train(key, rl.Sarsa(), windy, num_steps=50, log_every=50)[0].q
     old = jax.random.PRNGKey(3)
     np.testing.assert_array_equal(run(old), run(jax.random.key(3)))
     np.testing.assert_array_equal(jax.jit(jax.vmap(run))(old[None])[0], run(old))
