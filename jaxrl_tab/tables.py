@@ -32,7 +32,7 @@ def row(table: Num[Array, "S A"], s: Int[Array, ""]) -> Num[Array, " A"]:
 
 def entry(table: Num[Array, "..."], *index: Int[Array, ""]) -> Num[Array, "..."]:
     """`table[index]`, [] where there is an index for each axis. They must be in range: it is not checked."""
-    return _read(*_as_list(table, index))
+    return _read(jnp.asarray(table), *index)
 
 
 def add(
@@ -44,14 +44,14 @@ def add(
 
 def put(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
     """`table` with entry `index` set to `x`. The index must be in range: it is not checked."""
-    entries, at = _as_list(table, index)
-    return _write(entries, at, x.astype(table.dtype)).reshape(table.shape)
+    return _write(table, x.astype(table.dtype), *index)
 
 
 def write(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
     """`table` with entry `index` set to `x`, inside the body of `lane_by_lane` and other plain loops."""
-    entries, at = _as_list(table, index)
-    return _write_one(entries, at, x.astype(table.dtype)).reshape(table.shape)
+    block = x.astype(table.dtype).reshape((1,) * table.ndim)
+    index = tuple(x.astype(jnp.int32) for x in index)  # of one type, also under x64
+    return lax.dynamic_update_slice(table, block, index, allow_negative_indices=False)
 
 
 def lane_by_lane(body: Callable[..., T], tables: T, *given: Any) -> T:
@@ -117,22 +117,46 @@ def _all_true(tables: Any) -> Any:
 # --- reading and writing, for one lane and for many --------------------------------------------------
 
 
-def _as_list(table: Array, index: tuple[Array, ...]) -> tuple[Array, Array]:
-    """`table` as a list of what an index selects, and the index as one number.
+@custom_vmap
+def _read(table: Num[Array, "..."], *index: Int[Array, ""]) -> Num[Array, "..."]:
+    return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
-    A number without a sign: XLA keeps every index in range, which costs twice as much with one.
+
+@_read.def_vmap
+def _read_rule(axis_size, batched, table, *index):
+    return _read_list(
+        *_as_list(axis_size, batched[0], table, _broadcast(axis_size, batched[1:], index))
+    ), True
+
+
+@custom_vmap
+def _write(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
+    return write(table, x, *index)
+
+
+@_write.def_vmap
+def _write_rule(axis_size, batched, table, x, *index):
+    table, x, *index = _broadcast(axis_size, batched, (table, x, *index))
+    entries, at = _as_list(axis_size, True, table, index)
+    return _write_list(entries, at, x).reshape(table.shape), True
+
+
+def _as_list(axis_size: int, has_lanes: bool, table: Array, index: Any) -> tuple[Array, Array]:
+    """The tables of all lanes as one list of what an index selects, and where in it each lane finds its own.
+
+    Numbers without a sign: XLA keeps every index in range, which costs twice as much with one.
     """
-    table, at = jnp.asarray(table), jnp.uint32(0)
-    for size, x in zip(table.shape, index, strict=False):
-        at = at * jnp.uint32(size) + jnp.asarray(x).astype(jnp.uint32)
-    return table.reshape(-1, *table.shape[len(index) :]), at
+    entries = table if has_lanes else table[None]
+    at = jnp.zeros(axis_size, jnp.uint32)
+    for size, x in zip(entries.shape[1:], index, strict=False):
+        at = at * jnp.uint32(size) + x.astype(jnp.uint32)
+    entries = entries.reshape(len(entries), -1, *entries.shape[1 + len(index) :])
+    return _merge(axis_size, has_lanes, entries if has_lanes else entries[0], at)
 
 
-def _merge_lanes(axis_size: int, batched: Any, entries: Array, at: Array) -> tuple[Array, Array]:
-    """The tables of all lanes as one list, and where in it each lane finds its own."""
-    if not batched[1]:
-        at = jnp.broadcast_to(at, (axis_size, *at.shape))
-    if not batched[0]:
+def _merge(axis_size: int, has_lanes: bool, entries: Array, at: Array) -> tuple[Array, Array]:
+    """Makes one list of the lists of all lanes, [lanes, N, ...], and moves `at`, [lanes, ...], to match."""
+    if not has_lanes:
         return entries, at
     if math.prod(entries.shape[:2]) >= 2**32:
         raise ValueError(f"the tables of {axis_size} lanes have 2**32 entries or more: take fewer lanes")
@@ -141,45 +165,42 @@ def _merge_lanes(axis_size: int, batched: Any, entries: Array, at: Array) -> tup
     return entries.reshape(-1, *entries.shape[2:]), at + first.reshape(-1, *(1,) * (at.ndim - 1))
 
 
+@custom_vmap
+def _read_list(entries: Num[Array, "N ..."], at: UInt32[Array, "..."]) -> Num[Array, "..."]:
+    """`entries[at]`."""
+    if _lane_by_lane() and math.prod(entries.shape[1:]) <= LONG_ROW:
+        return _read_lanes(entries, at.ravel()).reshape(*at.shape, *entries.shape[1:])
+    return entries.at[at].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+@_read_list.def_vmap
+def _read_list_rule(axis_size, batched, entries, at):
+    at = at if batched[1] else jnp.broadcast_to(at, (axis_size, *at.shape))
+    return _read_list(*_merge(axis_size, batched[0], entries, at)), True
+
+
+@custom_vmap
+def _write_list(
+    entries: Num[Array, " N"], at: UInt32[Array, "..."], x: Num[Array, "..."]
+) -> Num[Array, " N"]:
+    """`entries` with `x` at `at`."""
+    if _lane_by_lane():
+        return _write_lanes(entries, at.ravel(), x.ravel())
+    return entries.at[at].set(x, mode="promise_in_bounds", unique_indices=True)
+
+
+@_write_list.def_vmap
+def _write_list_rule(axis_size, batched, entries, at, x):
+    entries, at, x = _broadcast(axis_size, batched, (entries, at, x))
+    return _write_list(*_merge(axis_size, True, entries, at), x).reshape(entries.shape), True
+
+
 def _read_one(entries: Num[Array, "N ..."], at: UInt32[Array, ""]) -> Num[Array, "..."]:
     return lax.dynamic_index_in_dim(entries, at, keepdims=False, allow_negative_indices=False)
 
 
 def _write_one(entries: Num[Array, " N"], at: UInt32[Array, ""], x: Num[Array, ""]) -> Num[Array, " N"]:
     return lax.dynamic_update_slice(entries, x[None], (at,), allow_negative_indices=False)
-
-
-@custom_vmap
-def _read(entries: Num[Array, "N ..."], at: UInt32[Array, "*lanes"]) -> Num[Array, "..."]:
-    """`entries[at]`."""
-    if at.ndim == 0:
-        return _read_one(entries, at)
-    if _lane_by_lane() and math.prod(entries.shape[1:]) <= LONG_ROW:
-        return _read_lanes(entries, at.ravel()).reshape(*at.shape, *entries.shape[1:])
-    return entries.at[at].get(mode="promise_in_bounds", wrap_negative_indices=False)
-
-
-@_read.def_vmap
-def _read_rule(axis_size, batched, entries, at):
-    return _read(*_merge_lanes(axis_size, batched, entries, at)), True
-
-
-@custom_vmap
-def _write(
-    entries: Num[Array, " N"], at: UInt32[Array, "*lanes"], x: Num[Array, "*lanes"]
-) -> Num[Array, " N"]:
-    """`entries` with `x` at `at`."""
-    if at.ndim == 0:
-        return _write_one(entries, at, x)
-    if _lane_by_lane():
-        return _write_lanes(entries, at.ravel(), x.ravel())
-    return entries.at[at].set(x, mode="promise_in_bounds", unique_indices=True)
-
-
-@_write.def_vmap
-def _write_rule(axis_size, batched, entries, at, x):
-    entries, at, x = _broadcast(axis_size, batched, (entries, at, x))
-    return _write(*_merge_lanes(axis_size, (True, True), entries, at), x).reshape(entries.shape), True
 
 
 def _read_lanes(entries: Array, at: Array) -> Array:
