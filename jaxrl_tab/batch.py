@@ -19,9 +19,9 @@ Two settings must be made before JAX starts its backend:
 """
 
 import functools
+import logging
 import os
 import sys
-import tempfile
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -34,7 +34,7 @@ from jax import lax
 from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
-from jaxrl_tab import memory
+from jaxrl_tab import memory, planning
 from jaxrl_tab.train import Record, train
 from jaxrl_tab.types import Algorithm, Environment, InputError
 
@@ -147,12 +147,15 @@ def plan(
             f"{memory.words(least * len(devices))}, more than the {memory.words(device * len(devices))} that "
             "they may take: give more memory, or take a larger log_every"
         )
-    if on_disk and needed > memory.free_on_disk():
-        raise InputError(
-            f"the results of {runs} runs need {memory.words(needed)}, and they may take "
-            f"{memory.words(machine)} of memory or {memory.words(memory.free_on_disk())} of the disk of "
-            f"{tempfile.gettempdir()}: take fewer seeds, or a larger log_every"
-        )
+    if on_disk:
+        folder, there = memory.disk()
+        room = f"there is room for {memory.words(machine)} in memory"
+        said = f"the results of {runs} runs need {memory.words(needed)}; {room}"
+        if needed > there:
+            raise InputError(
+                f"{said} and {memory.words(there)} in {folder}: take fewer seeds, or a larger log_every"
+            )
+        logging.getLogger(__name__).warning("%s, so they are kept in files in %s", said, folder)
     return Plan(memory.Results(results, runs, on_disk), device)
 
 
@@ -274,11 +277,13 @@ def _traced(budget: Budget, treedef: Any, avals: tuple) -> _Traced:
     root, seed, algorithm, env = jax.tree.unflatten(treedef, avals)
     traced = jax.jit(one).trace(root, seed, algorithm, env)
     state, log = traced.out_info
-    call = memory.Call(
-        shared=memory.size((root, env)),
-        kept=memory.size((seed, algorithm, state.q, log)),
-        working=memory.size((state, log)) * (2 if budget.num_steps is None else 1),
-    )
+    carried = memory.size((state, log))
+    if budget.num_episodes:  # a chunk of steps may be taken back
+        carried *= 2
+    if budget.exact:  # what `planning` solves: a matrix [S, S], and the weights of all outcomes twice
+        weight = jax.eval_shape(planning.enumerate_model, env).prob
+        carried += weight.dtype.itemsize * env.num_states**2 + 2 * memory.size(weight)
+    call = memory.Call(memory.size((root, env)), memory.size((seed, algorithm, state.q, log)), carried)
 
     def function(*args):
         outputs = jaxpr_as_fun(traced.jaxpr)(*jax.tree.leaves(args))

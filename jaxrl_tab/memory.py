@@ -105,9 +105,10 @@ def free(devices: Sequence[Any] = ()) -> int:
     return sys.maxsize
 
 
-def free_on_disk() -> int:
-    """The bytes that are free in the temporary folder."""
-    return shutil.disk_usage(tempfile.gettempdir()).free
+def disk() -> tuple[str, int]:
+    """The temporary folder, and the bytes that are free in it."""
+    folder = tempfile.gettempdir()
+    return folder, shutil.disk_usage(folder).free
 
 
 def words(count: int) -> str:

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Integral
 from typing import Any, cast
 
 import jax
@@ -69,6 +70,8 @@ def sweep(
             raise InputError(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
+    if memory is not None and (not isinstance(memory, Integral) or memory < 1):
+        raise InputError(f"memory must be a number of bytes, at least 1, not {shown(memory)}")
     if not isinstance(env, Environment):
         raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     check_pytree("env", env)
