@@ -35,8 +35,8 @@ from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
 from jaxrl_tab import memory, planning
-from jaxrl_tab.train import Record, train
-from jaxrl_tab.types import Algorithm, Environment, InputError
+from jaxrl_tab.train import Record, default_log_every, train
+from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError
 
 LANES = 64
 BLOCKS = 16  # of a device in one call, at most
@@ -277,13 +277,11 @@ def _traced(budget: Budget, treedef: Any, avals: tuple) -> _Traced:
     root, seed, algorithm, env = jax.tree.unflatten(treedef, avals)
     traced = jax.jit(one).trace(root, seed, algorithm, env)
     state, log = traced.out_info
-    carried = memory.size((state, log))
-    if budget.num_episodes:  # a chunk of steps may be taken back
-        carried *= 2
-    if budget.exact:  # what `planning` solves: a matrix [S, S], and the weights of all outcomes twice
-        weight = jax.eval_shape(planning.enumerate_model, env).prob
-        carried += weight.dtype.itemsize * env.num_states**2 + 2 * memory.size(weight)
-    call = memory.Call(memory.size((root, env)), memory.size((seed, algorithm, state.q, log)), carried)
+    call = memory.Call(
+        shared=memory.size((root, env)) + _tables(env),
+        kept=memory.size((seed, algorithm, state.q, log)),
+        working=_working(env, budget, state, log),
+    )
 
     def function(*args):
         outputs = jaxpr_as_fun(traced.jaxpr)(*jax.tree.leaves(args))
@@ -291,6 +289,29 @@ def _traced(budget: Budget, treedef: Any, avals: tuple) -> _Traced:
         return state.q, log
 
     return _Traced(function, (state.q, log), call)
+
+
+def _tables(env: Environment) -> int:
+    """The bytes of all outcomes of a finite environment, which its step reads from tables."""
+    if not isinstance(env, FiniteEnvironment):
+        return 0
+    model = jax.eval_shape(planning.enumerate_model, env)
+    return memory.size((model.prob, model.reward, model.s_next))
+
+
+def _working(env: Environment, budget: Budget, state: Any, log: Any) -> int:
+    """The bytes that the loop of one run carries, and those of the exact values beside it."""
+    working = memory.size((state, log))
+    if budget.num_episodes:  # a chunk of steps may have to be taken back: see `train._run_until`
+        working *= 2
+    if budget.exact:  # Q*, and what is solved: a matrix [S, S], with the weights of all outcomes twice
+        weight = jax.eval_shape(planning.enumerate_model, env).prob
+        system = weight.dtype.itemsize * env.num_states**2 + 2 * memory.size(weight)
+        shorter = budget.num_steps and budget.num_steps % (
+            budget.log_every or default_log_every(budget.num_steps)
+        )
+        working += memory.size(state.q) + system * (2 if shorter else 1)  # a last, shorter row has its own
+    return working
 
 
 @functools.lru_cache(maxsize=64)
