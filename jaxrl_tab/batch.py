@@ -272,23 +272,23 @@ class _Traced(NamedTuple):
 @functools.lru_cache(maxsize=64)
 def _traced(budget: Budget, treedef: Any, avals: tuple) -> _Traced:
     def one(root, seed, algorithm, env):
-        return train(jax.random.fold_in(root, seed), algorithm, env, **budget._asdict())
+        state, log = train(jax.random.fold_in(root, seed), algorithm, env, **budget._asdict())
+        return (state.q, log), state
 
     root, seed, algorithm, env = jax.tree.unflatten(treedef, avals)
     traced = jax.jit(one).trace(root, seed, algorithm, env)
-    state, log = traced.out_info
+    results, state = traced.out_info
     call = memory.Call(
         shared=memory.size((root, env)) + _tables(env),
-        kept=memory.size((seed, algorithm, state.q, log)),
-        working=_working(env, budget, state, log),
+        kept=memory.size((seed, algorithm, results)),
+        working=_working(env, budget, results, state),
     )
 
     def function(*args):
         outputs = jaxpr_as_fun(traced.jaxpr)(*jax.tree.leaves(args))
-        state, log = jax.tree.unflatten(jax.tree.structure(traced.out_info), outputs)
-        return state.q, log
+        return jax.tree.unflatten(jax.tree.structure(traced.out_info), outputs)[0]
 
-    return _Traced(function, (state.q, log), call)
+    return _Traced(function, results, call)
 
 
 def _tables(env: Environment) -> int:
@@ -299,8 +299,9 @@ def _tables(env: Environment) -> int:
     return memory.size((model.prob, model.reward, model.s_next))
 
 
-def _working(env: Environment, budget: Budget, state: Any, log: Any) -> int:
+def _working(env: Environment, budget: Budget, results: Any, state: Any) -> int:
     """The bytes that the loop of one run carries, and those of the exact values beside it."""
+    q, log = results
     working = memory.size((state, log))
     if budget.num_episodes:  # a chunk of steps may have to be taken back: see `train._run_until`
         working *= 2
@@ -310,7 +311,7 @@ def _working(env: Environment, budget: Budget, state: Any, log: Any) -> int:
         shorter = budget.num_steps and budget.num_steps % (
             budget.log_every or default_log_every(budget.num_steps)
         )
-        working += memory.size(state.q) + system * (2 if shorter else 1)  # a last, shorter row has its own
+        working += memory.size(q) + system * (2 if shorter else 1)  # a last, shorter row has its own
     return working
 
 

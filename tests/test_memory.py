@@ -29,8 +29,7 @@ SHAPES = {  # tables and log; traces in many states; episodes and their memory; 
 }
 
 
-@pytest.mark.parametrize("blocks", [1, batch.BLOCKS])
-@pytest.mark.parametrize("case", SHAPES)
+@pytest.mark.parametrize(("case", "blocks"), [*((case, 1) for case in SHAPES), ("sarsa", batch.BLOCKS)])
 def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
     """Against what XLA says of the compiled program. Broken once: ... -> fails."""
     env, method, budget = SHAPES[case]
@@ -60,16 +59,21 @@ def all_at_once(grid):
     return grid()
 
 
-def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, monkeypatch, caplog):
+@pytest.fixture
+def widths(monkeypatch):
+    """Notes (lanes, blocks of them in a call at most) of each program."""
+    noted, width = [], batch._width
+    monkeypatch.setattr(batch, "_width", lambda *x: noted.append(width(*x)) or noted[-1])
+    return noted
+
+
+def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, widths, caplog):
     """One block at a time, and all results in files. Broken once: ... -> fails."""
-    calls = []
-    width = batch._width
-    monkeypatch.setattr(batch, "_width", lambda *x: calls.append(width(*x)) or calls[-1])
     little = grid(memory=400_000)
-    assert {most for _, most in calls} == {1}
+    assert widths == [(batch.LANES, 1)] * 2
     assert caplog.messages == [
-        "the results of 1800 runs need 2.09 MB; there is room for 400 kB in memory, so they are kept in files "
-        f"in {tempfile.gettempdir()}"
+        "the results of 1800 runs need 2.09 MB; there is room for 400 kB in memory, "
+        f"so they are kept in files in {tempfile.gettempdir()}"
     ]
     for x, y in zip(leaves(little), leaves(all_at_once), strict=True):
         np.testing.assert_array_equal(x, y)
@@ -88,16 +92,13 @@ def test_files_have_no_names_and_can_be_written_in_any_order(tmp_path, monkeypat
     assert not list(tmp_path.iterdir())
 
 
-def test_lanes_that_are_not_64_as_on_a_gpu(grid, all_at_once, monkeypatch):
-    """All runs of a program side by side, or as many as fit: the same decisions, and tables but for rounding."""
-    widths = []
-    width = batch._width
+def test_on_a_gpu_all_runs_that_fit_go_side_by_side(grid, all_at_once, widths, monkeypatch):
+    """Rather, on a CPU that is taken for one, and there bitwise the same as in blocks."""
     monkeypatch.setattr(batch, "_on_cpu", lambda devices: False)
-    monkeypatch.setattr(batch, "_width", lambda *x: widths.append(width(*x)) or widths[-1])
-    for options, lanes in (({}, {512, 256}), ({"memory": 400_000}, {64})):
+    for options, expected in ({}, [(1024, 1), (512, 1)]), ({"memory": 400_000}, [(64, 1)] * 2):
         widths.clear()
         result = grid(**options)
-        print(widths)
+        assert widths == expected
         for x, y in zip(leaves(result), leaves(all_at_once), strict=True):
             np.testing.assert_array_equal(x, y)
 
@@ -117,15 +118,39 @@ def test_what_is_no_size(text):
 
 
 def test_sizes_in_words():
-    assert [memory.words(x) for x in (0, 999, 1500, 2.5e9, 3e15)] == ["0 B", "999 B", "1.5 kB", "2.5 GB", "3e+03 TB"]
+    assert [memory.words(x) for x in (0, 999, 1500, 25 * 10**8)] == ["0 B", "999 B", "1.5 kB", "2.5 GB"]
 
 
 def test_what_does_not_fit_is_refused(grid, monkeypatch):
     monkeypatch.setattr(batch, "_compiled", lambda *_: pytest.fail("something was compiled"))
-    with pytest.raises(InputError, match=r"^64 runs at a time on each device \(2\) need \d+ kB, more than the 100 kB"):
+    with pytest.raises(
+        InputError, match=r"^64 runs at a time on each device \(2\) need .* kB, more than the 100"
+    ):
         grid(memory=100_000)
     monkeypatch.setattr(memory, "disk", lambda: ("/the/disk", 10**6))
     with pytest.raises(InputError, match="room for 500 kB in memory and 1 MB in /the/disk: take fewer seeds"):
         grid(memory=500_000)
     with pytest.raises(InputError, match="memory must be a number of bytes, at least 1, not '4GB'"):
         grid(memory="4GB")
+
+
+def test_a_sweep_streams_through_in_bounded_memory():
+    """200 000 runs, in a process of its own: 260 MB of results, and at its peak it takes no 64 MB for them.
+
+    Broken once: files kept in memory after writing, results in memory -> each fails.
+    """
+    code = """if True:
+        import resource, jaxrl_tab as rl
+        peak = lambda: 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        runs = {"num_steps": 20, "log_every": 2, "memory": 64_000_000}
+        rl.sweep(rl.make("windy-gridworld"), "sarsa", num_seeds=1, **runs)
+        before = peak()
+        result = rl.sweep(rl.make("windy-gridworld"), "sarsa", num_seeds=200_000, **runs)
+        print(result.q.nbytes + sum(x.nbytes for x in result.log[:5]), peak() - before)
+        print(result.log.steps[::1000].sum(), abs(result.q[-1]).sum() > 0)
+    """
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    needed, taken, *results = run.stdout.split()
+    assert int(needed) == 264_000_000
+    assert int(taken) < 64_000_000
+    assert results == ["4000", "True"]
