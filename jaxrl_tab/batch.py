@@ -277,11 +277,12 @@ def _traced(budget: Budget, treedef: Any, avals: tuple) -> _Traced:
 
     root, seed, algorithm, env = jax.tree.unflatten(treedef, avals)
     traced = jax.jit(one).trace(root, seed, algorithm, env)
-    results, state = traced.out_info
+    results, _ = traced.out_info
+    carried = {id(x): x.aval for x in traced.jaxpr.jaxpr.outvars}  # the table once, where it is in the state
     call = memory.Call(
         shared=memory.size((root, env)) + _tables(env),
         kept=memory.size((seed, algorithm, results)),
-        working=_working(env, budget, results, state),
+        working=_working(env, budget, memory.size(carried)),
     )
 
     def function(*args):
@@ -299,20 +300,20 @@ def _tables(env: Environment) -> int:
     return memory.size((model.prob, model.reward, model.s_next))
 
 
-def _working(env: Environment, budget: Budget, results: Any, state: Any) -> int:
-    """The bytes that the loop of one run carries, and those of the exact values beside it."""
-    q, log = results
-    working = memory.size((state, log))
+def _working(env: Environment, budget: Budget, carried: int) -> int:
+    """The bytes with which one run works: what its loop carries, and the exact values beside it."""
     if budget.num_episodes:  # a chunk of steps may have to be taken back: see `train._run_until`
-        working *= 2
-    if budget.exact:  # Q*, and what is solved: a matrix [S, S], with the weights of all outcomes twice
-        weight = jax.eval_shape(planning.enumerate_model, env).prob
-        system = weight.dtype.itemsize * env.num_states**2 + 2 * memory.size(weight)
-        shorter = budget.num_steps and budget.num_steps % (
-            budget.log_every or default_log_every(budget.num_steps)
-        )
-        working += memory.size(q) + system * (2 if shorter else 1)  # a last, shorter row has its own
-    return working
+        carried *= 2
+    if not budget.exact:
+        return carried
+    # Q*, and what is solved: a matrix [S, S], with the weights of all outcomes twice.
+    weight = jax.eval_shape(planning.enumerate_model, env).prob
+    optimal = weight.dtype.itemsize * env.num_states * env.num_actions
+    system = weight.dtype.itemsize * env.num_states**2 + 2 * memory.size(weight)
+    log_every = budget.log_every or default_log_every(budget.num_steps)
+    if budget.num_steps and budget.num_steps % log_every:  # a last, shorter row has its own
+        system *= 2
+    return carried + optimal + system
 
 
 @functools.lru_cache(maxsize=64)

@@ -95,7 +95,7 @@ def test_files_have_no_names_and_can_be_written_in_any_order(tmp_path, monkeypat
 def test_on_a_gpu_all_runs_that_fit_go_side_by_side(grid, all_at_once, widths, monkeypatch):
     """Rather, on a CPU that is taken for one, and there bitwise the same as in blocks."""
     monkeypatch.setattr(batch, "_on_cpu", lambda devices: False)
-    for options, expected in ({}, [(1024, 1), (512, 1)]), ({"memory": 400_000}, [(64, 1)] * 2):
+    for options, expected in ({}, [(1024, 1), (512, 1)]), ({"memory": 400_000}, [(128, 1)] * 2):
         widths.clear()
         result = grid(**options)
         assert widths == expected
