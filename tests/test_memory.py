@@ -31,7 +31,10 @@ SHAPES = {  # tables and log; traces in many states; episodes and their memory; 
 
 @pytest.mark.parametrize(("case", "blocks"), [*((case, 1) for case in SHAPES), ("sarsa", batch.BLOCKS)])
 def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
-    """Against what XLA says of the compiled program. Broken once: ... -> fails."""
+    """Against what XLA says of the compiled program.
+
+    Broken once: episodes carried once, no linear system, no state of the learner -> each fails.
+    """
     env, method, budget = SHAPES[case]
     env = rl.make(env) if isinstance(env, str) else env
     root, method = jax.random.key(0), jax.tree.map(np.float32, method)
@@ -68,7 +71,10 @@ def widths(monkeypatch):
 
 
 def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, widths, caplog):
-    """One block at a time, and all results in files. Broken once: ... -> fails."""
+    """One block at a time, and all results in files.
+
+    Broken once: places in the program for places in the grid, one device's results for another's -> each fails.
+    """
     little = grid(memory=400_000)
     assert widths == [(batch.LANES, 1)] * 2
     assert caplog.messages == [
