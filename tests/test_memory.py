@@ -73,7 +73,7 @@ def widths(monkeypatch):
 def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, widths, caplog):
     """One block at a time, and all results in files.
 
-    Broken once: places in the program for places in the grid, one device's results for another's -> each fails.
+    Broken once: places in a program for those in the grid, one device's results for another's -> each fails.
     """
     little = grid(memory=400_000)
     assert widths == [(batch.LANES, 1)] * 2
@@ -136,6 +136,9 @@ def test_what_does_not_fit_is_refused(grid, monkeypatch):
     monkeypatch.setattr(memory, "disk", lambda: ("/the/disk", 10**6))
     with pytest.raises(InputError, match="room for 500 kB in memory and 1 MB in /the/disk: take fewer seeds"):
         grid(memory=500_000)
+    shapes = {"record": lambda state: {"all": state.memory.r}, "num_seeds": 1, "num_steps": 9}
+    with pytest.raises(InputError, match="what record gives must be of the same shape in all runs"):
+        rl.sweep(rl.make("windy-gridworld"), "n-step-sarsa", {"n": [2, 3]}, **shapes)
     with pytest.raises(InputError, match="memory must be a number of bytes, at least 1, not '4GB'"):
         grid(memory="4GB")
 
