@@ -78,15 +78,19 @@ def any_method(method: str, lanes: int, steps: int) -> Round:
 def on_devices(method: str, lanes: int, steps: int, devices: int) -> Round:
     """Runs on the first so many of this process's devices."""
     env = rl.make("windy-gridworld")
-    algorithms = jax.tree.map(lambda x: np.full(lanes, x, np.float32), rl.ALGORITHMS[method](**CONTROL))
+    one = jax.tree.map(np.float32, rl.ALGORITHMS[method](**CONTROL))
+    algorithms = jax.tree.map(lambda x: np.full(lanes, x), one)
     budget = rl.batch.Budget(num_steps=steps, num_episodes=None, log_every=None, exact=False)
     used = jax.devices()[:devices]
     if len(used) < devices:
         raise RuntimeError(f"{devices} devices were asked for, and there are {len(used)}")
 
     def run(seed: int) -> Timing:
-        out = rl.batch.run(env, algorithms, jax.random.key(seed), np.arange(lanes), budget, devices=used)
-        return Timing(out.seconds, _episodes(out.log))
+        root = jax.random.key(seed)
+        results, room = rl.batch.plan(env, [one], root, lanes, budget, devices=used)
+        keep = results.write
+        took = rl.batch.run(env, algorithms, root, np.arange(lanes), budget, keep, room=room, devices=used)
+        return Timing(took.running, _episodes(results.arrays[1]))
 
     run(0)  # compiles
     return run

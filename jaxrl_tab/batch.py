@@ -1,11 +1,13 @@
 """Many runs at once: devices x lanes. The one place that knows about flags, devices and blocks.
 
-A run is one lane. 64 lanes go side by side through `vmap`: enough to fill the vector units, few enough that
-their tables stay in the cache. Each device (on a CPU: each core) works through blocks of 64 lanes one after
+A run is one lane. On a CPU 64 lanes go side by side through `vmap`: enough to fill the vector units, few
+enough that their tables stay in the cache. Each device (each core) works through blocks of 64 lanes one after
 another, and hands a few of them back at a time, so memory stays bounded and progress can be shown. Every
 program has exactly this shape, whatever the number of runs: the last block is filled up with copies. That is
 why a result depends on neither the batch it was computed in, nor its place there, nor the number of devices,
-to the last bit.
+to the last bit. Any other device is given one block, as wide as there are runs for it and as fits its memory.
+
+How many bytes all this takes is known before anything is compiled: see `memory`, and `plan`.
 
 Two settings must be made before JAX starts its backend:
 
@@ -17,7 +19,9 @@ Two settings must be made before JAX starts its backend:
 """
 
 import functools
+import logging
 import os
+import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -27,14 +31,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
-from jaxrl_tab.train import Log, Record, default_log_every, train
-from jaxrl_tab.types import Algorithm, Environment, InputError
+from jaxrl_tab import memory, planning
+from jaxrl_tab.train import Record, default_log_every, train
+from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError
 
 LANES = 64
 BLOCKS = 16  # of a device in one call, at most
-CALL_BYTES = 2**28  # that they hand back, at most, unless one block alone is larger
+CALL_BYTES = 2**28  # that it takes on a device, at most, unless one block alone is larger
 CALL_SECONDS = 0.2  # about so long a call shall take
 _THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
 
@@ -81,20 +87,76 @@ class Budget(NamedTuple):
     record: Record | None = None
 
 
-class Batch(NamedTuple):
-    """What many runs gave.
+class Plan(NamedTuple):
+    """Where the memory of a sweep goes.
 
     Attributes:
-        q: the final tables, float [runs, S, A].
-        log: the logs, [runs, rows] each.
-        seconds: time spent running, compilation apart.
-        compile_seconds: time spent compiling; 0 where the program was there already.
+        results: where the results of its runs are written.
+        room: the bytes that a call may take on each device.
     """
 
-    q: np.ndarray
-    log: Log
-    seconds: float
-    compile_seconds: float
+    results: memory.Results
+    room: int
+
+
+class Seconds(NamedTuple):
+    """Time spent running, and time spent compiling: 0 where the program was there already."""
+
+    running: float
+    compiling: float
+
+
+def plan(
+    env: Environment,
+    algorithms: Sequence[Algorithm],
+    root: jax.Array,
+    runs: int,
+    budget: Budget,
+    limit: int | None = None,
+    devices: Sequence[Any] | None = None,
+) -> Plan:
+    """Shares out the memory among results and calls. What does not fit beside a call is written to disk.
+
+    Args:
+        env, root, budget, devices: as in `run`.
+        algorithms: an instance for each program.
+        runs: how many there are of all programs together.
+        limit: the bytes to share out, in the machine and on each device with memory of its own; by default
+            half of what is free there.
+
+    Raises:
+        InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
+    """
+    devices = tuple(devices or jax.devices())
+    traced = [_traced(budget, *_signature((root, np.uint32(0), x, env))) for x in algorithms]
+    results = traced[0].results
+    if any(other.results != results for other in traced):
+        raise InputError("what record gives must be of the same shape in all runs")
+
+    least = max(one.call.bytes(_least_lanes(devices), blocks=1) for one in traced)
+    machine, device = (memory.free(x) // 2 if limit is None else limit for x in ((), devices))
+    needed = runs * memory.size(results)
+    if _on_cpu(devices):  # whose memory is the machine's
+        on_disk = needed + len(devices) * least > machine
+        device = (machine if on_disk else machine - needed) // len(devices)
+    else:
+        on_disk = needed > machine
+    if least > device:
+        raise InputError(
+            f"{_least_lanes(devices)} runs at a time on each device ({len(devices)}) need "
+            f"{memory.words(least * len(devices))}, more than the {memory.words(device * len(devices))} that "
+            "they may take: give more memory, or take a larger log_every"
+        )
+    if on_disk:
+        folder, there = memory.disk()
+        room = f"there is room for {memory.words(machine)} in memory"
+        said = f"the results of {runs} runs need {memory.words(needed)}; {room}"
+        if needed > there:
+            raise InputError(
+                f"{said} and {memory.words(there)} in {folder}: take fewer seeds, or a larger log_every"
+            )
+        logging.getLogger(__name__).warning("%s, so they are kept in files in %s", said, folder)
+    return Plan(memory.Results(results, runs, on_disk), device)
 
 
 def run(
@@ -103,52 +165,59 @@ def run(
     root: jax.Array,
     seeds: np.ndarray,
     budget: Budget,
+    keep: Callable[[np.ndarray, Any], None],
     progress: Callable[[int], None] = lambda done: None,
+    room: int = sys.maxsize,
     devices: Sequence[Any] | None = None,
-) -> Batch:
+) -> Seconds:
     """Trains every run of a batch.
 
     Args:
         env: the environment, the same for all.
-        algorithms: one method whose leaves are NumPy arrays with a leading axis of runs.
-        root: JAX key; run i uses `fold_in(root, seeds[i])`.
-        seeds: the number of each run's seed, int [runs].
+        algorithms: one method whose leaves are NumPy arrays, whose leading axes broadcast to `seeds`.
+        root: JAX key; a run uses `fold_in(root, its seed)`.
+        seeds: the number of each run's seed, int [...]; runs are numbered in C order.
         budget: what to do in each run.
+        keep: is called with the numbers of some runs, int [n], and what they gave: their tables, float
+            [n, S, A], and the Log of them, [n, rows] each. It must copy what it wants to keep.
         progress: is called with the number of runs finished so far.
+        room: the bytes that a call may take on each device.
         devices: the JAX devices to use; all by default.
     """
     devices = tuple(devices or jax.devices())
-    runs, width = len(seeds), LANES * len(devices)
-    most = max(1, min(BLOCKS, CALL_BYTES // (LANES * _bytes_of_a_run(env, budget))))
+    seeds = np.asarray(seeds, np.uint32)
+
+    def of(run: np.ndarray) -> Any:
+        """The seed and the algorithm of these runs."""
+        place = np.unravel_index(np.minimum(run, seeds.size - 1), seeds.shape)
+        broadcast = lambda x: np.broadcast_to(x, seeds.shape + x.shape[seeds.ndim :])
+        return jax.tree.map(lambda x: broadcast(x)[place], (seeds, algorithms))
 
     def arguments(first: int, blocks: int) -> tuple:
-        """`blocks` blocks from run `first` on, [devices, most, LANES]; what lacks is filled with copies."""
-        lane = np.arange(blocks * width).reshape(blocks, len(devices), LANES).swapaxes(0, 1)
-        lane = np.pad(lane, ((0, 0), (0, most - blocks), (0, 0)), mode="edge")
-        run = np.minimum(first + lane, runs - 1)
-        return root, np.asarray(seeds, np.uint32)[run], jax.tree.map(lambda x: x[run], algorithms), env
+        """For each device `blocks` blocks, from run `first` on: [devices, most, lanes]. Copies fill it up."""
+        run = first + np.arange(len(devices) * blocks * lanes).reshape(len(devices), blocks, lanes)
+        return root, *of(run[:, np.minimum(np.arange(most), blocks - 1)]), env
 
     begun = time.perf_counter()
+    call = _traced(budget, *_signature((root, *of(np.array(0)), env))).call
+    lanes, most = _width(call, seeds.size, room, devices)
     program = _compiled(devices, budget, *_signature(arguments(0, 1)))
     compiled = time.perf_counter()
 
-    outputs, done, blocks = [], 0, 1
-    while done < runs:
+    done, blocks = 0, 1
+    while done < seeds.size:
         called = time.perf_counter()
-        blocks = min(blocks, -(-(runs - done) // width))
+        blocks = min(blocks, -(-(seeds.size - done) // (len(devices) * lanes)))
         output = program(np.int32(blocks), *arguments(done, blocks))
-        outputs.append(jax.tree.map(lambda x: _in_order(np.asarray(x), blocks), output))  # noqa: B023
-        done = min(done + blocks * width, runs)
+        for i in range(len(devices)):
+            finished = np.arange(done, min(done + blocks * lanes, seeds.size))
+            part = lambda x, i=i: np.asarray(x.addressable_shards[i].data)[0].reshape(-1, *x.shape[3:])
+            keep(finished, jax.tree.map(lambda x: part(x)[: len(finished)], output))  # noqa: B023
+            done += len(finished)
+        del output  # before the next is made
         progress(done)
         blocks = max(1, min(most, int(blocks * CALL_SECONDS / (time.perf_counter() - called))))
-    q, log = jax.tree.map(lambda *parts: np.concatenate(parts)[:runs], *outputs)
-    return Batch(q, log, time.perf_counter() - compiled, compiled - begun)
-
-
-def _in_order(x: np.ndarray, blocks: int) -> np.ndarray:
-    """[devices, most, LANES, ...] -> [runs, ...], without the blocks that were not asked for."""
-    x = x[:, :blocks].swapaxes(0, 1)
-    return x.reshape(-1, *x.shape[3:])
+    return Seconds(time.perf_counter() - compiled, compiled - begun)
 
 
 def _started() -> bool:
@@ -162,24 +231,23 @@ def _started() -> bool:
     return False
 
 
-def check_memory(env: Environment, runs: int, budget: Budget) -> None:
-    """Raises InputError where the results of so many runs, held twice while put together, do not fit."""
-    try:
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return  # not known on this system
-    if (needed := 2 * runs * _bytes_of_a_run(env, budget)) > memory:
-        raise InputError(
-            f"the results of {runs} runs need {needed / 2**30:.0f} GiB, and this machine has "
-            f"{memory / 2**30:.0f}: take fewer seeds, or a larger log_every"
-        )
+def _on_cpu(devices: Sequence[Any]) -> bool:
+    return devices[0].platform == "cpu"
 
 
-def _bytes_of_a_run(env: Environment, budget: Budget) -> int:
-    """About what one run hands back: its table and its log."""
-    length = budget.num_steps or budget.num_episodes or 0
-    rows = -(-length // (budget.log_every or default_log_every(budget.num_steps)))
-    return 4 * (env.num_states * env.num_actions + len(Log._fields) * rows)
+def _least_lanes(devices: Sequence[Any]) -> int:
+    return LANES if _on_cpu(devices) else 1
+
+
+def _width(call: memory.Call, runs: int, room: int, devices: Sequence[Any]) -> tuple[int, int]:
+    """How many lanes go side by side, and how many blocks of them a call takes at most."""
+    if _on_cpu(devices):
+        fits = [n for n in range(1, BLOCKS + 1) if call.bytes(LANES, n) <= min(room, CALL_BYTES)]
+        return LANES, max(fits, default=1)
+    lanes = 2 ** (-(-runs // len(devices)) - 1).bit_length()
+    while lanes > 1 and call.bytes(lanes, 1) > room:
+        lanes //= 2
+    return lanes, 1
 
 
 def _signature(args: Any) -> tuple[Any, tuple]:
@@ -187,26 +255,83 @@ def _signature(args: Any) -> tuple[Any, tuple]:
     return treedef, tuple(jax.typeof(x) for x in leaves)
 
 
+class _Traced(NamedTuple):
+    """One run, traced: so its shapes are known, and the program is made of it without tracing it again.
+
+    Attributes:
+        function: (root, seed, algorithm, env) -> (table, Log).
+        results: the shapes of these.
+        call: the bytes of a call.
+    """
+
+    function: Callable
+    results: Any
+    call: memory.Call
+
+
+@functools.lru_cache(maxsize=64)
+def _traced(budget: Budget, treedef: Any, avals: tuple) -> _Traced:
+    def one(root, seed, algorithm, env):
+        state, log = train(jax.random.fold_in(root, seed), algorithm, env, **budget._asdict())
+        return (state.q, log), state
+
+    root, seed, algorithm, env = jax.tree.unflatten(treedef, avals)
+    traced = jax.jit(one).trace(root, seed, algorithm, env)
+    results, _ = traced.out_info
+    carried = {id(x): x.aval for x in traced.jaxpr.jaxpr.outvars}  # the table once, where it is in the state
+    call = memory.Call(
+        shared=memory.size((root, env)) + _tables(env),
+        kept=memory.size((seed, algorithm, results)),
+        working=_working(env, budget, memory.size(carried)),
+    )
+
+    def function(*args):
+        outputs = jaxpr_as_fun(traced.jaxpr)(*jax.tree.leaves(args))
+        return jax.tree.unflatten(jax.tree.structure(traced.out_info), outputs)[0]
+
+    return _Traced(function, results, call)
+
+
+def _tables(env: Environment) -> int:
+    """The bytes of all outcomes of a finite environment, which its step reads from tables."""
+    if not isinstance(env, FiniteEnvironment):
+        return 0
+    model = jax.eval_shape(planning.enumerate_model, env)
+    return memory.size((model.prob, model.reward, model.s_next))
+
+
+def _working(env: Environment, budget: Budget, carried: int) -> int:
+    """The bytes with which one run works: what its loop carries, and the exact values beside it."""
+    if budget.num_episodes:  # a chunk of steps may have to be taken back: see `train._run_until`
+        carried *= 2
+    if not budget.exact:
+        return carried
+    # Q*, and what is solved: a matrix [S, S], with the weights of all outcomes twice.
+    weight = jax.eval_shape(planning.enumerate_model, env).prob
+    optimal = weight.dtype.itemsize * env.num_states * env.num_actions
+    system = weight.dtype.itemsize * env.num_states**2 + 2 * memory.size(weight)
+    log_every = budget.log_every or default_log_every(budget.num_steps)
+    if budget.num_steps and budget.num_steps % log_every:  # a last, shorter row has its own
+        system *= 2
+    return carried + optimal + system
+
+
 @functools.lru_cache(maxsize=64)
 def _compiled(devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tuple):
     """The program for one call: every device trains so many blocks of its own, one after another."""
-
-    def one(root, seed, algorithm, env):
-        key = jax.random.fold_in(root, seed)
-        state, log = train(key, algorithm, env, **budget._asdict())
-        return state.q, log
+    root, seeds, algorithms, env = jax.tree.unflatten(treedef, avals)
+    of_one = jax.tree.map(lambda x: x.update(shape=x.shape[3:]), (seeds, algorithms))
+    one = _traced(budget, treedef, tuple(jax.tree.leaves((root, *of_one, env))))
 
     def device(blocks, root, seeds, algorithms, env):
         seeds, algorithms = jax.tree.map(lambda x: x[0], (seeds, algorithms))
-
-        def block(i):
-            seed, algorithm = jax.tree.map(lambda x: x[i], (seeds, algorithms))
-            return jax.vmap(one, in_axes=(None, 0, 0, None))(root, seed, algorithm, env)
+        empty = jax.tree.map(lambda x: jnp.zeros((*seeds.shape, *x.shape), x.dtype), one.results)
 
         def put(i, outputs):
-            return jax.tree.map(lambda all_blocks, x: all_blocks.at[i].set(x), outputs, block(i))
+            seed, algorithm = jax.tree.map(lambda x: x[i], (seeds, algorithms))
+            block = jax.vmap(one.function, in_axes=(None, 0, 0, None))(root, seed, algorithm, env)
+            return jax.tree.map(lambda all_blocks, x: all_blocks.at[i].set(x), outputs, block)
 
-        empty = jax.tree.map(lambda x: jnp.zeros((len(seeds), *x.shape), x.dtype), jax.eval_shape(block, 0))
         return jax.tree.map(lambda x: x[None], lax.fori_loop(0, blocks, put, empty))
 
     split, shared = PartitionSpec("devices"), PartitionSpec()
@@ -217,8 +342,7 @@ def _compiled(devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tup
         out_specs=split,
         check_vma=False,
     )
-    arguments = jax.tree.unflatten(treedef, avals)
-    return jax.jit(program).lower(jnp.int32(0), *arguments).compile()
+    return jax.jit(program).lower(jnp.int32(0), root, seeds, algorithms, env).compile()
 
 
 set_flags()

@@ -38,7 +38,7 @@ from jaxrl_tab.envs.base import Finite, Grid, Panel
 from jaxrl_tab.figures import FIGURES, Check, swept
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page, six_digits
-from jaxrl_tab.options import Group, about, option_of, parameters, parse, real, values, whole, words
+from jaxrl_tab.options import Group, about, option_of, parameters, parse, real, size, values, whole, words
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import label
 from jaxrl_tab.sweep import METHODS, configurations
@@ -357,6 +357,8 @@ class Sweep:
     """How many steps, or episodes, are summed up in one row of the log."""
     seed: Annotated[int, whole(0)] = 0
     """Which sequence of seeds."""
+    memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
+    """How much memory a method may take, such as 4GB; results that do not fit go to temporary files."""
     exact: Switch = False
     """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
     (The error of methods of prediction is always recorded.)"""
@@ -381,6 +383,7 @@ def _sweep(argv: list[str]) -> int:
         "num_episodes": options.episodes,
         "log_every": options.log_every,
         "seed": options.seed,
+        "memory": options.memory,
         "exact": options.exact or set(grids) <= set(PREDICTION),
     }
 

@@ -21,7 +21,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from jaxrl_tab import describe, policies, schedules
+from jaxrl_tab import describe, memory, policies, schedules
 from jaxrl_tab.types import InputError, nearest
 
 
@@ -67,17 +67,26 @@ def real(low: float, high: float) -> Any:
     return _number(float, lambda x: low <= x <= high, "X", f"a number between {low} and {high}")
 
 
-def _number(kind: type, fits: Callable[[Any], bool], metavar: str, wanted: str) -> Any:
-    def read(tokens: list[str]) -> Any:
-        with contextlib.suppress(ValueError):
-            if fits(value := kind(tokens[0])):
-                return value
-        raise ValueError(f"must be {wanted}, not {tokens[0]!r}")
+def size() -> Any:
+    """An annotation of an option that takes a number of bytes, such as 4GB."""
+    return _option(int, memory.parse, "SIZE")
 
+
+def _number(kind: type, fits: Callable[[Any], bool], metavar: str, wanted: str) -> Any:
+    def read(token: str) -> Any:
+        with contextlib.suppress(ValueError):
+            if fits(value := kind(token)):
+                return value
+        raise ValueError(f"must be {wanted}, not {token!r}")
+
+    return _option(kind, read, metavar)
+
+
+def _option(kind: type, read: Callable[[str], Any], metavar: str) -> Any:
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
-        instance_from_str=read,
+        instance_from_str=lambda tokens: read(tokens[0]),
         is_instance=lambda x: isinstance(x, kind),
         str_from_instance=lambda x: [str(x)],
     )

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Integral
 from typing import Any, cast
 
 import jax
@@ -13,7 +14,7 @@ from jaxrl_tab import batch, planning
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.results import SweepResult, label, parameters
-from jaxrl_tab.train import Log, Record, check_budget, default_log_every
+from jaxrl_tab.train import Record, check_budget, default_log_every
 from jaxrl_tab.types import (
     Algorithm,
     Environment,
@@ -39,6 +40,7 @@ def sweep(
     seed: int = 0,
     exact: bool = False,
     record: Record | None = None,
+    memory: int | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> SweepResult:
     """Runs a method with every combination of hyperparameters, each over the same seeds.
@@ -54,6 +56,9 @@ def sweep(
         num_seeds: how many seeds, at least 1.
         num_steps, num_episodes, log_every, exact, record: as in `train`.
         seed: which sequence of seeds, a whole number >= 0.
+        memory: how many bytes it may take, at least 1: results and what is being computed. By default half
+            of what is free. It changes no number: with less, fewer runs are under way at a time, and results
+            that do not fit are in files of the temporary folder (`TMPDIR`), which go away with them.
         progress: is called with the number of runs finished and of all runs, as blocks of them finish.
 
     Raises:
@@ -65,6 +70,8 @@ def sweep(
             raise InputError(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
+    if memory is not None and (not isinstance(memory, Integral) or memory < 1):
+        raise InputError(f"memory must be a number of bytes, at least 1, not {shown(memory)}")
     if not isinstance(env, Environment):
         raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     check_pytree("env", env)
@@ -77,28 +84,26 @@ def sweep(
 
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     total = len(configs) * num_seeds
-    batch.check_memory(env, total, budget)
     root = jax.random.key(seed)
-    q: dict[int, np.ndarray] = {}
-    logs: dict[int, Log] = {}
-    done, seconds, compile_seconds = 0, 0.0, 0.0
-    for members in _same_program(configs):
-        instances = [_leaves_as_arrays(configs[i]) for i in members]
-        stacked = jax.tree.map(lambda *x: np.repeat(np.stack(x), num_seeds, 0), *instances)
-        seeds = np.tile(np.arange(num_seeds), len(members))
-        out = batch.run(env, stacked, root, seeds, budget, lambda n, done=done: progress(done + n, total))
-        done += len(seeds)
-        seconds += out.seconds
-        compile_seconds += out.compile_seconds
-        for place, i in enumerate(members):
-            own = slice(place * num_seeds, (place + 1) * num_seeds)
-            q[i], logs[i] = out.q[own], jax.tree.map(lambda x, own=own: x[own], out.log)
+    programs = _same_program(configs)
+    instances = [_leaves_as_arrays(config) for config in configs]
+    results, room = batch.plan(env, [instances[i] for i, *_ in programs], root, total, budget, memory)
+    done, seconds = 0, np.zeros(2)
+    for members in programs:
+        stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *(instances[i] for i in members))
+        seeds = np.broadcast_to(np.arange(num_seeds, dtype=np.uint32), (len(members), num_seeds))
+
+        def keep(runs, given, members=members):
+            results.write(np.take(members, runs // num_seeds) * num_seeds + runs % num_seeds, given)
+
+        report = lambda n, done=done: progress(done + n, total)
+        seconds += batch.run(env, stacked, root, seeds, budget, keep, report, room)
+        done += seeds.size
 
     # Where a behaviour policy is given epsilon is not looked at, and it would mislead to show it.
     unused = {"epsilon"} if getattr(configs[0], "behaviour", None) is not None else set()
     shape = tuple(len(values) for values in axes.values())
-    stack = lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape)
-    log: Log = jax.tree.map(stack, *(logs[i] for i in range(len(configs))))
+    q, log = jax.tree.map(lambda x: x.reshape(*shape, num_seeds, *x.shape[1:]), results.arrays)
     return SweepResult(
         environment=_name_in(ENVS, type(env)),
         algorithm=_name_in(METHODS, cls),
@@ -106,14 +111,14 @@ def sweep(
         grid=axes,
         fixed={k: value for k, value in parameters(configs[0]).items() if k not in axes and k not in unused},
         log=log,
-        q=stack(*(q[i] for i in range(len(configs)))),
+        q=q,
         optimal_value=_exact_value(env, axes, configs),
         root_seed=int(seed),
         num_steps=num_steps,
         num_episodes=num_episodes,
         log_every=log_every or default_log_every(num_steps),
-        seconds=seconds,
-        compile_seconds=compile_seconds,
+        seconds=seconds[0],
+        compile_seconds=seconds[1],
     )
 
 

@@ -132,6 +132,7 @@ def test_sweep_without_options_has_sensible_ones(swept):
         "num_episodes": None,
         "log_every": None,
         "seed": 0,
+        "memory": None,
         "exact": False,
     }
 
@@ -141,6 +142,7 @@ def test_sweep_hands_every_option_on(swept):
         "sweep windy-gridworld q-learning --moves king --stochastic --wind 0 0 0 1 1 -1 2 2 1 0 --start 2 0"
     )
     argv += " --epsilon 0 0.1 --alpha sample-average --q0 -1 --episodes 7 --log-every 2 --seed 5 --exact"
+    argv += " --memory 1.5GB"
     main(argv.split())
     ((env, algorithm, grid, budget),) = swept
     assert (env.moves, env.stochastic, env.start) == ("king", True, (2, 0))
@@ -155,6 +157,7 @@ def test_sweep_hands_every_option_on(swept):
         "num_episodes": 7,
         "log_every": 2,
         "seed": 5,
+        "memory": 1_500_000_000,
         "exact": True,
     }
 
@@ -315,6 +318,7 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --episodes -1": "--episodes must be a whole number from 1 to 2147483647",
     "sweep windy-gridworld sarsa --log-every 0": "--log-every must be a whole number from 1 to 2147483647",
     "sweep windy-gridworld sarsa --seed -1": "--seed must be a whole number from 0 to 2147483647",
+    "sweep windy-gridworld sarsa --memory 4": "--memory must be a number with a unit (B, kB, MB, GB, TB",
     "sweep windy-gridworld sarsa --steps 10 --episodes 10": "give --steps or --episodes, not both",
     "sweep windy-gridworld sarsa --behaviour sofmax:1": "did you mean 'softmax'?",
     "sweep windy-gridworld sarsa --behaviour ucb:2 --epsilon 0.2": "give epsilon or behaviour, not both",
@@ -383,14 +387,14 @@ class Eager(rl.Sarsa):
     """Sarsa that is eager.
 
     Attributes:
-        memory: how long it remembers,
+        recall: how long it remembers,
             in steps.
         traces: "replacing" or "accumulating".
         cut: whether it forgets.
         patience: a limit.
     """
 
-    memory: float = 0.9
+    recall: float = 0.9
     traces: str = static("replacing")
     cut: bool = static(True)
     patience: int = static(10)
@@ -398,15 +402,15 @@ class Eager(rl.Sarsa):
 
 def test_a_new_method_brings_its_options(monkeypatch, swept, capsys):
     monkeypatch.setitem(ALGORITHMS, "eager", Eager)
-    call("sweep windy-gridworld eager --memory 0 0.5 --traces accumulating --no-cut --patience 3")
+    call("sweep windy-gridworld eager --recall 0 0.5 --traces accumulating --no-cut --patience 3")
     _, algorithm, grid, _ = swept[0]
     assert algorithm == "eager"
     del grid["alpha"]
-    assert grid == {"memory": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
+    assert grid == {"recall": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
     capsys.readouterr()
 
-    error = refused(capsys, "sweep windy-gridworld sarsa --memory 0.5")
-    assert "sarsa has no --memory, which is of eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
+    error = refused(capsys, "sweep windy-gridworld sarsa --recall 0.5")
+    assert "sarsa has no --recall, which is of eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
     error = refused(capsys, "sweep windy-gridworld eager --patience x")
     assert "--patience takes a whole number, not 'x'" in error
 
@@ -414,7 +418,7 @@ def test_a_new_method_brings_its_options(monkeypatch, swept, capsys):
         main(["sweep", "--help"])
     assert not stop.value.code
     text = " ".join(capsys.readouterr().out.replace("│", "").split())
-    assert "--memory X ... how long it remembers, in steps. (of eager; default: 0.9)" in text
+    assert "--recall X ... how long it remembers, in steps. (of eager; default: 0.9)" in text
     assert "--no-cut whether it forgets. (of eager; default: on)" in text
 
 

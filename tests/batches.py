@@ -1,0 +1,14 @@
+"""Batches of runs, without the grid of a sweep around them."""
+
+import jax
+
+from jaxrl_tab import batch
+
+
+def run(env, algorithms, seeds, budget, **options):
+    """(q, log) of runs with these seeds, int [n], and leaves of `algorithms`, [n] each."""
+    root = jax.random.key(0)
+    one = jax.tree.map(lambda x: x[0], algorithms)
+    results, room = batch.plan(env, [one], root, len(seeds), budget, devices=options.get("devices"))
+    batch.run(env, algorithms, root, seeds, budget, results.write, room=room, **options)
+    return results.arrays
