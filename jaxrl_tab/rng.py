@@ -29,6 +29,7 @@ Stream: TypeAlias = tuple[UInt32[Array, ""], UInt32[Array, ""]]
 _BITS, _SPLIT, _FOLD = 0x9E3779B9, 0xBB67AE85, 0x3C6EF372
 
 
+@jax.jit  # traced once for all its callers, and inlined by the compiler
 def threefry(key: tuple[Array, Array], count0: Array, count1: Array) -> tuple[Array, Array]:
     """Threefry-2x32 with 20 rounds (Salmon et al. 2011), uint32 throughout; shapes broadcast.
 
