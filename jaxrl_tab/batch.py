@@ -35,7 +35,7 @@ from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
 from jaxrl_tab import memory, planning
-from jaxrl_tab.train import Record, default_log_every, train
+from jaxrl_tab.train import Record, bytes_of_words, default_log_every, train
 from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError
 
 LANES = 64
@@ -301,9 +301,10 @@ def _tables(env: Environment) -> int:
 
 
 def _working(env: Environment, budget: Budget, carried: int) -> int:
-    """The bytes with which one run works: what its loop carries, and the exact values beside it."""
+    """The bytes with which one run works: what its loop carries, random words, and exact values."""
     if budget.num_episodes:  # a chunk of steps may have to be taken back: see `train._run_until`
         carried *= 2
+    carried += bytes_of_words(budget.num_steps, budget.log_every)
     if not budget.exact:
         return carried
     # Q*, and what is solved: a matrix [S, S], with the weights of all outcomes twice.

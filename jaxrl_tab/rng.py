@@ -159,6 +159,11 @@ def words(stream: Stream, first: Int[Array, ""], steps: int, decision: int) -> W
     return Words(first & 1 == 1, as_word(lax.real(both)), as_word(lax.imag(both)))
 
 
+def bytes_of_words(steps: int) -> int:
+    """The bytes that `words` takes for so many steps: each word alone, and as half of a complex number."""
+    return 16 * (steps // 2 + 1)
+
+
 def _call(stream: Stream, call: Array, decision: int) -> tuple[Array, Array]:
     """The words of a decision in two steps that follow each other, an even one and an odd one."""
     return threefry(stream, call, jnp.uint32(decision))

@@ -31,7 +31,7 @@ from jaxrl_tab.types import (
 
 L = TypeVar("L")
 
-DRAWN_TOGETHER = 32  # for about so many steps the random words are worked out at once; see `_steps`
+DRAWN_TOGETHER = 32  # for so many steps at most the random words are worked out at once; see `_steps`
 CHUNKS = 256, 16  # so many steps are taken at once where a run ends with an episode; see `_run_until`
 
 
@@ -271,15 +271,25 @@ def _steps(stream: rng.Stream, one: Callable, carry: Any, number: int) -> Any:
     The random words of some steps are worked out together, before these steps: in the step itself XLA would
     do it anew in each expression that uses them.
     """
-    chunks = -(-number // DRAWN_TOGETHER)
-    size = -(-number // chunks)
+    size = _drawn_together(number)
 
     def chunk(c, carry):
         words = IN_A_STEP.map(lambda decision: rng.words(stream, carry[0].t, size, decision))
         step = lambda i, carry: one(carry, words.map(lambda word: rng.as_key(word.at(i))))
         return lax.fori_loop(0, jnp.minimum(size, number - c * size), step, carry)
 
-    return lax.fori_loop(0, chunks, chunk, carry)
+    return lax.fori_loop(0, -(-number // size), chunk, carry)
+
+
+def _drawn_together(number: int) -> int:
+    """For how many of so many steps the words are drawn at a time: equal parts of at most DRAWN_TOGETHER."""
+    return -(-number // -(-number // DRAWN_TOGETHER))
+
+
+def bytes_of_words(num_steps: int | None, log_every: int | None) -> int:
+    """The bytes of the random words that a run holds, at most: those of no decision are never drawn."""
+    number = CHUNKS[0] if num_steps is None else min(num_steps, log_every or default_log_every(num_steps))
+    return len(IN_A_STEP) * rng.bytes_of_words(_drawn_together(number))
 
 
 def _step(stream: rng.Stream, one: Callable, carry: Any) -> Any:

@@ -39,6 +39,34 @@ def test_add_where_only_some_arguments_have_lanes():
     np.testing.assert_array_equal(got, [q.at[i, 1].set(2) for i in range(3)])
 
 
+@pytest.mark.parametrize("name", ["sarsa", "n-step-sarsa", "monte-carlo"])
+def test_lanes_in_turn_and_side_by_side_give_the_same(name, windy, monkeypatch):
+    """On a CPU tables are read and written in loops over the lanes, elsewhere by gathers and scatters."""
+    method = rl.ALGORITHMS[name](alpha=0.5)  # no rounding: the order of operations may differ
+
+    def q(log_every):  # which is another program, with the same result
+        run = lambda key: rl.train(key, method, windy, num_steps=300, log_every=log_every)[0].q
+        return jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 6))
+
+    in_turn = q(300)
+    monkeypatch.setattr(tables, "_lane_by_lane", lambda: False)
+    np.testing.assert_array_equal(q(150), in_turn)
+    assert len(np.unique(in_turn, axis=0)) > 1
+
+
+def test_entries_and_rows_are_plain_indexing_with_any_lanes():
+    rand = np.random.default_rng(1)
+    table, s, a = rand.normal(size=(4, 5, 3)), rand.integers(0, 5, (4, 16)), rand.integers(0, 3, (4, 16))
+    row, entry = (lambda t, s, a: tables.row(t, s)), tables.entry
+    for read, want in ((row, lambda t: t[s]), (entry, lambda t: t[s, a])):
+        got = jax.vmap(jax.vmap(read, (None, 0, 0)), (None, 0, 0))(table[0], s, a)  # one table for all lanes
+        np.testing.assert_array_equal(got, want(table[0].astype(np.float32)))
+    got = jax.vmap(jax.vmap(entry, (None, 0, 0)))(table, s, a)  # a table for some lanes
+    np.testing.assert_array_equal(got, table.astype(np.float32)[np.arange(4)[:, None], s, a])
+    got = jax.vmap(row, (0, None, None))(table, jnp.int32(2), jnp.int32(0))  # all look at the same entry
+    np.testing.assert_array_equal(got, table.astype(np.float32)[:, 2])
+
+
 # --- random words ------------------------------------------------------------------------------------
 
 
