@@ -208,13 +208,6 @@ def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_
     assert names == {"results.nc", "summary.csv"} | pictures
 
 
-def test_beside_prediction_stands_the_value_of_the_policy_and_no_optimum(capsys):
-    """Either door half of the time: 2.5, and not 3. Broken once: v* for prediction too -> fails."""
-    assert call("sweep two-doors td --alpha 0.1 --steps 20 --log-every 20 --seeds 2 --json") == 0
-    (row,) = json.loads(capsys.readouterr().out)["summary"]
-    assert row["optimum"] == pytest.approx(2.5)
-
-
 def test_policies_and_mixed_rates_make_grids_beside_the_mean_optimum_over_problems(capsys):
     """Broken once: v* of the problem whose means are 0 beside runs that each draw their own -> fails."""
     command = "sweep k-armed-testbed q-learning --alpha 0.1 sample-average --behaviour softmax:0.5"

@@ -123,33 +123,37 @@ def test_what_all_methods_promise(name):
     policies = {field: append(table.probabilities) for field, table in policies_for(cls).items()}
     fades = {} if isinstance(cls().alpha, Schedule) else {"alpha": Power(0.8, clock="visit")}
     fixed = policies | fades
-    budget = {"num_steps": PLAYED, "log_every": PLAYED // 3, "exact": True, "record": values}
+    exact = name in ("td", "off-policy-td")  # of two of them: all measure alike, and it is slow to compile
+    budget = {"num_steps": PLAYED, "log_every": PLAYED // 3, "exact": exact, "record": values}
     result = rl.sweep(env, name, {"gamma": [0.5, 0.9], **fixed}, num_seeds=RUNS, **budget)
     programs = batch._compiled.cache_info().misses
     few = rl.sweep(env, name, {"gamma": 0.9, **fixed}, num_seeds=3, **budget)
     assert batch._compiled.cache_info().misses == programs
     np.testing.assert_array_equal(few.q, result.q[1, :3])
-    np.testing.assert_array_equal(few.log.v_error, result.log.v_error[1, :3])
+    np.testing.assert_array_equal(few.log.recorded["v"], result.log.recorded["v"][1, :3])
     assert result.q.shape == (2, RUNS, 5, 1)
     assert result.q.dtype == np.float32
     assert len(np.unique(result.q[1], axis=0)) == RUNS
-    for i, gamma in enumerate((0.5, 0.9)):
-        v_pi = planning.evaluate(env, policies["pi"].probabilities, gamma)
-        np.testing.assert_allclose(
-            result.log.v_error[i],
-            np.sqrt(((result.log.recorded["v"][i] - v_pi)[..., :3] ** 2).mean(-1)),
-            rtol=1e-4,
-        )
+    ds = result.to_xarray()
+    assert ds.v.dims[:3] == ("gamma", "seed", "row")
+    assert ds.v.shape == (2, RUNS, 3, 5)
+    assert "greedy_value" not in ds and "q_error" not in ds
+    if exact:
+        assert ds.v_error.dims == ("gamma", "seed", "row")
+        np.testing.assert_array_equal(few.log.v_error, result.log.v_error[1, :3])
+        for i, gamma in enumerate((0.5, 0.9)):
+            v_pi = planning.evaluate(env, policies["pi"].probabilities, gamma)
+            np.testing.assert_allclose(
+                result.log.v_error[i],
+                np.sqrt(((result.log.recorded["v"][i] - v_pi)[..., :3] ** 2).mean(-1)),
+                rtol=1e-4,
+            )
     np.testing.assert_array_equal(result.log.recorded["v"][:, :, -1], result.q[..., 0])
     v = result.q[1, :, :3, 0].astype(float)
     error = v.std(0, ddof=1) / np.sqrt(RUNS)
     v_pi, v_b = (planning.evaluate(short_episodes(), probs, 0.9)[:3] for probs in (TARGET, BEHAVIOUR))
     assert (abs(v.mean(0) - v_pi) < 4 * error).all()
     assert (abs(v.mean(0) - v_b) > 10 * error).any()
-    ds = result.to_xarray()
-    assert ds.v_error.dims == ("gamma", "seed", "row") == ds.v.dims[:3]
-    assert ds.v.shape == (2, RUNS, 3, 5)
-    assert "greedy_value" not in ds and "q_error" not in ds
 
     def run(key):
         state, log = rl.train(key, cls(**policies), env, num_episodes=10, exact=True)
