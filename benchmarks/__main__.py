@@ -1,6 +1,7 @@
 """The command line of the benchmark: `python -m benchmarks --help`."""
 
 import argparse
+import collections
 import importlib.util
 import json
 import os
@@ -53,7 +54,15 @@ def main() -> int:
 def _compare(tasks: Sequence[Task], rounds: int) -> tuple[dict[str, Any], list[str]]:
     """Measures and prints; returns what goes into the JSON, and where parties do not learn the same."""
     begun = time.perf_counter()
-    records = measure(tasks, rounds, lambda what: _say(f"{time.perf_counter() - begun:4.0f} s  {what}"))
+    progress = lambda what: _say(f"{time.perf_counter() - begun:4.0f} s  {what}")
+    records = []
+    try:
+        records.extend(measure(tasks, rounds, progress))
+    except KeyboardInterrupt:  # what was measured is not lost
+        found = collections.Counter((record.task, record.cores) for record in records)
+        whole = lambda task: found[task.name, task.cores] == rounds * len(task.parties)
+        tasks = [task for task in tasks if whole(task)]
+        _say(f"stopped: {len(tasks)} rows were finished")
     rows = [row for task in tasks for row in report.rows(task, records)]
     differences = [line for task in tasks for line in report.disagreements(task, records)]
     Console(width=None if sys.stdout.isatty() else WIDTH).print(report.table(rows, rounds))

@@ -11,7 +11,7 @@ import importlib
 import itertools
 import multiprocessing
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
@@ -103,8 +103,8 @@ class Record(NamedTuple):
     lanes: int | None = None
 
 
-def measure(tasks: Sequence[Task], rounds: int, progress: Callable[[str], None]) -> list[Record]:
-    """The records of all tasks, in the order in which they ran. `progress` hears what is going on."""
+def measure(tasks: Sequence[Task], rounds: int, progress: Callable[[str], None]) -> Iterator[Record]:
+    """The records of all tasks, in the order in which they run. `progress` hears what is going on."""
     progress("compiling")
     processes: dict[tuple[str, int], _Process] = {}
     turns: list[tuple[Task, Party, _Process]] = []
@@ -118,15 +118,13 @@ def measure(tasks: Sequence[Task], rounds: int, progress: Callable[[str], None])
     for _, _, process in turns:
         process.answer()
 
-    records = []
     for task, group in itertools.groupby(turns, key=lambda turn: turn[0]):
         parties = list(group)
         progress(f"{task.name}, {cores_in_words(task.cores)}")
         for number in range(rounds):
             for _, party, process in parties:
                 process.tell("run", (task.name, party.name), number)
-                records.append(_record(task, number, party, process.answer()))
-    return records
+                yield _record(task, number, party, process.answer())
 
 
 def cores_in_words(count: int) -> str:
