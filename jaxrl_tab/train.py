@@ -225,7 +225,7 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
         s = jnp.where(last, s_start, s_next)
         if acts_after_update and start.action == algorithm.policy:
             # A' and the first action of an episode are drawn alike: one draw serves, whichever is wanted.
-            a = algorithm.policy(key.update, learner, s)
+            a = algorithm.policy(jnp.where(last, key.start, key.update), learner, s)
         else:
             a = jnp.where(last, start.action(key.start, learner, s_start), a_next)
         g = run.g + run.discount * reward
@@ -288,7 +288,8 @@ def _drawn_together(number: int) -> int:
 
 def bytes_of_words(num_steps: int | None, log_every: int | None) -> int:
     """The bytes of the random words that a run holds, at most: those of no decision are never drawn."""
-    number = CHUNKS[0] if num_steps is None else min(num_steps, log_every or default_log_every(num_steps))
+    per_row = log_every or default_log_every(num_steps)
+    number = max(CHUNKS, default=1) if num_steps is None else min(num_steps, per_row)
     return len(IN_A_STEP) * rng.bytes_of_words(_drawn_together(number))
 
 

@@ -37,7 +37,7 @@ def test_every_step_agrees_with_the_plain_loop(n, env_name):
     for i, (key, alpha, gamma) in enumerate(zip(keys, ALPHAS, GAMMAS, strict=True)):
         rates, words = (
             reference.Rates(lambda *_, alpha=alpha: alpha, lambda *_: EPSILON),
-            words_of(key, rl.NStepSarsa),
+            words_of(key),
         )
         if n == 1:
             q, _, finished = reference.td_control(
@@ -68,7 +68,7 @@ def test_looking_further_than_the_episode_is_monte_carlo(alpha, plain):
     state, log = jax.jit(lambda key: rl.train(key, method, env, num_steps=STEPS, log_every=STEPS))(key)
     rates = reference.Rates(plain, lambda *_: 0.0)
     agent = reference.MonteCarlo((env.num_states, 1), rates, 0.5)
-    finished = reference.run(agent, task_of(env), STEPS, words_of(key, method))
+    finished = reference.run(agent, task_of(env), STEPS, words_of(key))
     np.testing.assert_allclose(state.q, agent.q, atol=1e-6)
     assert log.episodes[0] == len(finished) > 20
 

@@ -20,20 +20,12 @@ def uniforms(words):
     return (np.asarray(words) >> 8).astype(np.float32) * np.float32(2**-24)
 
 
-def words_of(key, method, steps=STEPS):
-    """The words of a run of `method` with this key, as numbers in [0, 1).
-
-    One that acts after its update draws the first action of an episode as it draws any other A'.
-    """
-    as_any_other = getattr(method, "acts_after_update", False) and not getattr(
-        method, "exploring_starts", False
-    )
+def words_of(key, steps=STEPS):
+    """The words of a run with this key, as numbers in [0, 1)."""
     stream = rng.stream(key)
     draw = lambda t, decision: uniforms(rng.word(stream, t, decision))
     of_steps = {name: draw(jnp.arange(steps), n) for name, n in IN_A_STEP._asdict().items()}
     before = {"first_reset": BEFORE_RESET, "first_action": BEFORE_START}
-    if as_any_other:
-        of_steps["start"] = of_steps["update"]
     return reference.Words(**of_steps, **{name: draw(jnp.int32(0), n) for name, n in before.items()})
 
 
@@ -105,7 +97,7 @@ def test_every_step_agrees_with_the_plain_loop(name, env_name):
             rates,
             float(gammas[i]),
             STEPS,
-            words_of(keys[i], rl.ALGORITHMS[name]),
+            words_of(keys[i]),
             q0=q0[i],
         )
         # Sums of products may be rounded otherwise, in another order or as one operation.
@@ -140,7 +132,7 @@ def test_schedules_tick_where_the_plain_loop_ticks(name, clock):
     rates = reference.Rates(
         lambda *now: 0.5 ** (1 + (count(*now) - 1) % 3), lambda *now: np.float32(1) / np.float32(count(*now))
     )
-    q, visits, _ = reference.td_control(name, task, 3, rates, 1.0, STEPS, words_of(key, method))
+    q, visits, _ = reference.td_control(name, task, 3, rates, 1.0, STEPS, words_of(key))
     np.testing.assert_array_equal(state.q, q)
     assert visits.sum() == STEPS
     if clock == "visit":

@@ -55,7 +55,7 @@ def test_every_step_agrees_with_the_plain_loop(kind, env_name):
     with jax.enable_x64():
         keys = jax.random.split(jax.random.key(7), len(GAMMAS))
         state, log = jax.jit(jax.vmap(run))(keys, *map(jnp.array, (ALPHAS, GAMMAS, LAMBDAS)))
-        words = [words_of(key, cls) for key in keys]
+        words = [words_of(key) for key in keys]
     for i, (alpha, gamma, lam) in enumerate(zip(ALPHAS, GAMMAS, LAMBDAS, strict=True)):
         rates = reference.Rates(lambda *_, alpha=alpha: alpha, lambda *_: 0.25)
         shape = env.num_states, env.num_actions
@@ -81,7 +81,7 @@ def test_the_step_size_is_that_of_the_current_pair(trace):
         key = jax.random.key(3)
         run = jax.jit(lambda key: rl.train(key, method, env, num_steps=STEPS, log_every=STEPS))
         state, _ = run(key)
-        words = words_of(key, method)
+        words = words_of(key)
     rates = reference.Rates(lambda t, k, n: 0.5 ** (2 + (n - 1) % 3), lambda t, k, n: 1 / n)
     agent = reference.Traces((env.num_states, env.num_actions), rates, 0.5, lam=0.75, trace=trace)
     reference.run(agent, task, STEPS, words)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab import policies, tables
+from jaxrl_tab import policies
 from jaxrl_tab.types import Transition, pytree
 
 N = 400
@@ -35,7 +35,7 @@ class Recorder:
     def update(self, key, state, t: Transition):
         a_next = self.policy(key, state, t.s_next)
         line = jnp.stack([jnp.asarray(x, float) for x in (*t, a_next)])
-        seen = tables.put(state.seen, line[None], state.n, jnp.int32(0))
+        seen = state.seen.at[state.n].set(line)
         return state._replace(n=state.n + 1, seen=seen), a_next
 
 
