@@ -1,9 +1,19 @@
 """Q-learning on a finite MDP of 1000 states, 4 actions and 5 successors, in Numba."""
 
-import numba  # pyright: ignore[reportMissingImports] (of the extra "bench")
 import numpy as np
 
-from benchmarks.numba_tools import ACTIONS, U, best, generator, inline, one_of_the_best, rounds, xoshiro256pp
+from benchmarks.numba_tools import (
+    ACTIONS,
+    U,
+    best,
+    four_in_turn,
+    generator,
+    inline,
+    one_after_another,
+    one_of_the_best,
+    rounds,
+    xoshiro256pp,
+)
 from benchmarks.problems import ALPHA, EPSILON, garnet
 from benchmarks.rounds import Round
 
@@ -56,39 +66,9 @@ def begin(q, seed):
 
 def lane_by_lane(lanes: int, steps: int) -> Round:
     """One lane after another; the outcome of a lane is its number of episodes."""
-
-    @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, tables, episodes, steps):
-        for i in numba.prange(seeds.size):
-            q = tables[i]
-            lane = begin(q, seeds[i])
-            for _ in range(steps):
-                lane = step(q, lane)
-            episodes[i] = lane[2]
-
-    return rounds(kernel, lanes, REWARDS.size, steps)
+    return rounds(one_after_another(begin, step), lanes, REWARDS.size, steps)
 
 
 def four_abreast(lanes: int, steps: int) -> Round:
     """Four lanes in turn; the number of lanes must be a multiple of 4."""
-
-    @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, tables, episodes, steps):
-        for block in numba.prange(seeds.size // 4):
-            i = 4 * block
-            q0, q1, q2, q3 = tables[i], tables[i + 1], tables[i + 2], tables[i + 3]
-            lane0 = begin(q0, seeds[i])
-            lane1 = begin(q1, seeds[i + 1])
-            lane2 = begin(q2, seeds[i + 2])
-            lane3 = begin(q3, seeds[i + 3])
-            for _ in range(steps):
-                lane0 = step(q0, lane0)
-                lane1 = step(q1, lane1)
-                lane2 = step(q2, lane2)
-                lane3 = step(q3, lane3)
-            episodes[i] = lane0[2]
-            episodes[i + 1] = lane1[2]
-            episodes[i + 2] = lane2[2]
-            episodes[i + 3] = lane3[2]
-
-    return rounds(kernel, lanes, REWARDS.size, steps)
+    return rounds(four_in_turn(begin, step), lanes, REWARDS.size, steps)

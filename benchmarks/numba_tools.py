@@ -5,6 +5,7 @@ step share its 64-bit words. All integers are unsigned: Numba then spares itself
 indices. Tables of Q are float32 and flat: a row begins at 4 S, a pair is at 4 S + A.
 """
 
+import functools
 import time
 from collections.abc import Callable
 
@@ -124,3 +125,48 @@ def one_of_the_best(q, row, explore, below_12):
 def epsilon_greedy(q, row, word):
     """An action by one word: the upper half decides on exploring, the lower half on the action."""
     return one_of_the_best(q, row, (word >> U(32)) < EXPLORE_BELOW_32, ((word & LOW_32) * U(12)) >> U(32))
+
+
+# --- lanes -------------------------------------------------------------------------------------------
+# A lane is a tuple whose third field counts its episodes: begin(q, seed) -> lane, step(q, lane) -> lane.
+
+
+@functools.cache  # so that one lane and many share what is compiled
+def one_after_another(begin, step):
+    """The kernel that runs one lane after another, on all cores."""
+
+    @numba.njit(parallel=True, error_model="numpy")
+    def kernel(seeds, tables, episodes, steps):
+        for i in numba.prange(seeds.size):
+            q = tables[i]
+            lane = begin(q, seeds[i])
+            for _ in range(steps):
+                lane = step(q, lane)
+            episodes[i] = lane[2]
+
+    return kernel
+
+
+def four_in_turn(begin, step):
+    """The kernel that runs four lanes in turn; the number of lanes must be a multiple of 4."""
+
+    @numba.njit(parallel=True, error_model="numpy")
+    def kernel(seeds, tables, episodes, steps):
+        for block in numba.prange(seeds.size // 4):
+            i = 4 * block
+            q0, q1, q2, q3 = tables[i], tables[i + 1], tables[i + 2], tables[i + 3]
+            lane0 = begin(q0, seeds[i])
+            lane1 = begin(q1, seeds[i + 1])
+            lane2 = begin(q2, seeds[i + 2])
+            lane3 = begin(q3, seeds[i + 3])
+            for _ in range(steps):
+                lane0 = step(q0, lane0)
+                lane1 = step(q1, lane1)
+                lane2 = step(q2, lane2)
+                lane3 = step(q3, lane3)
+            episodes[i] = lane0[2]
+            episodes[i + 1] = lane1[2]
+            episodes[i + 2] = lane2[2]
+            episodes[i + 3] = lane3[2]
+
+    return kernel

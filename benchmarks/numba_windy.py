@@ -12,12 +12,20 @@ with branches for ties, exploration and walls took 25 ns:
 A step takes one word of 64 bits.
 """
 
-import functools
-
-import numba  # pyright: ignore[reportMissingImports] (of the extra "bench")
 import numpy as np
 
-from benchmarks.numba_tools import ACTIONS, U, best, epsilon_greedy, generator, inline, rounds, xoshiro256pp
+from benchmarks.numba_tools import (
+    ACTIONS,
+    U,
+    best,
+    epsilon_greedy,
+    four_in_turn,
+    generator,
+    inline,
+    one_after_another,
+    rounds,
+    xoshiro256pp,
+)
 from benchmarks.problems import ALPHA, GOAL, START, windy_successors
 from benchmarks.rounds import Round
 
@@ -65,44 +73,9 @@ STEP = {"q-learning": q_learning, "sarsa": sarsa}
 
 def lane_by_lane(method: str, lanes: int, steps: int) -> Round:
     """One lane after another; the outcome of a lane is its number of episodes."""
-    return rounds(_one_after_another(STEP[method]), lanes, NEXT_ROW.size, steps)
-
-
-@functools.cache  # so that one lane and many share what is compiled
-def _one_after_another(step):
-    @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, tables, episodes, steps):
-        for i in numba.prange(seeds.size):
-            q = tables[i]
-            lane = begin(q, seeds[i])
-            for _ in range(steps):
-                lane = step(q, lane)
-            episodes[i] = lane[2]
-
-    return kernel
+    return rounds(one_after_another(begin, STEP[method]), lanes, NEXT_ROW.size, steps)
 
 
 def four_abreast(method: str, lanes: int, steps: int) -> Round:
     """Four lanes in turn; the number of lanes must be a multiple of 4."""
-    step = STEP[method]
-
-    @numba.njit(parallel=True, error_model="numpy")
-    def kernel(seeds, tables, episodes, steps):
-        for block in numba.prange(seeds.size // 4):
-            i = 4 * block
-            q0, q1, q2, q3 = tables[i], tables[i + 1], tables[i + 2], tables[i + 3]
-            lane0 = begin(q0, seeds[i])
-            lane1 = begin(q1, seeds[i + 1])
-            lane2 = begin(q2, seeds[i + 2])
-            lane3 = begin(q3, seeds[i + 3])
-            for _ in range(steps):
-                lane0 = step(q0, lane0)
-                lane1 = step(q1, lane1)
-                lane2 = step(q2, lane2)
-                lane3 = step(q3, lane3)
-            episodes[i] = lane0[2]
-            episodes[i + 1] = lane1[2]
-            episodes[i + 2] = lane2[2]
-            episodes[i + 3] = lane3[2]
-
-    return rounds(kernel, lanes, NEXT_ROW.size, steps)
+    return rounds(four_in_turn(begin, STEP[method]), lanes, NEXT_ROW.size, steps)
