@@ -169,8 +169,9 @@ def run(
     progress: Callable[[int], None] = lambda done: None,
     room: int = sys.maxsize,
     devices: Sequence[Any] | None = None,
+    runs: np.ndarray | None = None,
 ) -> Seconds:
-    """Trains every run of a batch.
+    """Trains every run of a batch, or some of them.
 
     Args:
         env: the environment, the same for all.
@@ -178,18 +179,20 @@ def run(
         root: JAX key; a run uses `fold_in(root, its seed)`.
         seeds: the number of each run's seed, int [...]; runs are numbered in C order.
         budget: what to do in each run.
-        keep: is called with the numbers of some runs, int [n], and what they gave: their tables, float
+        keep: is called with the places in `runs` of some, int [n], and what they gave: their tables, float
             [n, S, A], and the Log of them, [n, rows] each. It must copy what it wants to keep.
         progress: is called with the number of runs finished so far.
         room: the bytes that a call may take on each device.
         devices: the JAX devices to use; all by default.
+        runs: the numbers of the runs to train, int [n]; all by default.
     """
     devices = tuple(devices or jax.devices())
     seeds = np.asarray(seeds, np.uint32)
+    runs = np.arange(seeds.size) if runs is None else runs
 
     def of(run: np.ndarray) -> Any:
         """The seed and the algorithm of these runs."""
-        place = np.unravel_index(np.minimum(run, seeds.size - 1), seeds.shape)
+        place = np.unravel_index(runs[np.minimum(run, len(runs) - 1)], seeds.shape)
         broadcast = lambda x: np.broadcast_to(x, seeds.shape + x.shape[seeds.ndim :])
         return jax.tree.map(lambda x: broadcast(x)[place], (seeds, algorithms))
 
@@ -200,17 +203,17 @@ def run(
 
     begun = time.perf_counter()
     call = _traced(budget, *_signature((root, *of(np.array(0)), env))).call
-    lanes, most = _width(call, seeds.size, room, devices)
+    lanes, most = _width(call, len(runs), room, devices)
     program = _compiled(devices, budget, *_signature(arguments(0, 1)))
     compiled = time.perf_counter()
 
     done, blocks = 0, 1
-    while done < seeds.size:
+    while done < len(runs):
         called = time.perf_counter()
-        blocks = min(blocks, -(-(seeds.size - done) // (len(devices) * lanes)))
+        blocks = min(blocks, -(-(len(runs) - done) // (len(devices) * lanes)))
         output = program(np.int32(blocks), *arguments(done, blocks))
         for i in range(len(devices)):
-            finished = np.arange(done, min(done + blocks * lanes, seeds.size))
+            finished = np.arange(done, min(done + blocks * lanes, len(runs)))
             part = lambda x, i=i: np.asarray(x.addressable_shards[i].data)[0].reshape(-1, *x.shape[3:])
             keep(finished, jax.tree.map(lambda x: part(x)[: len(finished)], output))  # noqa: B023
             done += len(finished)

@@ -30,9 +30,10 @@ class SweepResult:
         optimal_value: v* from the start distribution, for prediction v_pi; float64 [gammas] where gamma is
             swept, else []. Where each run has a problem of its own, the mean over problems. NaN where
             the environment does not say, or there is no finite v*, or no single such number.
-        root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), i)`.
+        root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), first_seed + i)`.
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
+        first_seed: see `root_seed`.
     """
 
     environment: str
@@ -49,6 +50,7 @@ class SweepResult:
     log_every: int
     seconds: float
     compile_seconds: float
+    first_seed: int = 0
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -60,11 +62,20 @@ class SweepResult:
         """Environment steps with their updates, per second, compilation apart."""
         return float(self.log.steps.sum(dtype=np.int64)) / self.seconds
 
+    @property
+    def diverged(self) -> np.ndarray:
+        """Whether a NaN or an infinity is in the table or in the sums of the log, bool [*grid, seeds]."""
+        found = np.zeros(self.q.shape[:-2], bool)
+        for x in (self.q, self.log.returns[..., None], self.log.rewards[..., None]):
+            for extreme in (x.min((-2, -1)), x.max((-2, -1))):  # a NaN is both
+                found |= ~np.isfinite(extreme)
+        return found
+
     def to_xarray(self) -> "xr.Dataset":
         """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
 
-        The fields of the log are its variables, with what was recorded, and `q` [*grid, seed, state, action];
-        what is the same for all runs is in `attrs`.
+        The fields of the log are its variables, with what was recorded, `q` [*grid, seed, state, action], and
+        `diverged` [*grid, seed]; what is the same for all runs is in `attrs`.
         """
         import xarray as xr
 
@@ -78,10 +89,11 @@ class SweepResult:
             more = [f"{name}_{i}" for i in range(x.ndim - len(axes) - 1)]
             variables[name] = ((*axes, "row", *more), x)
         variables["q"] = ((*axes, "state", "action"), self.q)
+        variables["diverged"] = (axes, self.diverged)
         if "gamma" in self.grid:
             variables["optimum"] = (("gamma",), self.optimal_value)
         coords: dict[str, Any] = {name: labels(values) for name, values in self.grid.items()}
-        coords["seed"] = np.arange(self.q.shape[len(self.grid)])
+        coords["seed"] = self.first_seed + np.arange(self.q.shape[len(self.grid)])
         coords["row"] = np.arange(self.log.steps.shape[-1])
         budget = {"num_steps": self.num_steps, "num_episodes": self.num_episodes}
         attrs = {

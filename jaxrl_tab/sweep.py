@@ -1,10 +1,11 @@
 """A grid of hyperparameters times seeds, in one call."""
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import numpy as np
@@ -14,7 +15,7 @@ from jaxrl_tab import batch, planning
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.results import SweepResult, label, parameters
-from jaxrl_tab.train import Record, check_budget, default_log_every
+from jaxrl_tab.train import Log, Record, check_budget, default_log_every
 from jaxrl_tab.types import (
     Algorithm,
     Environment,
@@ -26,6 +27,56 @@ from jaxrl_tab.types import (
     nearest,
     shown,
 )
+
+
+class Computed(NamedTuple):
+    """What some runs gave.
+
+    Attributes:
+        q: their final tables, float [n, S, A].
+        log: what happened, [n, rows] each; see `train.Log`.
+        seconds: how long it took.
+    """
+
+    q: np.ndarray
+    log: Log
+    seconds: batch.Seconds
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Part:
+    """One method in one environment, with every combination of hyperparameters and every seed: to be run.
+
+    Its runs have numbers, 0 to `runs` - 1: the number of the configuration times `num_seeds` plus the place
+    of the seed. A run with the seed at place i has the key `fold_in(key(seed), first_seed + i)`.
+
+    Attributes:
+        env: the environment.
+        algorithm: the class of the method.
+        axes: the swept hyperparameters in the order of the axes, each with its values.
+        configs: an instance of the method for every point of the axes, in C order.
+        num_seeds, first_seed: how many seeds there are, and the first of them.
+        seed: the root seed.
+        budget: how long each run is and what it records.
+    """
+
+    env: Environment
+    algorithm: type[Algorithm]
+    axes: dict[str, tuple]
+    configs: list[Algorithm]
+    num_seeds: int
+    first_seed: int
+    seed: int
+    budget: batch.Budget
+
+    @property
+    def runs(self) -> int:
+        return len(self.configs) * self.num_seeds
+
+    @functools.cached_property
+    def programs(self) -> list[np.ndarray]:
+        """The numbers of the configurations that run as one program, int [configs] ascending, for each."""
+        return [np.array(members) for members in _same_program(self.configs)]
 
 
 def sweep(
@@ -64,14 +115,53 @@ def sweep(
     Raises:
         InputError: something given is wrong; nothing was compiled.
     """
+    if memory is not None and (not isinstance(memory, Integral) or memory < 1):
+        raise InputError(f"memory must be a number of bytes, at least 1, not {shown(memory)}")
+    part = prepare(
+        env,
+        algorithm,
+        grid,
+        num_seeds=num_seeds,
+        num_steps=num_steps,
+        num_episodes=num_episodes,
+        log_every=log_every,
+        seed=seed,
+        exact=exact,
+        record=record,
+    )
+    return result(part, compute(part, memory=memory, progress=lambda done: progress(done, part.runs)))
+
+
+def prepare(
+    env: Environment,
+    algorithm: type[Algorithm] | str,
+    grid: Mapping[str, Any] | None = None,
+    *,
+    num_seeds: int,
+    num_steps: int | None = None,
+    num_episodes: int | None = None,
+    log_every: int | None = None,
+    seed: int = 0,
+    first_seed: int = 0,
+    exact: bool = False,
+    record: Record | None = None,
+) -> Part:
+    """All checks of a sweep; nothing is compiled.
+
+    Args:
+        first_seed: the first of the `num_seeds` seeds, which follow each other: 100 where fresh seeds are
+            wanted after a sweep over 100.
+        Others: as in `sweep`.
+
+    Raises:
+        InputError: something given is wrong.
+    """
     check_budget(num_steps, num_episodes, log_every)
-    for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0)):
+    for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0), ("first_seed", first_seed, 0)):
         if not is_whole(value, least):
             raise InputError(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
-    if memory is not None and (not isinstance(memory, Integral) or memory < 1):
-        raise InputError(f"memory must be a number of bytes, at least 1, not {shown(memory)}")
     if not isinstance(env, Environment):
         raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     check_pytree("env", env)
@@ -81,44 +171,73 @@ def sweep(
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
     axes, configs = configurations(cls, grid or {})
-
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
-    total = len(configs) * num_seeds
-    root = jax.random.key(seed)
-    programs = _same_program(configs)
-    instances = [_leaves_as_arrays(config) for config in configs]
-    results, room = batch.plan(env, [instances[i] for i, *_ in programs], root, total, budget, memory)
-    done, seconds = 0, np.zeros(2)
-    for members in programs:
-        stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *(instances[i] for i in members))
-        seeds = np.broadcast_to(np.arange(num_seeds, dtype=np.uint32), (len(members), num_seeds))
+    return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
-        def keep(runs, given, members=members):
-            results.write(np.take(members, runs // num_seeds) * num_seeds + runs % num_seeds, given)
 
-        report = lambda n, done=done: progress(done + n, total)
-        seconds += batch.run(env, stacked, root, seeds, budget, keep, report, room)
-        done += seeds.size
+def compute(
+    part: Part,
+    runs: np.ndarray | None = None,
+    *,
+    memory: int | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Computed:
+    """What some runs of a part give, in the order of `runs`; bitwise what they are among all runs.
 
+    Args:
+        runs: their numbers, int [n]; all by default.
+        memory: as in `sweep`.
+        progress: is called with the number of runs finished, as blocks of them finish.
+
+    Raises:
+        InputError: there is not enough memory; nothing was compiled.
+    """
+    root = jax.random.key(part.seed)
+    instances = [_leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
+    total = part.runs if runs is None else len(runs)
+    results, room = batch.plan(part.env, instances, root, total, part.budget, memory)
+    config, place = np.divmod(np.arange(total) if runs is None else runs, part.num_seeds)
+    done, running, compiling = 0, 0.0, 0.0
+    for members in part.programs:
+        at = np.flatnonzero(np.isin(config, members))
+        if not len(at):
+            continue
+        leaves = (_leaves_as_arrays(part.configs[i]) for i in members)
+        stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *leaves)
+        seeds = part.first_seed + np.arange(part.num_seeds, dtype=np.uint32)
+        seeds = np.broadcast_to(seeds, (len(members), part.num_seeds))
+        within = np.searchsorted(members, config[at]) * part.num_seeds + place[at]
+        keep = lambda finished, given, at=at: results.write(at[finished], given)
+        report = lambda n, done=done: progress(done + n)
+        seconds = batch.run(part.env, stacked, root, seeds, part.budget, keep, report, room, runs=within)
+        done, running, compiling = done + len(at), running + seconds.running, compiling + seconds.compiling
+    q, log = results.arrays
+    return Computed(q, log, batch.Seconds(running, compiling))
+
+
+def result(part: Part, computed: Computed) -> SweepResult:
+    """The result of a sweep from what all runs of it gave, in the order of their numbers."""
+    axes, first = part.axes, part.configs[0]
     # Where a behaviour policy is given epsilon is not looked at, and it would mislead to show it.
-    unused = {"epsilon"} if getattr(configs[0], "behaviour", None) is not None else set()
-    shape = tuple(len(values) for values in axes.values())
-    q, log = jax.tree.map(lambda x: x.reshape(*shape, num_seeds, *x.shape[1:]), results.arrays)
+    unused = {"epsilon"} if getattr(first, "behaviour", None) is not None else set()
+    shape = (*(len(values) for values in axes.values()), part.num_seeds)
+    q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(
-        environment=_name_in(ENVS, type(env)),
-        algorithm=_name_in(METHODS, cls),
-        env=env,
+        environment=_name_in(ENVS, type(part.env)),
+        algorithm=_name_in(METHODS, part.algorithm),
+        env=part.env,
         grid=axes,
-        fixed={k: value for k, value in parameters(configs[0]).items() if k not in axes and k not in unused},
+        fixed={k: value for k, value in parameters(first).items() if k not in axes and k not in unused},
         log=log,
         q=q,
-        optimal_value=_exact_value(env, axes, configs),
-        root_seed=int(seed),
-        num_steps=num_steps,
-        num_episodes=num_episodes,
-        log_every=log_every or default_log_every(num_steps),
-        seconds=seconds[0],
-        compile_seconds=seconds[1],
+        optimal_value=_exact_value(part.env, axes, part.configs),
+        root_seed=part.seed,
+        first_seed=part.first_seed,
+        num_steps=part.budget.num_steps,
+        num_episodes=part.budget.num_episodes,
+        log_every=part.budget.log_every or default_log_every(part.budget.num_steps),
+        seconds=computed.seconds.running,
+        compile_seconds=computed.seconds.compiling,
     )
 
 
