@@ -3,8 +3,8 @@
     grid = {"alpha": rl.LogUniform(0.01, 1), "q0": rl.Uniform(-20, 0), "epsilon": rl.LinearGrid(0, 0.4, 5)}
     rl.sweep(env, rl.Sarsa, grid, num_draws=20, num_seeds=100, num_steps=8000)  # [epsilon, draw, seed]
 
-Grids beside one another make all combinations. Hyperparameters that are drawn go together: draw i is one trial,
-with the i-th value of each. What is drawn depends on the root seed, the method, the hyperparameter's name and
+Grids beside one another make all combinations. Hyperparameters that are drawn go together: draw i is one
+trial, with the i-th value of each. What is drawn depends on the root seed, the method, the hyperparameter's name and
 i alone: more draws keep the first ones, and neither the order nor what else is drawn changes any.
 """
 
@@ -106,7 +106,9 @@ class Integers(Random):
         for name in ("low", "high"):
             value = getattr(self, name)
             if not is_whole(value, -(2**31)):
-                raise InputError(f"the {name} end of whole numbers must be a whole number, not {shown(value)}")
+                raise InputError(
+                    f"the {name} end of whole numbers must be a whole number, not {shown(value)}"
+                )
         _check_ends(self)
 
     def value(self, u: float) -> int:

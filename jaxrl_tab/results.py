@@ -30,8 +30,9 @@ class SweepResult:
         log: what happened, NumPy [*grid, seeds, rows] each; see `train.Log`.
         q: the final tables, float [*grid, seeds, S, A].
         optimal_value: v* from the start distribution, for prediction v_pi; float64 [gammas] where gamma is
-            swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over problems. NaN where
-            the environment does not say, or there is no finite v*, or no single such number.
+            swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over
+            problems. NaN where the environment does not say, or there is no finite v*, or no single such
+            number.
         root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), first_seed + i)`.
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
