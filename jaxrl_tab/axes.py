@@ -1,7 +1,7 @@
 """What a sweep tries of a hyperparameter: besides lists, grids in equal steps, and random draws.
 
     grid = {"alpha": rl.LogUniform(0.01, 1), "q0": rl.Uniform(-20, 0), "epsilon": rl.LinearGrid(0, 0.4, 5)}
-    rl.sweep(env, rl.Sarsa, grid, num_draws=20, num_seeds=100, num_steps=8000)  # [epsilon, draw, seed]
+    rl.sweep(env, rl.Sarsa, grid, num_draws=20, num_seeds=9, num_steps=800)  # axes epsilon, draw, seed
 
 Grids beside one another make all combinations. Hyperparameters that are drawn go together: draw i is one
 trial, with the i-th value of each. What is drawn depends on the root seed, the method, the hyperparameter's name and
@@ -166,7 +166,7 @@ def spread(grid: Mapping[str, Any], num_draws: int | None, seed: int, method: st
 
 def swept_names(axes: Mapping[str, tuple]) -> list[str]:
     """The hyperparameters that are not the same in all runs: those of a grid, then those drawn."""
-    return [name for name in axes if name != DRAW] + list(axes.get(DRAW, [{}])[0])
+    return [*(name for name in axes if name != DRAW), *next(iter(axes.get(DRAW, ())), {})]
 
 
 def _share(seed: int, method: str, name: str, i: int) -> float:

@@ -38,10 +38,11 @@ from jaxrl_tab import axes, describe, policies, schedules
 from jaxrl_tab.axes import DRAW
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.prediction import METHODS, PREDICTION
-from jaxrl_tab.sweep import configurations
+from jaxrl_tab.sweep import Part, configurations, prepare
 from jaxrl_tab.train import default_log_every
 from jaxrl_tab.types import InputError, build, is_whole, nearest, shown
 
+LABEL = r"\w[^/\x00-\x1f\x7f]*"  # it names groups and files
 TEMPLATE = Path(__file__).with_name("template.toml")
 
 
@@ -160,6 +161,32 @@ class Experiment:
         """The sha256 of the data, in hexadecimal digits."""
         return hashlib.sha256(_canonical(self.data()).encode()).hexdigest()
 
+    def parts(self) -> dict[str, Part]:
+        """What is to be run, by the labels "ENVIRONMENT/METHOD"; nothing is compiled.
+
+        Raises:
+            InputError: a method does not fit an environment.
+        """
+        found = {}
+        with _located(self.source):
+            for environment in self.environment:
+                values = {key: x for key, x in environment.items() if key not in ("name", "label")}
+                env = build(ENVS[environment["name"]], environment["label"], values)
+                for i, method in enumerate(self.method):
+                    with _at("method", i):
+                        found[f"{environment['label']}/{method['label']}"] = prepare(
+                            env,
+                            method["name"],
+                            _grid(method, self.seed),
+                            num_seeds=self.seeds,
+                            num_steps=self.steps,
+                            num_episodes=self.episodes,
+                            log_every=self.log_every,
+                            seed=self.seed,
+                            exact=self.exact,
+                        )
+        return found
+
     def to_toml(self) -> str:
         """The data as a file, which `load` reads as the same experiment."""
         lines, tables = [], []
@@ -195,6 +222,40 @@ class Selection:
 
 
 CRITERIA = ("score",)
+
+
+def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """What is not the same in the data of two experiments, a line for each."""
+    lines = []
+    for key in _keys(Experiment):
+        before, after = old.get(key), new.get(key)
+        if key not in ("environment", "method"):
+            lines += _change(key, before, after)
+            continue
+        before, after = ({table["label"]: table for table in data[key]} for data in (old, new))
+        lines += [f"{key} {label} is gone" for label in before if label not in after]
+        lines += [f"{key} {label} is new" for label in after if label not in before]
+        both = [label for label in after if label in before]
+        if both != [label for label in before if label in after]:
+            lines.append(f"{key}: the order is another one")
+        for label in both:
+            for name in before[label] | after[label]:
+                lines += _change(f"{key} {label}: {name}", before[label].get(name), after[label].get(name))
+    return lines
+
+
+def _change(what: str, before: Any, after: Any) -> list[str]:
+    if before == after:
+        return []
+    texts = ["not given" if x is None else _toml(x) for x in (before, after)]
+    if max(map(len, texts)) > 200:
+        texts = [
+            f"{len(x)} values" if isinstance(x, list) else t
+            for x, t in zip((before, after), texts, strict=True)
+        ]
+    return [
+        f"{what} was {texts[0]}, and is {texts[1]}" if texts[0] != texts[1] else f"{what} has other values"
+    ]
 
 
 def template() -> str:
@@ -272,38 +333,43 @@ def _methods(given: Any, seed: int) -> list[dict[str, Any]]:
 
 
 def _method(table: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    cls, label = METHODS[table["name"]], table["label"]
-    wanted = {p.name: p for p in describe.parameters(cls)}
+    cls = METHODS[table["name"]]
+    grid = _grid(table, seed)
+    with _blame(table):
+        _, configs = configurations(cls, grid)
+    data = {"name": table["name"], "label": table["label"]}
+    together = [name for trial in grid.get(DRAW, [])[:1] for name in trial]
+    for key in [*(key for key in _keys(cls) if key not in together), *([DRAW] if together else [])]:
+        with _at(key):
+            value = grid[key] if key in grid else getattr(configs[0], key)
+            data |= {} if value is None else {key: _plain(key, value)}
+    return data
+
+
+def _grid(table: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """The grid of a method, as `sweep` takes it, in the order of the class; what is random is drawn."""
+    wanted = {p.name: p for p in describe.parameters(METHODS[table["name"]])}
     own = _own(table, wanted, "draws", DRAW)
-    num_draws, given = own.pop("draws", None), {}
+    given = {}
     for key, x in own.items():
         with _at(key):
             given[key] = _axis(key, x)
     with _at("draws"):
-        grid = axes.spread(given, num_draws, seed, label)
+        grid = axes.spread(given, given.pop("draws", None), seed, table["label"])
     trials = grid.pop(DRAW, [])
-    drawn = {key: [trial[key] for trial in trials] for key in (trials[0] if trials else {})}
-    _own(drawn | {"label": label}, wanted)
-    for key, x in (grid | drawn).items():
-        with _at(key if key in own else DRAW):
-            several = key in drawn or _is_grid(x, wanted[key])
-            values = [_value(key, y, wanted[key]) for y in (x if several else [x])]
-            if key in drawn:
-                drawn[key] = values
-            else:
-                grid[key] = values if several else values[0]
-    if trials:
-        drawn = {key: drawn[key] for key in wanted if key in drawn}
-        grid[DRAW] = [dict(zip(drawn, point, strict=True)) for point in zip(*drawn.values(), strict=True)]
-    with _blame(own):
-        _, configs = configurations(cls, grid)
-    data = {"name": table["name"], "label": label}
-    for key in wanted:
-        if key not in drawn and (x := grid.get(key, getattr(configs[0], key))) is not None:
-            with _at(key):
-                data[key] = _plain(key, x)
     with _at(DRAW):
-        return data | ({DRAW: _plain(DRAW, grid[DRAW])} if trials else {})
+        drawn = {name: [trial[name] for trial in trials] for name in (trials[0] if trials else {})}
+        drawn = _own({"label": table["label"], **drawn}, wanted)
+    for key, x in grid.items():
+        with _at(key):
+            several = _depth(x) > 0 and not (_takes_table(wanted[key]) and _depth(x) == 2)
+            grid[key] = [_value(key, y, wanted[key]) for y in x] if several else _value(key, x, wanted[key])
+    for key, x in drawn.items():
+        with _at(key if key in own else DRAW):
+            drawn[key] = [_value(key, y, wanted[key]) for y in x]
+    if drawn:
+        grid[DRAW] = [dict(zip(drawn, values, strict=True)) for values in zip(*drawn.values(), strict=True)]
+    return grid
 
 
 def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[str, Any]]:
@@ -324,13 +390,11 @@ def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[st
                     raise InputError(f"{shown(name)} is not {one}; {nearest(str(name), registry)}")
             with _at("label"):
                 label = table.get("label", name)
-                if (
-                    not isinstance(label, str)
-                    or not label.strip(" .")
-                    or not label.isprintable()
-                    or "/" in label
-                ):
-                    raise InputError(f"a label must be a text without '/', not {shown(label)}")
+                if not isinstance(label, str) or not re.fullmatch(LABEL, label):
+                    raise InputError(
+                        "a label must be a text without '/' that begins with a letter or a digit, "
+                        f"not {shown(label)}"
+                    )
             found.append({**table, "name": name, "label": label})
     if not found:
         with _at(kind):
@@ -360,7 +424,7 @@ def _own(table: Mapping[str, Any], wanted: Mapping[str, describe.Parameter], *mo
     for key in table:
         if key not in ("name", "label", *known):
             with _at(key):
-                hint = nearest(key, known)
+                hint = nearest(key, wanted)
                 if key in _keys(Experiment):
                     hint = "it is of the whole experiment: write it above the first table"
                 raise InputError(f"{table['label']} has no parameter {key!r}; {hint}")
@@ -402,13 +466,6 @@ def _value(key: str, given: Any, parameter: describe.Parameter) -> Any:
             return given
         raise InputError(f"{key} takes probabilities, a list for each state, not {shown(given)}")
     return describe.value(key, given, parameter)
-
-
-def _is_grid(given: Any, parameter: describe.Parameter) -> bool:
-    """Whether it is a list of values; probabilities [S][A] are one."""
-    return _depth(given) > 0 and not (
-        _takes_table(parameter) and _depth(given) == 2 and not isinstance(_listed(given)[0], str)
-    )
 
 
 def _takes_table(parameter: describe.Parameter) -> bool:
@@ -558,12 +615,9 @@ def _line(text: str, path: Sequence[str | int]) -> int | None:
 
 def _is_there(data: Any, path: Sequence[str | int]) -> bool:
     for key in path:
-        if isinstance(key, int):
-            if not isinstance(data, list):  # a single table is the first of one
-                continue
-            if key >= len(data):
-                return False
-        elif not isinstance(data, Mapping) or key not in data:
+        if isinstance(key, int) and not isinstance(data, list):
+            continue  # a table alone is the first of one
+        if not (key < len(data) if isinstance(key, int) else isinstance(data, Mapping) and key in data):
             return False
         data = data[key]
     return True
