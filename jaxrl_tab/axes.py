@@ -4,8 +4,8 @@
     rl.sweep(env, rl.Sarsa, grid, num_draws=20, num_seeds=9, num_steps=800)  # axes epsilon, draw, seed
 
 Grids beside one another make all combinations. Hyperparameters that are drawn go together: draw i is one
-trial, with the i-th value of each. What is drawn depends on the root seed, the method, the hyperparameter's name and
-i alone: more draws keep the first ones, and neither the order nor what else is drawn changes any.
+trial, with the i-th value of each. What is drawn depends on the root seed, the method, the hyperparameter's
+name and i alone: more draws keep the first ones, and neither the order nor what else is drawn changes any.
 """
 
 import hashlib

@@ -32,13 +32,14 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import jax
 import numpy as np
 
-from jaxrl_tab import axes, describe, policies, schedules
+from jaxrl_tab import axes, batch, describe, memory, policies, schedules
 from jaxrl_tab.axes import DRAW
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.prediction import METHODS, PREDICTION
-from jaxrl_tab.sweep import Part, configurations, prepare
+from jaxrl_tab.sweep import Part, configurations, leaves_as_arrays, prepare
 from jaxrl_tab.train import default_log_every
 from jaxrl_tab.types import InputError, build, is_whole, nearest, shown
 
@@ -70,9 +71,9 @@ class Experiment:
             not called by its name. Where a parameter is given as a list (of lists, where it is a list
             itself), each combination is an environment of its own.
         method: one or several, each a name, or a dict of `name`, hyperparameters, `label`, and `draws`: how
-            many trials of what is random. A hyperparameter is a value, a list, or, as in `axes`, a grid in steps
-            or a distribution: {"log": [0.01, 1], "points": 5} or LogGrid(0.01, 1, 5). A schedule or a policy
-            is as it is typed: "glie", "softmax:0.5". A policy can also be probabilities [S][A].
+            many trials of what is random. A hyperparameter is a value, a list, or, as in `axes`, a grid in
+            steps or a distribution: {"log": [0.01, 1], "points": 5} or LogGrid(0.01, 1, 5). A schedule or a
+            policy is as it is typed: "glie", "softmax:0.5". A policy can also be probabilities [S][A].
         seeds: how many seeds.
         steps, episodes: how long each run is; one of the two.
         log_every: how many steps, or episodes, are summed up in a row of the log.
@@ -261,6 +262,116 @@ def _change(what: str, before: Any, after: Any) -> list[str]:
 def template() -> str:
     """A file that explains itself: what can be in one, with comments. It can be run as it is."""
     return TEMPLATE.read_text(encoding="utf-8")
+
+
+# --- what it will take -------------------------------------------------------------------------------
+
+
+class PartPlan(NamedTuple):
+    """What a part will take.
+
+    Attributes:
+        programs: how many programs are compiled for it: what shapes the program, such as the n of n-step
+            methods, makes one of its own.
+        runs: how many runs there are, of all programs.
+        blocks: in how many blocks they go.
+        work: how many steps, or episodes, they are in all.
+        results: the bytes of what they give.
+        working: the bytes that are needed beside, at most, while they are computed.
+    """
+
+    programs: int
+    runs: int
+    blocks: int
+    work: int
+    results: int
+    working: int
+
+
+class Plan(NamedTuple):
+    """What an experiment will take: what is known before anything is compiled.
+
+    Attributes:
+        parts: what each of its parts will take, by their labels.
+        unit: "steps" or "episodes": what their work is counted in.
+        devices: on what it is computed, in words.
+    """
+
+    parts: dict[str, PartPlan]
+    unit: str
+    devices: str
+
+    def text(self) -> str:
+        """The plan for people: a line for each part, and the sums."""
+        parts = list(self.parts.values())
+        total = PartPlan(*map(sum, zip(*parts, strict=True)))._replace(working=max(x.working for x in parts))
+        rows = [["", "programs", "runs", "blocks", self.unit, "results", "working memory"]]
+        for name, x in [*self.parts.items(), *([("all together", total)] if len(parts) > 1 else [])]:
+            counts = [f"{n:,}" for n in x[:4]]
+            rows.append([name, *counts, memory.words(x.results), memory.words(x.working)])
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip()
+            for row in rows
+        ]
+        return "\n".join([*lines, f"on {self.devices}"])
+
+    def seconds_left(self, done: Mapping[str, tuple[int, float]]) -> float | None:
+        """How much longer it will take, as far as its parts so far tell; None before there is any.
+
+        A part goes on as fast as it went; one that has not begun as fast as the others on average, per step.
+
+        Args:
+            done: for each part that has begun, how many of its runs are finished, and in how many seconds.
+        """
+        each = {name: x.work / x.runs for name, x in self.parts.items()}
+        begun = {name: (each[name] * runs, seconds) for name, (runs, seconds) in done.items() if runs}
+        if not begun:
+            return None
+        work, seconds = map(sum, zip(*begun.values(), strict=True))
+        left = 0.0
+        for name, x in self.parts.items():
+            own_work, own_seconds = begun.get(name, (0, 0.0))
+            pace = own_seconds / own_work if own_work else seconds / work
+            left += pace * (x.work - own_work)
+        return left
+
+
+def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[Any] | None = None) -> Plan:
+    """What these parts of an experiment will take; nothing is compiled.
+
+    Args:
+        parts: as `Experiment.parts` gives them.
+        limit: how many bytes may be taken; by default half of what is free.
+        devices: the JAX devices to use; all by default.
+    """
+    devices = tuple(devices or jax.devices())
+    kind = "core" if devices[0].platform == "cpu" else devices[0].device_kind
+    found = {}
+    for name, part in parts.items():
+        root = jax.random.key(part.seed)
+        each = [
+            batch.forecast(
+                part.env,
+                leaves_as_arrays(part.configs[members[0]]),
+                root,
+                len(members) * part.num_seeds,
+                part.budget,
+                limit,
+                devices,
+            )
+            for members in part.programs
+        ]
+        found[name] = PartPlan(
+            programs=len(each),
+            runs=part.runs,
+            blocks=sum(x.blocks for x in each),
+            work=part.runs * (part.budget.num_steps or part.budget.num_episodes or 0),
+            results=sum(x.results for x in each),
+            working=max(x.working for x in each),
+        )
+    unit = "steps" if next(iter(parts.values())).budget.num_steps else "episodes"
+    return Plan(found, unit, f"{len(devices)} {kind}{'s' if len(devices) > 1 else ''}")
 
 
 # --- from what was given to plain data ---------------------------------------------------------------

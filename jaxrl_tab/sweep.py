@@ -127,6 +127,7 @@ def sweep(
         algorithm,
         grid,
         num_seeds=num_seeds,
+        num_draws=num_draws,
         num_steps=num_steps,
         num_episodes=num_episodes,
         log_every=log_every,
@@ -143,6 +144,7 @@ def prepare(
     grid: Mapping[str, Any] | None = None,
     *,
     num_seeds: int,
+    num_draws: int | None = None,
     num_steps: int | None = None,
     num_episodes: int | None = None,
     log_every: int | None = None,
@@ -198,7 +200,7 @@ def compute(
         InputError: there is not enough memory; nothing was compiled.
     """
     root = jax.random.key(part.seed)
-    instances = [_leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
+    instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
     total = part.runs if runs is None else len(runs)
     results, room = batch.plan(part.env, instances, root, total, part.budget, memory)
     config, place = np.divmod(np.arange(total) if runs is None else runs, part.num_seeds)
@@ -207,7 +209,7 @@ def compute(
         at = np.flatnonzero(np.isin(config, members))
         if not len(at):
             continue
-        leaves = (_leaves_as_arrays(part.configs[i]) for i in members)
+        leaves = (leaves_as_arrays(part.configs[i]) for i in members)
         stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *leaves)
         seeds = part.first_seed + np.arange(part.num_seeds, dtype=np.uint32)
         seeds = np.broadcast_to(seeds, (len(members), part.num_seeds))
@@ -301,7 +303,7 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) else value
 
 
-def _leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
+def leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
     """Numbers in JAX's own float type: a Python float and an array would be two programs."""
     dtype = jax.dtypes.canonicalize_dtype(float)
     return jax.tree.map(lambda x: np.asarray(x, dtype), algorithm)
