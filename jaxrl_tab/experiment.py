@@ -99,7 +99,8 @@ class Experiment:
         with _located(self.source):
             for name, least in (("seeds", 1), ("steps", 1), ("episodes", 1), ("log_every", 1), ("seed", 0)):
                 with _at(name):
-                    self._set(name, _whole(name, getattr(self, name), least, name not in ("seeds", "seed")))
+                    if name in ("seeds", "seed") or getattr(self, name) is not None:
+                        self._set(name, _whole(name, getattr(self, name), least))
             if (self.steps is None) == (self.episodes is None):
                 with _at("episodes"):
                     raise InputError("give either steps or episodes: how long a run is")
@@ -616,9 +617,7 @@ def _depth(value: Any) -> int:
     return 1 + max(map(_depth, value), default=0) if isinstance(value, list) else 0
 
 
-def _whole(name: str, value: Any, least: int, optional: bool = False) -> int | None:
-    if value is None and optional:
-        return None
+def _whole(name: str, value: Any, least: int) -> int:
     if not is_whole(value, least):
         raise InputError(
             f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
@@ -724,13 +723,14 @@ def _line(text: str, path: Sequence[str | int]) -> int | None:
     return None
 
 
-def _is_there(data: Any, path: Sequence[str | int]) -> bool:
+def _is_there(data: Any, path: Sequence[Any]) -> bool:
     for key in path:
         if isinstance(key, int) and not isinstance(data, list):
             continue  # a table alone is the first of one
-        if not (key < len(data) if isinstance(key, int) else isinstance(data, Mapping) and key in data):
+        try:
+            data = data[key]
+        except (LookupError, TypeError):
             return False
-        data = data[key]
     return True
 
 

@@ -78,8 +78,8 @@ class SweepResult:
         """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
 
         The fields of the log are its variables, with what was recorded, `q` [*grid, seed, state, action], and
-        `diverged` [*grid, seed]; what is the same for all runs is in `attrs`. Where hyperparameters were drawn
-        at random there is a dimension `draw`, and each of them is a coordinate along it: alpha(draw).
+        `diverged` [*grid, seed]; what is the same for all runs is in `attrs`. Hyperparameters that were drawn
+        at random are coordinates along a dimension `draw`: alpha(draw).
         """
         import xarray as xr
 
