@@ -331,9 +331,9 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
 class Sweep:
     """Every method with every combination of hyperparameters, each over the same seeds.
 
-    What is run is said by options, or by a file, which can say more: several environments, random draws, for
-    each method its own settings. Prints a summary table. With --out, leaves a folder: results.nc (netCDF: the numbers of every seed, a
-    group for each method), summary.csv, and pictures.
+    What is run is said by options; or by a file, which can say more: several environments, random draws, and
+    settings of its own for each method. Prints a summary table. With --out, leaves a folder: results.nc
+    (netCDF: the numbers of every seed, a group for each method), summary.csv, and pictures.
 
     Methods of prediction learn the values of the policy in which all actions are equally likely, and are
     compared by their error.

@@ -402,10 +402,15 @@ def _environment(table: Mapping[str, Any]) -> list[dict[str, Any]]:
         values = dict(zip(tried, point, strict=True))
         with _blame(values):
             build(cls, label, values)
-        own = [f"{key}={json.dumps(value)}" for key, value in values.items() if len(tried[key]) > 1]
+        own = [f"{key}={_short(value)}" for key, value in values.items() if len(tried[key]) > 1]
         data = {key: values.get(key, _listed(p.default)) for key, p in wanted.items()}
-        found.append({"name": table["name"], "label": " ".join([label, *own])} | data)
+        found.append({"name": table["name"], "label": ",".join([label, *own])} | data)
     return found
+
+
+def _short(value: Any) -> str:
+    """A value as it can stand in the name of a folder."""
+    return re.sub(r'[" ]', "", json.dumps(value))
 
 
 def _values_of_environment(key: str, given: Any, parameter: describe.Parameter) -> list[Any]:
