@@ -99,6 +99,20 @@ class Plan(NamedTuple):
     room: int
 
 
+class Forecast(NamedTuple):
+    """What running some runs of one program will take, known from shapes alone.
+
+    Attributes:
+        blocks: how many blocks of runs there are, on all devices together.
+        results: the bytes of what the runs give.
+        working: the bytes of the largest call, on all devices together.
+    """
+
+    blocks: int
+    results: int
+    working: int
+
+
 class Seconds(NamedTuple):
     """Time spent running, and time spent compiling: 0 where the program was there already."""
 
@@ -157,6 +171,25 @@ def plan(
             )
         logging.getLogger(__name__).warning("%s, so they are kept in files in %s", said, folder)
     return Plan(memory.Results(results, runs, on_disk), device)
+
+
+def forecast(
+    env: Environment,
+    algorithm: Algorithm,
+    root: jax.Array,
+    runs: int,
+    budget: Budget,
+    limit: int | None = None,
+    devices: Sequence[Any] | None = None,
+) -> Forecast:
+    """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
+    devices = tuple(devices or jax.devices())
+    one = _traced(budget, *_signature((root, np.uint32(0), algorithm, env)))
+    room = memory.free(devices) // 2 if limit is None else limit
+    lanes, most = _width(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
+    blocks = -(-runs // lanes)
+    working = len(devices) * one.call.bytes(lanes, min(most, -(-blocks // len(devices))))
+    return Forecast(blocks, runs * memory.size(one.results), working)
 
 
 def run(

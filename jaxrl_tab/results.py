@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxrl_tab.axes import DRAW
 from jaxrl_tab.policies import Policy
 from jaxrl_tab.schedules import Schedule, typed
 from jaxrl_tab.train import Log
@@ -23,13 +24,15 @@ class SweepResult:
     Attributes:
         environment, algorithm: names in the registries (of the class, where it is not registered).
         env: the environment.
-        grid: swept hyperparameters in the order of the axes, each with its values.
+        grid: swept hyperparameters in the order of the axes, each with its values. Those that were drawn at
+            random go together: they are the axis `draw`, each value a dict of them.
         fixed: the other hyperparameters.
         log: what happened, NumPy [*grid, seeds, rows] each; see `train.Log`.
         q: the final tables, float [*grid, seeds, S, A].
         optimal_value: v* from the start distribution, for prediction v_pi; float64 [gammas] where gamma is
-            swept, else []. Where each run has a problem of its own, the mean over problems. NaN where
-            the environment does not say, or there is no finite v*, or no single such number.
+            swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over
+            problems. NaN where the environment does not say, or there is no finite v*, or no single such
+            number.
         root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), first_seed + i)`.
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
@@ -75,7 +78,8 @@ class SweepResult:
         """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
 
         The fields of the log are its variables, with what was recorded, `q` [*grid, seed, state, action], and
-        `diverged` [*grid, seed]; what is the same for all runs is in `attrs`.
+        `diverged` [*grid, seed]; what is the same for all runs is in `attrs`. Hyperparameters that were drawn
+        at random are coordinates along a dimension `draw`: alpha(draw).
         """
         import xarray as xr
 
@@ -90,9 +94,12 @@ class SweepResult:
             variables[name] = ((*axes, "row", *more), x)
         variables["q"] = ((*axes, "state", "action"), self.q)
         variables["diverged"] = (axes, self.diverged)
-        if "gamma" in self.grid:
-            variables["optimum"] = (("gamma",), self.optimal_value)
-        coords: dict[str, Any] = {name: labels(values) for name, values in self.grid.items()}
+        if self.optimal_value.ndim:
+            variables["optimum"] = (("gamma" if "gamma" in self.grid else DRAW,), self.optimal_value)
+        coords: dict[str, Any] = {name: labels(x) for name, x in self.grid.items() if name != DRAW}
+        if draws := self.grid.get(DRAW):
+            coords[DRAW] = np.arange(len(draws))
+            coords |= {name: (DRAW, labels(trial[name] for trial in draws)) for name in draws[0]}
         coords["seed"] = self.first_seed + np.arange(self.q.shape[len(self.grid)])
         coords["row"] = np.arange(self.log.steps.shape[-1])
         budget = {"num_steps": self.num_steps, "num_episodes": self.num_episodes}

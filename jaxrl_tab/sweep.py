@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxrl_tab import batch, planning
+from jaxrl_tab.axes import DRAW, spread, swept_names
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.results import SweepResult, label, parameters
@@ -85,6 +86,7 @@ def sweep(
     grid: Mapping[str, Any] | None = None,
     *,
     num_seeds: int,
+    num_draws: int | None = None,
     num_steps: int | None = None,
     num_episodes: int | None = None,
     log_every: int | None = None,
@@ -103,8 +105,11 @@ def sweep(
         env: the environment.
         algorithm: a class such as `Sarsa`, or its name in `ALGORITHMS` or `PREDICTION`.
         grid: for each hyperparameter a list of values (an axis of the result) or a single value. A value
-            is a number, a schedule or a policy. What is not named keeps its default.
+            is a number, a schedule or a policy. Besides lists there are grids in steps and random draws,
+            such as `LogGrid(0.01, 1, 5)` and `LogUniform(0.01, 1)`: see `axes`. What is not named keeps its
+            default.
         num_seeds: how many seeds, at least 1.
+        num_draws: how many trials of what is drawn at random; they are the axis `draw` of the result.
         num_steps, num_episodes, log_every, exact, record: as in `train`.
         seed: which sequence of seeds, a whole number >= 0.
         memory: how many bytes it may take, at least 1: results and what is being computed. By default half
@@ -122,6 +127,7 @@ def sweep(
         algorithm,
         grid,
         num_seeds=num_seeds,
+        num_draws=num_draws,
         num_steps=num_steps,
         num_episodes=num_episodes,
         log_every=log_every,
@@ -138,6 +144,7 @@ def prepare(
     grid: Mapping[str, Any] | None = None,
     *,
     num_seeds: int,
+    num_draws: int | None = None,
     num_steps: int | None = None,
     num_episodes: int | None = None,
     log_every: int | None = None,
@@ -170,7 +177,7 @@ def prepare(
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
-    axes, configs = configurations(cls, grid or {})
+    axes, configs = configurations(cls, grid or {}, num_draws, seed)
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
@@ -193,7 +200,7 @@ def compute(
         InputError: there is not enough memory; nothing was compiled.
     """
     root = jax.random.key(part.seed)
-    instances = [_leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
+    instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
     total = part.runs if runs is None else len(runs)
     results, room = batch.plan(part.env, instances, root, total, part.budget, memory)
     config, place = np.divmod(np.arange(total) if runs is None else runs, part.num_seeds)
@@ -202,7 +209,7 @@ def compute(
         at = np.flatnonzero(np.isin(config, members))
         if not len(at):
             continue
-        leaves = (_leaves_as_arrays(part.configs[i]) for i in members)
+        leaves = (leaves_as_arrays(part.configs[i]) for i in members)
         stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *leaves)
         seeds = part.first_seed + np.arange(part.num_seeds, dtype=np.uint32)
         seeds = np.broadcast_to(seeds, (len(members), part.num_seeds))
@@ -227,7 +234,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
         algorithm=_name_in(METHODS, part.algorithm),
         env=part.env,
         grid=axes,
-        fixed={k: value for k, value in parameters(first).items() if k not in axes and k not in unused},
+        fixed={k: value for k, value in parameters(first).items() if k not in {*swept_names(axes), *unused}},
         log=log,
         q=q,
         optimal_value=_exact_value(part.env, axes, part.configs),
@@ -254,13 +261,18 @@ def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
     return algorithm
 
 
-def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[str, tuple], list[Algorithm]]:
-    """The axes (name -> values), and an instance for every point of the grid, in C order."""
+def configurations(
+    cls: type[Algorithm], grid: Mapping[str, Any], num_draws: int | None = None, seed: int = 0
+) -> tuple[dict[str, tuple], list[Algorithm]]:
+    """The axes (name -> values), and an instance for every point of the grid, in C order.
+
+    What is drawn at random is the last axis, `draw`, each of whose values is a dict of hyperparameters.
+    """
     name = _name_in(METHODS, cls)
     if not isinstance(grid, Mapping):
         raise InputError(f"grid must be a dict from hyperparameters to values, not {shown(grid)}")
     axes, single = {}, {}
-    for parameter, values in grid.items():
+    for parameter, values in spread(grid, num_draws, seed, name).items():
         if isinstance(values, Sequence | np.ndarray | jax.Array) and np.ndim(values) > 0:
             if np.ndim(values) > 1:
                 raise InputError(
@@ -275,10 +287,15 @@ def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[
         repeated = [v for i, v in enumerate(labels) if v in labels[:i]]
         if not values:
             raise InputError(f"the grid of {parameter} is empty")
-        if repeated:
+        if repeated and parameter != DRAW:
             raise InputError(f"the grid of {parameter} holds {repeated[0]} more than once")
-    points = itertools.product(*axes.values())
-    return axes, [build(cls, name, single | dict(zip(axes, point, strict=True))) for point in points]
+    names = [name for name in axes if name != DRAW]
+
+    def instance(point: tuple) -> Algorithm:
+        *values, trial = point if DRAW in axes else (*point, {})
+        return build(cls, name, single | dict(zip(names, values, strict=True)) | trial)
+
+    return axes, [instance(point) for point in itertools.product(*axes.values())]
 
 
 def _plain(value: Any) -> Any:
@@ -286,7 +303,7 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) else value
 
 
-def _leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
+def leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
     """Numbers in JAX's own float type: a Python float and an array would be two programs."""
     dtype = jax.dtypes.canonicalize_dtype(float)
     return jax.tree.map(lambda x: np.asarray(x, dtype), algorithm)
@@ -316,6 +333,8 @@ def _exact_value(
 
     if "gamma" in axes:
         return np.array([value(gamma) for gamma in axes["gamma"]])
+    if "gamma" in swept_names(axes):
+        return np.array([value(trial["gamma"]) for trial in axes[DRAW]])
     return np.array(value(configs[0].gamma))
 
 
