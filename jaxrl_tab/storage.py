@@ -1,7 +1,8 @@
 """Shards on disk and their manifest: what has a name is whole, and what is damaged is found.
 
-A shard is a file of arrays. Every file is written under another name in the same folder, brought to the disk, and
-only then renamed, so a process can be killed at any moment. The manifest knows the sha256 of each, and its own.
+A shard is a file of arrays. Every file is written under another name in the same folder, brought to the disk,
+and only then renamed, so that a process can be killed at any moment. The manifest has the sha256 of each
+file, and its own.
 """
 
 import contextlib
@@ -10,18 +11,19 @@ import io
 import json
 import os
 import re
+import shutil
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from jaxrl_tab.types import InputError, RunError
 
-MANIFEST, SHARDS, ASIDE = "manifest.json", "shards", "set-aside"
-UNFINISHED = ".unfinished"  # the end of the name of a file that is being written
-ABOUT = "about"  # of a shard: which it is, of which experiment
+MANIFEST, SHARDS, ASIDE, LOCK = "manifest.json", "shards", "set-aside", ".lock"
+UNFINISHED = ".unfinished"  # the end of the name of what is being written
+ABOUT = "about"  # in a shard: which it is, of which experiment, and more facts
 
 
 @contextlib.contextmanager
@@ -32,28 +34,39 @@ def writing(path: Path) -> Iterator[Path]:
         RunError: it cannot be written, as where the disk is full; nothing of it is left.
     """
     unfinished = path.with_name(path.name + UNFINISHED)
-    try:
-        yield unfinished
-        with unfinished.open("rb+") as file:
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-        _sync(path.parent)
-    except OSError as error:
-        raise RunError(f"{path} could not be written: {_reason(error)}") from None
-    finally:
-        with contextlib.suppress(OSError):
+    with said(path):
+        try:
+            yield unfinished
+            with unfinished.open("rb+") as file:
+                os.fsync(file.fileno())
+            unfinished.replace(path)
+            _sync(path.parent)
+        finally:
             unfinished.unlink(missing_ok=True)
 
 
 def write(path: Path, data: Any) -> None:
-    """Writes bytes, or text, as a whole; see `writing`."""
+    """Writes text, or bytes, as a whole; see `writing`."""
     with writing(path) as unfinished:
         unfinished.write_bytes(data.encode() if isinstance(data, str) else data)
 
 
+def write_json(path: Path, data: Any) -> None:
+    write(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n")
+
+
+@contextlib.contextmanager
+def said(path: Path) -> Iterator[None]:
+    """An error of the system while something is written into `path` is a RunError of one line."""
+    try:
+        yield
+    except OSError as error:
+        raise RunError(f"{path} could not be written: {_reason(error)}") from None
+
+
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Where to write what shall be the new folder `path`, which it becomes when its first files are all there.
+    """Where to write the first files of the folder `path`, which appears when they are all there.
 
     Raises:
         InputError: there is something already, or it cannot be made.
@@ -74,46 +87,76 @@ def new_folder(path: Path) -> Iterator[Path]:
             raise InputError(_exists(path)) from None
         _sync(path.parent)
     except BaseException:
-        _remove(unfinished)
+        shutil.rmtree(unfinished, ignore_errors=True)
         raise
 
 
+@contextlib.contextmanager
+def lock(folder: Path) -> Iterator[None]:
+    """Keeps other processes out of a folder: until the end of the block, or of this process.
+
+    Raises:
+        InputError: another process is in it, or it cannot be written.
+    """
+    try:
+        file = (folder / LOCK).open("ab")
+    except OSError as error:
+        raise InputError(f"{folder} cannot be written: {_reason(error)}") from None
+    with file:
+        with contextlib.suppress(ImportError):  # Windows has no such locks
+            import fcntl
+
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(f"another process is at work in {folder}") from None
+        yield
+
+
 class Store:
-    """The shards of one experiment in a folder, and the files made of them. One process at a time has it open.
+    """The shards of an experiment in a folder that is locked, and the files made of them.
+
+    To open it is to take stock: what was being written is removed, and what is damaged is set aside.
 
     Attributes:
         path: the folder.
         fingerprint: of the experiment.
-        finished: the numbers of the shards that are there.
-        found: what `open` found damaged or missing, a line each.
+        shards: facts about each shard that is there, by its number.
+        found: what was damaged or missing, a line each.
     """
 
     def __init__(self, path: Path, fingerprint: str):
         self.path, self.fingerprint = path, fingerprint
-        self.finished: set[int] = set()
         self.found: list[str] = []
-        self._manifest = _empty(fingerprint)
+        with said(path):
+            (path / SHARDS).mkdir(exist_ok=True)
+            for left in list(path.rglob(f"*{UNFINISHED}")):
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
+            self._manifest = self._read_manifest()
+            self._take_stock()
+        self._write_manifest()
 
-    @classmethod
-    @contextlib.contextmanager
-    def open(cls, path: Path, fingerprint: str) -> Iterator[Self]:
-        """Takes stock of a folder that `lock` has: what is damaged is set aside, what was unfinished removed."""
-        store = cls(path, fingerprint)
-        (path / SHARDS).mkdir(exist_ok=True)
-        for folder in (path, path / SHARDS):
-            for file in folder.glob(f"*{UNFINISHED}"):
-                file.unlink()
-        store._take_stock()
-        yield store
+    @staticmethod
+    def begin(path: Path, fingerprint: str) -> None:
+        """Writes the manifest of a folder that has no shards yet."""
+        _write_manifest(path, _empty(fingerprint))
 
-    def write(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
-        """Keeps a shard. Raises RunError where it cannot be written; nothing of it is left then."""
+    @property
+    def shards(self) -> dict[int, Mapping[str, Any]]:
+        return {int(Path(name).stem): facts for name, facts in self._manifest["shards"].items()}
+
+    def write(self, number: int, arrays: Mapping[str, np.ndarray], **facts: Any) -> None:
+        """Keeps a shard, with some plain facts about it.
+
+        Raises:
+            RunError: it cannot be written, as where the disk is full; nothing of it is left.
+        """
+        about = json.dumps({**self._about(number), **facts})
         buffer = io.BytesIO()
-        np.savez(buffer, **arrays, **{ABOUT: np.array(self._about(number))})
+        np.savez(buffer, **arrays, **{ABOUT: np.array(about)})  # pyright: ignore[reportArgumentType]
         data = buffer.getbuffer()
-        file = self.path / SHARDS / _name(number)
-        write(file, data)
-        self._keep_shard(number, hashlib.sha256(data).hexdigest())
+        write(self.path / SHARDS / _name(number), data)
+        self._manifest["shards"][_name(number)] = {"sha256": hashlib.sha256(data).hexdigest(), **facts}
         self._write_manifest()
 
     def read(self, number: int) -> dict[str, np.ndarray]:
@@ -122,111 +165,109 @@ class Store:
         del arrays[ABOUT]
         return arrays
 
-    def note(self, **facts: Any) -> None:
-        """Keeps plain data in the manifest."""
-        self._manifest["notes"].update(facts)
-        self._write_manifest()
-
     @property
-    def notes(self) -> Mapping[str, Any]:
+    def notes(self) -> dict[str, Any]:
+        """Plain data that `note` kept."""
         return self._manifest["notes"]
 
-    def keep_files(self, names: list[str]) -> None:
-        """Notes that files in the folder, made of the shards, are finished."""
-        self._manifest["files"] = {name: _sha256(self.path / name) for name in names}
+    def note(self, **facts: Any) -> None:
+        self._manifest["notes"] |= facts
         self._write_manifest()
 
     @property
     def files(self) -> list[str]:
-        """The files made of the shards that are there, if all are."""
+        """The files made of the shards; none unless all are there and whole."""
         return list(self._manifest["files"])
 
-    def forget_files(self) -> None:
-        self._manifest["files"] = {}
-
-    def _take_stock(self) -> None:
-        manifest = self.path / MANIFEST
-        with contextlib.suppress(FileNotFoundError):
-            if (read := _read_manifest(manifest)) is None:
-                self._set_aside(manifest, "is damaged", "it is made again of the shards")
-            elif read["fingerprint"] != self.fingerprint:
-                self._set_aside(manifest, "is of another experiment", "it is made again")
-            else:
-                self._manifest = read
-        for name, sha256 in list(self._manifest["shards"].items()):
-            file = self.path / SHARDS / name
-            if not self._is_whole(file, sha256, "computed"):
-                del self._manifest["shards"][name]
-        for file in sorted((self.path / SHARDS).iterdir()):
-            if file.name not in self._manifest["shards"]:  # written just before the process was killed
-                self._adopt(file)
-        self.finished = {int(Path(name).stem) for name in self._manifest["shards"]}
-        if not all([self._is_whole(self.path / n, s, "made") for n, s in self._manifest["files"].items()]):
-            self.forget_files()
+    def keep_files(self, files: Iterable[str]) -> None:
+        """Notes that these files are finished."""
+        self._manifest["files"] = {file: _sha256(self.path / file) for file in files}
         self._write_manifest()
 
-    def _is_whole(self, file: Path, sha256: str, done: str) -> bool:
+    def set_aside(self, file: Path, what: str, then: str) -> None:
+        """Moves what is damaged out of the way, and says so in `found`."""
+        aside = self.path / ASIDE
+        aside.mkdir(exist_ok=True)
+        goal = aside / f"{sum(1 for _ in aside.iterdir())}-{file.name}"
+        file.rename(goal)
+        self.found.append(
+            f"{file.relative_to(self.path)} {what}: it is now {goal.relative_to(self.path)}, and is {then}"
+        )
+
+    def _read_manifest(self) -> dict[str, Any]:
+        file = self.path / MANIFEST
         if not file.exists():
-            self.found.append(f"{file.relative_to(self.path)} is missing: it is {done} again")
+            self.found.append(f"{MANIFEST} is missing: it is made again, of the shards")
+        elif (manifest := read_manifest(self.path)) is None:
+            self.set_aside(file, "is damaged", "made again, of the shards")
+        elif manifest["fingerprint"] != self.fingerprint:
+            self.set_aside(file, "is of another experiment", "made again, of the shards")
+        else:
+            return manifest
+        return _empty(self.fingerprint)
+
+    def _take_stock(self) -> None:
+        shards = self._manifest["shards"]
+        for name, facts in list(shards.items()):
+            if not self._is_whole(self.path / SHARDS / name, facts["sha256"], "computed again"):
+                del shards[name]
+        for file in sorted((self.path / SHARDS).iterdir()):
+            if file.name not in shards:  # written in the moment in which the process was killed
+                if (facts := self._facts_in(file)) is None:
+                    self.set_aside(file, "is damaged", "computed again")
+                else:
+                    shards[file.name] = facts
+        whole = [self._is_whole(self.path / n, x, "made again") for n, x in self._manifest["files"].items()]
+        if not all(whole):
+            self._manifest["files"] = {}
+
+    def _is_whole(self, file: Path, sha256: str, then: str) -> bool:
+        if not file.exists():
+            self.found.append(f"{file.relative_to(self.path)} is missing: it is {then}")
             return False
         if _sha256(file) != sha256:
-            self._set_aside(file, "is damaged", f"it is {done} again")
+            self.set_aside(file, "is damaged", then)
             return False
         return True
 
-    def _adopt(self, file: Path) -> None:
-        number = int(found[1]) if (found := re.fullmatch(r"(\d+)\.npz", file.name)) else -1
-        try:
-            whole = _load(file)[ABOUT] == self._about(number) and file.name == _name(number)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, NotImplementedError):
-            whole = False
-        if whole:
-            self._keep_shard(number, _sha256(file))
-        else:
-            self._set_aside(file, "is damaged", "it is computed again")
+    def _facts_in(self, file: Path) -> dict[str, Any] | None:
+        """What a shard says about itself; None where it is damaged, or of another experiment."""
+        if not re.fullmatch(r"\d{6,}\.npz", file.name):
+            return None
+        with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            about = json.loads(str(_load(file)[ABOUT]))
+            expected = self._about(int(file.stem))
+            if expected.items() <= about.items():
+                facts = {key: value for key, value in about.items() if key not in expected}
+                return {"sha256": _sha256(file), **facts}
+        return None
 
-    def _keep_shard(self, number: int, sha256: str) -> None:
-        self._manifest["shards"][_name(number)] = sha256
-        self.finished.add(number)
-
-    def _set_aside(self, file: Path, what: str, then: str) -> None:
-        aside = self.path / ASIDE
-        aside.mkdir(exist_ok=True)
-        number = sum(1 for _ in aside.iterdir())
-        goal = aside / f"{file.name}.{number}"
-        file.rename(goal)
-        where = goal.relative_to(self.path)
-        self.found.append(f"{file.relative_to(self.path)} {what}: it is in {where} now, and {then}")
-
-    def _about(self, number: int) -> str:
-        return f"shard {number} of {self.fingerprint}"
+    def _about(self, number: int) -> dict[str, Any]:
+        return {"experiment": self.fingerprint, "shard": number}
 
     def _write_manifest(self) -> None:
-        write(self.path / MANIFEST, _manifest_text(self._manifest))
+        _write_manifest(self.path, self._manifest)
 
 
-@contextlib.contextmanager
-def lock(path: Path) -> Iterator[None]:
-    """Holds a file, so that no other process can: it is locked for as long as this one lives.
+def read_manifest(folder: Path) -> dict[str, Any] | None:
+    """What is in the manifest; None where it is damaged or missing."""
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+        if manifest.pop("sha256") == _checksum(manifest):
+            return manifest
+    return None
 
-    Raises:
-        InputError: another process holds it, or it cannot be opened for writing.
-    """
-    try:
-        file = path.open("rb+")
-    except OSError as error:
-        raise InputError(f"{path.parent} cannot be written: {_reason(error)}") from None
-    with file:
-        try:
-            import fcntl
-        except ImportError:  # Windows has no such thing
-            yield
-            return
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"another process is at work in {path.parent}") from None
-        yield
+
+def _write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
+    write_json(folder / MANIFEST, manifest | {"sha256": _checksum(manifest)})
+
+
+def _checksum(data: Any) -> str:
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
+def _empty(fingerprint: str) -> dict[str, Any]:
+    return {"fingerprint": fingerprint, "shards": {}, "notes": {}, "files": {}}
 
 
 def _name(number: int) -> str:
@@ -234,32 +275,9 @@ def _name(number: int) -> str:
 
 
 def _load(file: Path) -> dict[str, np.ndarray]:
-    """All arrays of a shard; the checksums in the file are compared."""
+    """All arrays in a shard. Their checksums in the file are looked at, too."""
     with np.load(file) as arrays:
         return dict(arrays)
-
-
-def _empty(fingerprint: str) -> dict[str, Any]:
-    return {"fingerprint": fingerprint, "shards": {}, "files": {}, "notes": {}}
-
-
-def _manifest_text(manifest: Mapping[str, Any]) -> str:
-    body = {key: value for key, value in manifest.items() if key != "sha256"}
-    return json.dumps({**body, "sha256": _checksum(body)}, indent=1) + "\n"
-
-
-def _read_manifest(path: Path) -> dict[str, Any] | None:
-    """What is in the manifest; None where it is damaged."""
-    try:
-        manifest = json.loads(path.read_bytes())
-        checksum = manifest.pop("sha256")
-    except (ValueError, KeyError, AttributeError, TypeError):
-        return None
-    return manifest if checksum == _checksum(manifest) else None
-
-
-def _checksum(body: Any) -> str:
-    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
 def _sha256(path: Path) -> str:
@@ -278,15 +296,8 @@ def _sync(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _remove(folder: Path) -> None:
-    for file in folder.iterdir():
-        file.unlink()
-    folder.rmdir()
-
-
 def _exists(path: Path) -> str:
-    what = "" if path.is_dir() else ", and is no folder"
-    return f"{path} exists already{what}; name a new folder"
+    return f"{path} exists already; name a new folder"
 
 
 def _reason(error: OSError) -> str:
