@@ -31,7 +31,7 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, planning
+from jaxrl_tab import batch, describe, planning, programs
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite, Grid, Panel
@@ -371,7 +371,7 @@ class Sweep:
 
 
 def _sweep(argv: list[str]) -> int:
-    batch.use_all_cores()
+    _prepare()
     options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
     env = _environment(options.env, options.environment)
     grids = _grids(_methods(options.methods), options.hyperparameters)
@@ -584,7 +584,7 @@ class Figure:
 
 
 def _figure(argv: list[str]) -> int:
-    batch.use_all_cores()
+    _prepare()
     options = parse(f"{PROG} figure", Figure, argv)
     if options.all and options.name:
         raise InputError("name a figure or give --all, not both")
@@ -626,6 +626,12 @@ def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:
 
 
 # --- shared ------------------------------------------------------------------------------------------
+
+
+def _prepare() -> None:
+    """What must be settled before anything is computed."""
+    batch.use_all_cores()
+    programs.keep()
 
 
 def _known(kind: str, name: str, names: Collection[str]) -> str:
