@@ -270,7 +270,7 @@ class _Needs(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def _needs(budget: Budget, treedef: Any, avals: tuple) -> _Needs:
-    def make() -> _Needs:
+    def make(_: str) -> _Needs:
         traced = _traced(budget, treedef, avals)
         root, seed, algorithm, env = jax.tree.unflatten(treedef, avals)
         (results, _) = traced.out_info
@@ -334,13 +334,13 @@ def _compiled(devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tup
     """The program for one call: every device trains so many blocks of its own, one after another."""
     return programs.kept(
         ("program", [d.id for d in devices], budget, _named(treedef, avals)),
-        lambda: _compile(devices, budget, treedef, avals),
+        lambda called: _compile(called, devices, budget, treedef, avals),
         pack=serialize_executable.serialize,
         unpack=lambda packed: serialize_executable.deserialize_and_load(*packed, execution_devices=devices),
     )
 
 
-def _compile(devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tuple):
+def _compile(called: str, devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tuple):
     root, seeds, algorithms, env = jax.tree.unflatten(treedef, avals)
     of_one = jax.tree.map(lambda x: x.update(shape=x.shape[3:]), (seeds, algorithms))
     traced = _traced(budget, treedef, tuple(jax.tree.leaves((root, *of_one, env))))  # not traced again
@@ -361,6 +361,7 @@ def _compile(devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tupl
 
         return jax.tree.map(lambda x: x[None], lax.fori_loop(0, blocks, put, empty))
 
+    device.__name__ = called
     split, shared = PartitionSpec("devices"), PartitionSpec()
     program = jax.shard_map(
         device,

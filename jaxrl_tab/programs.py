@@ -16,7 +16,7 @@ import os
 import pickle
 import platform
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -49,26 +49,42 @@ def keep(folder: Path | None = None) -> None:
     _folder = Path(chosen) / "programs"
 
 
-def kept(name: Any, make: Callable[[], T], pack: Callable[[T], Any], unpack: Callable[[Any], T]) -> T:
-    """What `make()` gives, or gave in an earlier process under the same `name`.
+def kept(name: Any, make: Callable[[str], T], pack: Callable[[T], Any], unpack: Callable[[Any], T]) -> T:
+    """What `make` gives, or gave in an earlier process under the same `name`.
 
     Args:
         name: a pytree of all that it depends on, besides code, versions and settings.
-        make: makes it.
+        make: makes it, under the name in JAX that it is given: one that is kept here has no other's.
         pack, unpack: to something that can be pickled, and back.
     """
     file = _file(name)
     if file is None:
-        return make()
+        return make("program")
     # Whatever is wrong with the file, a newer one is as good: jaxlib's errors have no common type.
     with contextlib.suppress(Exception):
         found = unpack(pickle.loads(file.read_bytes()))
         os.utime(file)
         return found
-    made = make()
+    with _unknown_to_jax():
+        made = make("kept_program")
     with contextlib.suppress(Exception):
         _write(file, pickle.dumps(pack(made)))
     return made
+
+
+@contextlib.contextmanager
+def _unknown_to_jax() -> Iterator[None]:
+    """Keeps what is compiled within out of JAX's cache: what comes from there cannot be written down again.
+
+    (On a CPU with jax 0.10.2 it can, but what is read then says "Function ... not found" when it is called.)
+    """
+    setting = "jax_persistent_cache_min_compile_time_secs"
+    before = jax.config.values[setting]
+    jax.config.update(setting, 1e9)
+    try:
+        yield
+    finally:
+        jax.config.update(setting, before)
 
 
 def _file(name: Any) -> Path | None:
