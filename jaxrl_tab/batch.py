@@ -100,6 +100,20 @@ class Plan(NamedTuple):
     room: int
 
 
+class Forecast(NamedTuple):
+    """What running some runs of one program will take, known from shapes alone.
+
+    Attributes:
+        blocks: how many blocks of runs there are, on all devices together.
+        results: the bytes of what the runs give.
+        working: the bytes of the largest call, on all devices together.
+    """
+
+    blocks: int
+    results: int
+    working: int
+
+
 class Seconds(NamedTuple):
     """Time spent running, and time spent compiling: 0 where the program was there already."""
 
@@ -160,6 +174,25 @@ def plan(
     return Plan(memory.Results(results, runs, on_disk), device)
 
 
+def forecast(
+    env: Environment,
+    algorithm: Algorithm,
+    root: jax.Array,
+    runs: int,
+    budget: Budget,
+    limit: int | None = None,
+    devices: Sequence[Any] | None = None,
+) -> Forecast:
+    """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
+    devices = tuple(devices or jax.devices())
+    one = _traced(budget, *_signature((root, np.uint32(0), algorithm, env)))
+    room = memory.free(devices) // 2 if limit is None else limit
+    lanes, most = _width(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
+    blocks = -(-runs // lanes)
+    working = len(devices) * one.call.bytes(lanes, min(most, -(-blocks // len(devices))))
+    return Forecast(blocks, runs * memory.size(one.results), working)
+
+
 def run(
     env: Environment,
     algorithms: Algorithm,
@@ -170,8 +203,9 @@ def run(
     progress: Callable[[int], None] = lambda done: None,
     room: int = sys.maxsize,
     devices: Sequence[Any] | None = None,
+    runs: np.ndarray | None = None,
 ) -> Seconds:
-    """Trains every run of a batch.
+    """Trains every run of a batch, or some of them.
 
     Args:
         env: the environment, the same for all.
@@ -179,18 +213,20 @@ def run(
         root: JAX key; a run uses `fold_in(root, its seed)`.
         seeds: the number of each run's seed, int [...]; runs are numbered in C order.
         budget: what to do in each run.
-        keep: is called with the numbers of some runs, int [n], and what they gave: their tables, float
+        keep: is called with the places in `runs` of some, int [n], and what they gave: their tables, float
             [n, S, A], and the Log of them, [n, rows] each. It must copy what it wants to keep.
         progress: is called with the number of runs finished so far.
         room: the bytes that a call may take on each device.
         devices: the JAX devices to use; all by default.
+        runs: the numbers of the runs to train, int [n]; all by default.
     """
     devices = tuple(devices or jax.devices())
     seeds = np.asarray(seeds, np.uint32)
+    runs = np.arange(seeds.size) if runs is None else runs
 
     def of(run: np.ndarray) -> Any:
         """The seed and the algorithm of these runs."""
-        place = np.unravel_index(np.minimum(run, seeds.size - 1), seeds.shape)
+        place = np.unravel_index(runs[np.minimum(run, len(runs) - 1)], seeds.shape)
         broadcast = lambda x: np.broadcast_to(x, seeds.shape + x.shape[seeds.ndim :])
         return jax.tree.map(lambda x: broadcast(x)[place], (seeds, algorithms))
 
@@ -201,17 +237,17 @@ def run(
 
     begun = time.perf_counter()
     call = _needs(budget, *_signature((root, *of(np.array(0)), env))).call
-    lanes, most = _width(call, seeds.size, room, devices)
+    lanes, most = _width(call, len(runs), room, devices)
     program = _compiled(devices, budget, *_signature(arguments(0, 1)))
     compiled = time.perf_counter()
 
     done, blocks = 0, 1
-    while done < seeds.size:
+    while done < len(runs):
         called = time.perf_counter()
-        blocks = min(blocks, -(-(seeds.size - done) // (len(devices) * lanes)))
+        blocks = min(blocks, -(-(len(runs) - done) // (len(devices) * lanes)))
         output = program(np.int32(blocks), *arguments(done, blocks))
         for i in range(len(devices)):
-            finished = np.arange(done, min(done + blocks * lanes, seeds.size))
+            finished = np.arange(done, min(done + blocks * lanes, len(runs)))
             part = lambda x, i=i: np.asarray(x.addressable_shards[i].data)[0].reshape(-1, *x.shape[3:])
             keep(finished, jax.tree.map(lambda x: part(x)[: len(finished)], output))  # noqa: B023
             done += len(finished)
