@@ -431,42 +431,40 @@ def _write_template(file: str) -> int:
 
 def _conduct(experiment: Experiment, options: Any, command: Sequence[str]) -> int:
     """Runs the experiment, prints what came out, and leaves it in the folder."""
-    parts = experiment.parts()
     several = len(experiment.environment) > 1
-    runs = {
-        name if several else name.partition("/")[2]: lambda progress, part=part: result(
-            part,
-            compute(part, memory=options.memory, progress=lambda done: progress(done, part.runs)),
-        ).to_xarray()
-        for name, part in parts.items()
-    }
     with _folder(options.out) as folder:
+        parts = experiment.parts()
+        runs = {
+            name if several else name.partition("/")[2]: lambda progress, part=part: result(
+                part, compute(part, memory=options.memory, progress=lambda done: progress(done, part.runs))
+            ).to_xarray()
+            for name, part in parts.items()
+        }
         datasets = _run(runs, folder, command, options.quiet)
-        from jaxrl_tab import stats
-
-        tables = []
-        for environment in experiment.environment:
-            label = environment["label"]
-            names = {method["label"]: f"{label}/{method['label']}" for method in experiment.method}
-            own = {method: datasets[name if several else method] for method, name in names.items()}
-            tables.append(stats.summary(own))
-            if not (options.json or options.quiet):
-                _print_summary(label, tables[-1], own)
-            if several:
-                tables[-1].insert(0, "environment", label)
-            if folder:
-                from jaxrl_tab import plot
-
-                place = folder / label if several else folder
-                place.mkdir(exist_ok=True)
-                env = parts[next(iter(names.values()))].env
-                with Console(stderr=True, quiet=options.quiet).status("drawing the pictures"):
-                    plot.save_all(own, env, place)
         import pandas as pd
 
-        table = pd.concat(tables, ignore_index=True)
+        from jaxrl_tab import stats
+
+        by_environment = {table["label"]: {} for table in experiment.environment}
+        for name, ds in zip(parts, datasets.values(), strict=True):
+            label, _, method = name.partition("/")
+            by_environment[label][method] = ds
+        tables = {label: stats.summary(own) for label, own in by_environment.items()}
+        table = pd.concat(tables, names=["environment"]) if several else next(iter(tables.values()))
+        table = table.reset_index("environment") if several else table
+        if not (options.json or options.quiet):
+            for label, own in by_environment.items():
+                _print_summary(label, tables[label], own)
         if folder:
+            from jaxrl_tab import plot
+
             table.to_csv(folder / "summary.csv", index=False)
+            envs = {name.partition("/")[0]: part.env for name, part in parts.items()}
+            with Console(stderr=True, quiet=options.quiet).status("drawing the pictures"):
+                for label, own in by_environment.items():
+                    place = folder / label if several else folder
+                    place.mkdir(exist_ok=True)
+                    plot.save_all(own, envs[label], place)
 
     if options.json:
         records = jsonlib.loads(str(table.to_json(orient="records")))
