@@ -114,8 +114,9 @@ def test_all_is_resolved_in_plain_data(load):
 
 
 def test_a_file_and_python_say_the_same_in_any_order(load):
-    """Broken once: hyperparameters in the order of the file -> fails."""
+    """The order decides which run has which number. Broken once: that of the file -> fails."""
     assert load(FILE) == Experiment(**PYTHON)
+    assert json.dumps(load(FILE).data()) == json.dumps(Experiment(**PYTHON).data())
     assert load(FILE).fingerprint == Experiment(**PYTHON).fingerprint
     assert Experiment(**PYTHON | {"seed": 1}).fingerprint != Experiment(**PYTHON).fingerprint
     assert len(load(FILE).fingerprint) == 64
