@@ -2,7 +2,8 @@
 
 import dataclasses
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,11 +69,7 @@ class SweepResult:
     @property
     def diverged(self) -> np.ndarray:
         """Whether a NaN or an infinity is in the table or in the sums of the log, bool [*grid, seeds]."""
-        found = np.zeros(self.q.shape[:-2], bool)
-        for x in (self.q, self.log.returns[..., None], self.log.rewards[..., None]):
-            for extreme in (x.min((-2, -1)), x.max((-2, -1))):  # a NaN is both
-                found |= ~np.isfinite(extreme)
-        return found
+        return is_diverged(self.q, self.log.returns, self.log.rewards)
 
     def to_xarray(self) -> "xr.Dataset":
         """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
@@ -117,6 +114,25 @@ class SweepResult:
             "steps_per_second": self.steps_per_second,
         }
         return xr.Dataset(variables, coords, attrs)
+
+
+def is_diverged(q: np.ndarray, *sums: np.ndarray) -> np.ndarray:
+    """Whether there is a NaN or an infinity in a table [..., S, A], or in sums [..., rows] of it; bool [...]."""
+    found = np.zeros(q.shape[:-2], bool)
+    for x in (q, *(x[..., None] for x in sums)):
+        for extreme in (x.min((-2, -1)), x.max((-2, -1))):  # where there is a NaN, both are NaN
+            found |= ~np.isfinite(extreme)
+    return found
+
+
+def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> None:
+    """Adds a dataset to a netCDF file, as a group. The file is made if need be, with attributes of its own."""
+    import xarray as xr
+
+    if not file.exists():
+        xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
+    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in ds.items() if x.ndim}
+    ds.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
 
 
 def label(value: Any) -> Any:

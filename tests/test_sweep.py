@@ -112,7 +112,7 @@ def test_some_runs_alone_give_what_they_give_among_all(windy):
 
 
 def test_runs_that_diverge_are_marked_and_leave_the_others_as_they_are(windy):
-    """alpha = 3 with accumulating traces overflows, here in one seed. Broken once: only NaN marked -> fails."""
+    """alpha = 3 with accumulating traces overflows, in one seed. Broken once: only NaN marked -> fails."""
     given = {"num_seeds": 3, "num_steps": 2000}
     both = rl.sweep(windy, "sarsa-lambda", {"alpha": [0.3, 3.0]}, **given)
     alone = rl.sweep(windy, "sarsa-lambda", {"alpha": [0.3]}, **given)
