@@ -115,6 +115,9 @@ class Experiment:
             self._set("log_every", self.log_every or default_log_every(self.steps))
             with _at("select"):
                 self._set("select", None if self.select is None else _selection(self.select, self.seeds))
+                if prediction and self.select and self.select["by"] != "score":
+                    with _at("by"):
+                        raise InputError("by: methods of prediction are chosen by their score, the error")
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
@@ -212,7 +215,8 @@ class Selection:
     """How the best setting of each method is chosen, to be run again on seeds that had no part in the choice.
 
     Attributes:
-        by: "score": the mean return of the last tenth; of prediction the error (see `stats.score`).
+        by: "score": the mean return of the last tenth, of prediction the error; or "mean_return": that of the
+            whole run. They are functions of `stats`.
         fresh_seeds: how many seeds it is then run on.
     """
 
@@ -227,7 +231,7 @@ class Selection:
             _whole("fresh_seeds", self.fresh_seeds, 1)
 
 
-CRITERIA = ("score",)
+CRITERIA = ("score", "mean_return")
 
 
 def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
@@ -254,14 +258,12 @@ def _change(what: str, before: Any, after: Any) -> list[str]:
     if before == after:
         return []
     texts = ["not given" if x is None else _toml(x) for x in (before, after)]
-    if max(map(len, texts)) > 200:
-        texts = [
-            f"{len(x)} values" if isinstance(x, list) else t
-            for x, t in zip((before, after), texts, strict=True)
-        ]
-    return [
-        f"{what} was {texts[0]}, and is {texts[1]}" if texts[0] != texts[1] else f"{what} has other values"
-    ]
+    if max(map(len, texts)) > 200:  # such as many draws
+        sizes = [len(x) if isinstance(x, list) else 1 for x in (before, after)]
+        if sizes[0] == sizes[1]:
+            return [f"{what} has other values"]
+        texts = [f"{n} values" if n > 1 else text for n, text in zip(sizes, texts, strict=True)]
+    return [f"{what} was {texts[0]}, and is {texts[1]}"]
 
 
 def template() -> str:

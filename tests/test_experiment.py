@@ -483,3 +483,6 @@ def test_what_is_typed_is_an_experiment_like_any(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().out
     assert main(["sweep", "x.toml", "--dry-run"]) == 0
     assert capsys.readouterr().out == said
+    assert main(["sweep", "x.toml", "--dry-run", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["unit"] == "steps" and found["parts"]["windy-gridworld/sarsa"]["work"] == 2 * 7 * 900
