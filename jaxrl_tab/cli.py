@@ -390,7 +390,7 @@ class Sweep:
     write_template: Switch = False
     """Write an experiment that explains itself, to FILE or, without one, to the screen, and stop."""
     json: Switch = False
-    """Print the summary as JSON."""
+    """Print the summary, or what would be run, as JSON."""
     quiet: Switch = False
     """Show no progress and no table."""
 
@@ -402,7 +402,12 @@ def _sweep(argv: list[str]) -> int:
         return _write_template(options.env)
     experiment = _experiment(options)
     if options.dry_run:
-        print(plan(experiment.parts(), options.memory).text())
+        found = plan(experiment.parts(), options.memory)
+        if options.json:
+            parts = {name: part._asdict() for name, part in found.parts.items()}
+            _print_json(found._asdict() | {"parts": parts})
+        else:
+            print(found.text())
         return 0
     return _conduct(experiment, options, ["sweep", *argv])
 
@@ -474,7 +479,7 @@ class Resume:
 
 
 def _resume(argv: list[str]) -> int:
-    batch.use_all_cores()
+    _prepare()
     options = parse(f"{PROG} resume", Resume, argv)
     if options.folder is None:
         raise InputError("name the folder of a sweep")
