@@ -11,7 +11,7 @@ ROOT = Path(jaxrl_tab.__file__).parent
 # Each module may import only from those in earlier rows (its own row only where it is a package).
 LAYERS = [
     ["types"],
-    ["tables", "rng", "memory", "programs"],
+    ["tables", "rng", "memory", "programs", "storage", "interrupt"],
     ["episode"],
     ["schedules"],
     ["policies"],
@@ -25,7 +25,7 @@ LAYERS = [
     ["sweep", "stats", "describe"],
     ["experiment"],
     ["plot"],
-    ["figures"],
+    ["figures", "runner"],
     ["options"],
     ["cli"],
     ["__main__"],
