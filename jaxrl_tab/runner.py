@@ -523,26 +523,34 @@ def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> 
         files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
         files.append(_write_table(folder / SELECTION, selection(outcome)))
     scratch = folder / f"pictures{storage.UNFINISHED}"
-    with storage.said(folder):
-        for label, env in outcome.envs.items():
-            place = scratch / "pictures" / label if len(outcome.envs) > 1 else scratch
-            plot.save_all(outcome.of(label), env, place)
-        if importlib.util.find_spec("jaxrl_tab.report"):
-            from jaxrl_tab import report
+    try:
+        with storage.said(folder):
+            for label, env in outcome.envs.items():
+                place = scratch / "pictures" / label if len(outcome.envs) > 1 else scratch
+                plot.save_all(outcome.of(label), env, place)
+            if importlib.util.find_spec("jaxrl_tab.report"):
+                from jaxrl_tab import report
 
-            report.write(scratch, outcome.datasets, outcome.envs, _about(store, records), outcome.fresh)
+                report.write(scratch, outcome.datasets, outcome.envs, _about(store, records), outcome.fresh)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
             goal.parent.mkdir(parents=True, exist_ok=True)
             with storage.writing(goal) as unfinished:
                 file.replace(unfinished)
             files.append(goal)
-        shutil.rmtree(scratch)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
     store.keep_files(str(file.relative_to(folder)) for file in files)
 
 
 def _write_data(file: Path, datasets: "Mapping[str, xr.Dataset]", outcome: Outcome, about: Any) -> Path:
     """A netCDF file with a group for each part: ENVIRONMENT/METHOD; METHOD where there is one environment."""
+    needed = sum(ds.nbytes + 2**14 for ds in datasets.values())  # if it cannot be compressed
+    if needed > (room := shutil.disk_usage(file.parent).free):  # HDF5 may crash where the disk becomes full
+        raise RunError(
+            f"{file} could not be written: it may need {words(needed)} on the disk, and there is room for "
+            f"{words(room)}"
+        )
     with storage.writing(file) as unfinished:
         for name, ds in datasets.items():
             save(ds, name if len(outcome.envs) > 1 else name.partition("/")[2], unfinished, about)
