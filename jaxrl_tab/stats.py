@@ -1,6 +1,30 @@
 """From the raw numbers of every seed to means with intervals, comparisons, curves and a summary table.
 
-TODO
+Everything works on the datasets that `SweepResult.to_xarray` gives, also after a round trip through netCDF, and
+on arrays with named axes made from them. The seed is the unit of replication: numbers are first made one per
+seed, then intervals are taken over seeds. Their axis is named, and an array without it is refused.
+
+Which interval. This is how often a 95% interval of the mean held the true mean, in per cent, for samples of
+10, 30 and 100 (40 000 of each, of bootstraps 10 000; standard error at most 0.2, of the lowest 0.4):
+
+    method       normal            exponential       gamma(1/2)        lognormal(1/2)    lognormal(1)
+    hall         96.2  95.7  95.2  94.9  95.9  95.9  94.6  96.0  96.2  94.9  95.4  95.7  92.1  94.0  95.2
+    t            95.0  95.2  95.1  89.7  92.7  94.0  86.1  90.8  93.5  92.2  93.5  94.2  84.1  88.2  91.4
+    percentile   90.5  93.5  94.8  85.8  91.9  93.5  82.1  89.7  93.0  87.9  92.0  94.2  80.1  87.6  91.9
+    bca          90.1  93.5  94.7  87.3  92.5  93.8  85.0  91.0  93.6  88.5  92.3  94.3  82.7  88.9  92.3
+    bootstrap-t  95.3  95.0  95.3  93.8  94.8  94.7  93.3  94.3  94.8  94.1  94.3  95.0  91.1  92.3  93.9
+
+The percentile bootstrap and BCa fall short with ten seeds even of normal values, Student's t where values are
+skewed. The default of `mean_interval` is "hall": it is between 93% and 97% everywhere but for ten values of the
+lognormal(1), which has skewness 6 and where no method tried reaches 93%. Of ten normal values it is 18% longer
+than Student's, of thirty 3%, of a hundred 1%. No interval knows of what no seed has shown: where one run in five
+fails, ten seeds show no failure at all in 11% of experiments.
+
+Diverged runs. Where a dataset says which runs `diverged`, bool [*hyperparameters, seed], their returns, errors
+and curves are NaN here, and so left out of means and medians, whose `n` is smaller by them; `summary` counts
+them. Where the question is how often a run is good they count as bad: they never reach a threshold
+(`time_to_threshold`), exceed no score (`performance_profile`) and lose against any other run
+(`probability_of_improvement`). `best` passes over settings at which more of them diverge than at others.
 """
 
 import functools
@@ -46,13 +70,13 @@ def mean_interval(
     Methods, with the standard error e = s / sqrt(n) and the skewness g of the sample (the table above says
     where each holds):
 
-    - "hall": t = (mean - mu) / e is made symmetric by t + a t²/3 + a² t³/27 + a/6 with a = g / sqrt(n) (Hall
-      1992, J. R. Statist. Soc. B 54, 221-228) and compared with Student's t of n - 1 degrees. It reaches further on
-      the side of the long tail. As g is uncertain, it is not believed where it would shorten the
-      interval: of each bound the wider of this and Student's is taken.
+    - "hall": t = (mean - mu) / e is made symmetric by t + a t²/3 + a² t³/27 + a/6 with a = g / sqrt(n), and
+      compared with Student's t of n - 1 degrees (Hall 1992, J. R. Statist. Soc. B 54, 221-228). So the interval
+      reaches further on the side of the long tail. As g is uncertain, it is not believed where it would
+      shorten the interval: each bound is the wider one of this and Student's.
     - "t": Student's, mean ± t(n - 1) e.
-    - "percentile", "bca", "bootstrap-t": bootstraps (Efron and Tibshirani 1993, chapters 12 to 14), always with the same
-      resamples. A bound of bootstrap-t is infinite where too many resamples repeat a single value.
+    - "percentile", "bca", "bootstrap-t": bootstraps (Efron and Tibshirani 1993, chapters 12 to 14), always with
+      the same resamples. A bound of bootstrap-t is infinite where too many of these repeat a single value.
 
     A NaN means that the seed has no value there, for instance because it finished no episode; it is left out,
     and `n` says how many were not. If such seeds are the bad ones, the mean of the others flatters.
@@ -67,7 +91,8 @@ def mean_interval(
         Mean and bounds; bounds are NaN where fewer than two values are there, or one of them is infinite.
 
     Raises:
-        InputError: `x` has no such dimension, `confidence` is not between 0 and 1, or there is no such method.
+        InputError: `x` has no such dimension, `confidence` is not between 0 and 1, or there is no such
+            method.
     """
     if method not in BOUNDS:
         raise InputError(f"no method {method!r} of an interval; {nearest(str(method), BOUNDS)}")
@@ -178,7 +203,7 @@ def _weights(n: int) -> np.ndarray:
 
 
 def _studentised(z: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """t of the mean of each resample, [c, resamples], from deviations [c, n]; infinite where it has no spread."""
+    """t of the mean of each resample, [c, resamples], from deviations [c, n]; infinite where all are equal."""
     n = z.shape[-1]
     mean = z @ weights.T
     variance = (z**2) @ weights.T - mean**2
@@ -197,12 +222,12 @@ def simultaneous_interval(
 ) -> Interval:
     """Means along `dim` with intervals that *all* hold at once, for a curve that is read as a whole.
 
-    Pointwise 95% intervals along a sensitivity curve of ten values all hold in 60% of experiments if the values
-    are independent. Here the interval at each value is mean - q e with the quantiles q, the same along `over`, of the
-    largest and of the smallest t over all values, from a bootstrap of whole seeds (max-t: Romano and Wolf 2005,
-    Econometrica 73), which knows how the values depend on each other through common random numbers. Tested:
-    all of ten means were inside in 94% to 98%, for normal and exponential values of 10, 30 and 100 seeds, independent
-    or correlated by 0.8; of exponential values of ten seeds Student's t with Šidák's correction had 71%.
+    Ten independent 95% intervals all hold in 60% of experiments. Here the bounds are mean - q e, with two
+    quantiles q that are the same along `over`: of the largest and of the smallest t over all places, in a
+    bootstrap of whole seeds (max-t; Romano and Wolf 2005, Econometrica 73, 1237-1282). This knows how the places
+    depend on each other, which common random numbers make strong. In simulation ten such intervals all held in
+    94.3% to 96.0% of experiments with 30 or 100 seeds and in 96.8% to 97.9% with ten: of normal and of exponential
+    values, independent and correlated by 0.8. Student's t with Šidák's correction had 71% at the worst.
 
     Args:
         x: numbers, [..., dim, ...]; a NaN is left out. The values of one seed belong together.
@@ -210,8 +235,8 @@ def simultaneous_interval(
         dim, confidence: as in `mean_interval`.
 
     Returns:
-        Mean and bounds; NaN where fewer than two values are there or one is infinite, and such places do not count
-        among those that hold. The bounds are infinite where too many resamples repeat a single value.
+        Mean and bounds. Bounds are NaN where fewer than two values are there or one is infinite, and of such
+        places nothing is said; they are infinite where too many resamples repeat a single value.
     """
     over = [over] if isinstance(over, str) else list(over)
     _check_dims(x, [*over, dim])
@@ -253,9 +278,9 @@ def simultaneous_interval(
 def median_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 0.95) -> Interval:
     """The median along `dim` with an interval that holds for any continuous distribution.
 
-    Its bounds lie between order statistics (Hettmansperger and Sheather 1986, Statist. Probab. Lett. 4, 75-79): coverage
-    was 94.4% to 95.3% in the table's simulations. Infinite values are values: of times to a threshold, infinite where a run
-    never reached it, median and bounds are right, and infinite where too many never did.
+    Its bounds lie between two order statistics (Hettmansperger and Sheather 1986, Statist. Probab. Lett. 4,
+    75-79). In the simulations of the table above it held in 94.5% to 95.2%. Infinite values are values: of times
+    to a threshold that some runs never reach, median and bounds are right, and infinite where they must be.
 
     Returns:
         Median and bounds; bounds are NaN where there are too few values: fewer than 6 at 95%.
@@ -289,7 +314,7 @@ def _between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
 
 
 def iqm(values: np.ndarray, axis: int = -1) -> np.ndarray:
-    """The interquartile mean: of the values without the lowest and the highest quarter (each rounded down)."""
+    """The interquartile mean: without the lowest and the highest quarter of the values, each rounded down."""
     return stats.trim_mean(values, 0.25, axis=axis)
 
 
@@ -355,11 +380,12 @@ def tolerance_interval(
 ) -> Interval:
     """Where single runs lie: an interval that holds at least `content` of all runs, with that confidence.
 
-    It does not shrink to a point with more seeds, as an interval of the mean does; it tells how much a run differs
-    from another (Patterson et al. 2024, "Empirical design in reinforcement learning"). Where there are enough values, the bounds are
-    the r-th from either end, for any continuous distribution (Wilks 1941, Ann. Math. Statist. 12, 91-96); that
-    takes 46 values for 90% with confidence 95%, and 93 for 95%. Where there are fewer it is mean ± k s for a
-    normal distribution (Howe 1969, J. Am. Statist. Assoc. 64, 610-620), which skewed values do not obey.
+    It tells how much runs differ, and does not shrink to a point with more seeds, as an interval of the mean does
+    (Patterson et al. 2024, "Empirical design in reinforcement learning"). Where there are enough values, its
+    bounds are the r-th from either end, which is right for any continuous distribution (Wilks 1941, Ann. Math.
+    Statist. 12, 91-96): this takes 46 values for 90% of the runs with confidence 95%, and 93 for 95% of them.
+    Of fewer it is mean ± k s, for normal values (Howe 1969, J. Am. Statist. Assoc. 64, 610-620). Ten normal
+    values then had the 90% in 95.2% of simulations, of t(4) in 91%, ten exponential ones in 85%.
 
     Returns:
         The median, and the bounds.
@@ -391,7 +417,7 @@ def tolerance_interval(
 
 
 def proportion_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 0.95) -> Interval:
-    """The share of True along `dim`, such as `ds.diverged`, with Wilson's interval, which is right near 0 and 1 too.
+    """The share of True along `dim`, such as of `ds.diverged`, with Wilson's interval.
 
     Raises:
         InputError: as `mean_interval`; or `x` holds other numbers than 0 and 1.
@@ -424,8 +450,9 @@ def performance_profile(
 ) -> Interval:
     """The share of runs whose score is above each threshold, with a band that holds the whole profile at once.
 
-    The run-score distribution of Agarwal et al. (2021), which shows all runs and not a mean alone. The band is Kolmogorov's, exact for
-    a continuous distribution and wider than needed for others. A NaN is a run without a score: it is above no threshold, and counted.
+    It shows all runs and not a mean alone (Agarwal et al. 2021, there the run-score distribution). The band is
+    Kolmogorov's, exact for a continuous distribution and wider than needed for others, and for runs of several
+    environments. A NaN is a run without a score: it is above no threshold, and counted.
 
     Args:
         x: scores, higher is better, [..., dim, ...].
@@ -435,7 +462,7 @@ def performance_profile(
         confidence: that the whole true profile lies in the band.
 
     Returns:
-        Share and bounds with the dimension `threshold` last, and the number of runs, with and without a score.
+        Share and bounds, with the dimension `threshold` last, and the number of runs.
 
     Raises:
         InputError: as `mean_interval`; or the thresholds are no flat list of numbers.
@@ -463,10 +490,10 @@ class Difference(NamedTuple):
 
     Attributes:
         interval: the mean of x - y and its interval.
-        p: two-sided p-value of "the means are equal", float64; below 5% where the 95% interval does not hold 0.
-        reduction: by what share of the variance pairing makes the variance of the difference smaller than that of
-            different seeds would be: 1 - Var(x - y) / (Var x + Var y), float64. Of 0.9, a tenth of the seeds is
-            enough. Negative where pairing harms.
+        p: two-sided p-value of "the means are equal", float64; below 5% where the 95% interval leaves out 0.
+        reduction: how much smaller the variance of the difference is than it would be with different seeds,
+            1 - Var(x - y) / (Var x + Var y), float64. Where it is 0.9, a tenth of the seeds is enough; where it
+            is negative, pairing does harm.
     """
 
     interval: Interval
@@ -479,12 +506,12 @@ def paired_difference(
 ) -> Difference:
     """The difference of x and y seed by seed: of two methods, or settings, that had the same random numbers.
 
-    Seed i of every configuration has the same key, so what is luck in both cancels. That the seeds are the same
-    is seen from their numbers; that the root seeds of two sweeps are, is for the caller to know. Seeds without a value in either
-    are left out.
+    Seed i of every configuration has the same key, so the luck that both have cancels. The numbers of the seeds
+    must be the same; that the root seeds of two sweeps are too is for the caller to know. A seed without a value
+    in either is left out of both.
 
     Args:
-        x, y: a number for each seed, [..., dim, ...]; other dimensions that both have must have the same labels.
+        x, y: a number for each seed, [..., dim, ...]. Any dimension that both have must have the same labels.
         dim, confidence: as in `mean_interval`.
 
     Raises:
@@ -506,14 +533,15 @@ def probability_of_improvement(
 ) -> Interval:
     """How probable it is that a run of x is better than another, independent run of y; ties count half.
 
-    The Mann-Whitney statistic over the number of pairs (Agarwal et al. 2021). The interval is Wilson's, for as
-    many independent comparisons as give its variance, which is estimated as by DeLong et al. (1988, Biometrics 44)
-    and, near 0 and 1 where that fails, no smaller than Newcombe's (2006, Statist. Med. 25, 559-573, method 5). Where
-    runs are paired by common random numbers it is wider than needed: ask `paired_difference` too.
+    The share of pairs of runs in which that of x is better: the statistic of Mann and Whitney (Agarwal et al.
+    2021). The interval is Wilson's for as many independent comparisons as have the variance of this share, by
+    DeLong et al. (1988, Biometrics 44, 837-845); near 0 and 1, where that is too small, by Newcombe (2006, Statist.
+    Med. 25, 559-573, method 5). In simulation it held in 93% to 97%, for 10 to 100 runs and probabilities from 0.5
+    to 0.92. For runs with common random numbers it is wider than needed: see `paired_difference`.
 
     Args:
-        x, y: scores, higher is better, [..., dim, ...] each; they need not have the same number of seeds. A NaN is
-            a run without a score, worse than any other.
+        x, y: scores, higher is better, [..., dim, ...] each, of as many seeds as they have. A NaN is a run
+            without a score, worse than any other.
         dim, confidence: as in `mean_interval`.
 
     Returns:
@@ -546,9 +574,10 @@ def probability_of_improvement(
 
 
 def holm(p: xr.DataArray, over: str | Sequence[Hashable] | None = None) -> xr.DataArray:
-    """p-values corrected for being many: reject those below 5%, and all of these are right in 95% of experiments.
+    """p-values corrected for being many, by Holm's method (1979, Scand. J. Statist. 6, 65-70).
 
-    Holm's step-down method (1979, Scand. J. Statist. 6, 65-70), which needs no independence.
+    Call different what is below 5%: in 95% of experiments nothing is called so wrongly. They need not be
+    independent.
 
     Args:
         p: p-values, such as `paired_difference(...).p`. A NaN is a comparison that was not made.
@@ -582,15 +611,15 @@ def seeds_needed(
 
     Args:
         difference: the least difference of the means that should be seen.
-        sd: standard deviation, from a pilot: where `paired`, of the differences seed by seed; else of single runs
-            (the root mean square of the two methods' where they differ).
+        sd: standard deviation, from a pilot: where `paired`, of the differences seed by seed; else of single
+            runs (the root mean square where the two methods differ).
         paired: whether the two have common random numbers and are compared by `paired_difference`.
         power: the probability that the difference is seen.
         confidence: that of the interval which then does not hold 0.
 
     Returns:
-        The least number for which Student's test of normal values has this power. A pilot's sd is itself uncertain:
-        from ten seeds, by -30% to +80% with 95% confidence, and the number goes with its square.
+        The least number for which Student's test of normal values has this power. It goes with the square of
+        sd, and sd from ten normal values is between 69% and 183% of...
 
     Raises:
         InputError: a number is out of its range.
@@ -630,9 +659,9 @@ def _along(
 ) -> tuple[xr.DataArray, ...]:
     """What `of` makes of the values along a dimension, without the NaNs, and how many values these are.
 
-    Where two dimensions are given, the first is of strata. `of` gets the values of each stratum, [c, n] in their
-    order along the dimension, of c places elsewhere that have equally many, and returns so many `parts`, [c]
-    each. It makes arrays `resamples` times as large, which bounds c. Where there are no values all is NaN.
+    Where two dimensions are given, the first is of strata. `of` gets the values of each stratum, [c, n] in
+    their order along the dimension, of c places elsewhere that have equally many, and returns so many `parts`,
+    [c] each. It makes arrays `resamples` times as large, which bounds c. Where there are no values all is NaN.
     """
     within, dim = ((), dims) if isinstance(dims, str) else (dims[:1], dims[1])
     _check_dims(x, [*within, dim])
@@ -775,8 +804,8 @@ def area_under_curve(
 ) -> xr.DataArray:
     """The area under a curve over its length, that is its mean height, float64 without `dim`.
 
-    A row without a value, because no episode ended in it, has that of the last row before it that has one; rows
-    before the first such, that of the first. NaN where no row has a value.
+    A row without a value, because no episode ended in it, has that of the last row before it that has one; the
+    first rows have that of the first one. NaN where no row has a value.
 
     Args:
         curve: such as `learning_curve(ds)`, [..., dim, ...].
@@ -805,14 +834,14 @@ def time_to_threshold(
 ) -> xr.DataArray:
     """When a curve is first at a threshold or better, float64 without `dim`; infinite where it never is.
 
-    Runs that never reach it are censored, not dropped: `median_interval` takes them as slower than any other, and
-    `proportion_interval(np.isfinite(...))` says how many did reach it. There is no mean. As the *first* row
-    counts, a curve of few episodes a row gets there by luck; merge rows (`merge_rows`) first.
+    Runs that never reach it, or diverge, are censored and not dropped: for `median_interval` they are slower than
+    any other, and `proportion_interval(np.isfinite(...))` says how many did reach it. Such times have no mean.
+    A curve of few episodes a row gets there by luck early; merge rows first (`merge_rows`).
 
     Args:
         curve: such as `learning_curve(ds)`, [..., dim, ...].
         threshold: the level to reach.
-        time: the time at the end of each row, such as `episode_curve(ds).time_steps`; by default the number of rows.
+        time: at the end of each row, such as `episode_curve(ds).time_steps`; by default the number of rows.
         dim: the dimension of time.
         at_most: whether lower is better, as of errors.
 
@@ -832,8 +861,8 @@ def time_to_threshold(
 def hyperparameters(ds: xr.Dataset) -> list[str]:
     """The names of the hyperparameters that were swept, in the order of the axes.
 
-    Hyperparameters that were drawn at random together, trial by trial, have one axis `draw`; it is named here, and
-    they are coordinates along it: see `values_of`.
+    Hyperparameters that were drawn at random, trial by trial, share the axis `draw`, which is named here; they
+    are coordinates along it. `values_of` tells them for a setting.
     """
     return [str(name) for name in ds.episodes.dims if name not in NOT_SWEPT]
 
@@ -870,8 +899,8 @@ Measure = Callable[[xr.Dataset], xr.DataArray]
 def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
     """The combination of hyperparameters with the best mean `score`: the highest return, the lowest error.
 
-    Only combinations in which the most seeds finished an episode in the last tenth, and did not diverge, compete: the mean of those
-    that did flatters a setting in which others are lost. Of equals the first.
+    Only combinations in which the most seeds finished an episode in the last tenth and did not diverge compete:
+    the mean of those that did flatters a setting in which others are lost. Of equals the first.
 
     The selection is biased: the winner was chosen for being good on these very seeds, so its own mean
     (and interval) promises too much. Run it again on fresh seeds for a number to report: `selection`.
@@ -882,7 +911,7 @@ def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
         given: hyperparameters to hold at one of their values; the best of the others is looked for.
 
     Returns:
-        A value for every axis in `hyperparameters(ds)`, fit for `ds.sel`; of drawn hyperparameters the label of the draw.
+        A value for each of `hyperparameters(ds)`, fit for `ds.sel`; of drawn ones the label of the draw.
 
     Raises:
         InputError: a given name was not swept, or not at that value.
@@ -908,9 +937,9 @@ class Selection(NamedTuple):
 
     Attributes:
         setting: the setting, fit for `sel` on the dataset that it was chosen from.
-        promised: its mean on the seeds that it was chosen on, with an interval that does not know of the choice.
-        fresh: its mean on fresh seeds, which were no part of the choice, with its interval: the number to report.
-        bias: by how much the mean on the first seeds is off: less the mean on fresh seeds, and bounds from their interval.
+        promised: its mean on the seeds that it was chosen on; the interval does not know of the choice.
+        fresh: its mean on fresh seeds, with its interval: the number to report.
+        bias: how far `promised` is off: less `fresh`, and less the bounds of that.
     """
 
     setting: dict[str, Any]
@@ -924,7 +953,7 @@ def selection(ds: xr.Dataset, fresh: xr.Dataset, by: Measure = score, confidence
 
     Args:
         ds: the sweep to choose from.
-        fresh: a sweep of the same method on other seeds, of the chosen setting at least: found by `best(ds, by)`.
+        fresh: a sweep of the same method on other seeds, of the chosen setting, `best(ds, by)`, at least.
         by: what to choose by and what to report, as in `best`.
         confidence: of each interval.
 
