@@ -340,7 +340,12 @@ def bootstrap_interval(
 ) -> Interval:
     """Any statistic of the values along `dim`, with a percentile-bootstrap interval.
 
-    TODO narrow
+    A resample of n values in k strata varies less than fresh values do, by the factor 1 - k / n, and its spread is
+    itself uncertain. So its quantiles are not taken at 2.5% and 97.5% but further out, where the standard normal
+    distribution function is at ± sqrt(n / (n - k)) t(n - k) (Hesterberg 2015, Am. Statist. 69, 371-386). In
+    simulation as in the table above, intervals of the IQM of 10, 30 and 100 seeds held in 96.5% to 97.2%, 95.3% to
+    95.8% and 94.1% to 95.5%; over 5 or 20 environments with ten seeds each in 93.0% to 95.5%, but with three
+    seeds in 88% to 94.9%. For means `mean_interval` is better.
 
     Args:
         x: numbers, [..., dim, ...]; a NaN is left out.
@@ -619,7 +624,7 @@ def seeds_needed(
 
     Returns:
         The least number for which Student's test of normal values has this power. It goes with the square of
-        sd, and sd from ten normal values is between 69% and 183% of...
+        sd, and where ten normal values have sd 1, the truth may be anything from 0.69 to 1.83 (95% interval).
 
     Raises:
         InputError: a number is out of its range.
@@ -862,25 +867,23 @@ def hyperparameters(ds: xr.Dataset) -> list[str]:
     """The names of the hyperparameters that were swept, in the order of the axes.
 
     Hyperparameters that were drawn at random, trial by trial, share the axis `draw`, which is named here; they
-    are coordinates along it. `values_of` tells them for a setting.
+    are coordinates along it. See `drawn` and `named`.
     """
     return [str(name) for name in ds.episodes.dims if name not in NOT_SWEPT]
 
 
-def values_of(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, Any]:
-    """The hyperparameters of a setting that `best` gives: as there, and the drawn ones instead of `draw`."""
-    at = ds.sel({"draw": setting["draw"]}) if "draw" in setting else ds
-    drawn = {name: at[name].values.item() for name in _drawn(ds)}
-    return {
-        k: v
-        for name, value in setting.items()
-        for k, v in (drawn if name == "draw" else {name: value}).items()
-    }
-
-
-def _drawn(ds: xr.Dataset) -> list[str]:
-    """The names of the hyperparameters along the axis `draw`."""
+def drawn(ds: xr.Dataset) -> list[str]:
+    """The names of the hyperparameters that were drawn at random: coordinates along the axis `draw`."""
     return [str(name) for name, x in ds.coords.items() if x.dims == ("draw",) and name != "draw"]
+
+
+def named(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, Any]:
+    """`setting`, fit for `ds.sel`, in hyperparameters: instead of the number of a draw what was drawn."""
+    found = dict(setting)
+    if "draw" in found:
+        trial = ds.sel(draw=found.pop("draw"))
+        found |= {name: trial[name].item() for name in drawn(ds)}
+    return found
 
 
 def fixed(ds: xr.Dataset) -> dict[str, Any]:
@@ -919,7 +922,7 @@ def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
     names = hyperparameters(ds)
     for name, value in given.items():
         if name not in names:
-            how = "drawn together with others: hold draw" if name in _drawn(ds) else "not swept"
+            how = "drawn together with others: hold draw" if name in drawn(ds) else "not swept"
             raise InputError(f"{name} was {how}; swept were {_names(names)}")
         if value not in ds[name].values.tolist():
             tried = ", ".join(map(repr, ds[name].values.tolist()))
@@ -967,7 +970,7 @@ def selection(ds: xr.Dataset, fresh: xr.Dataset, by: Measure = score, confidence
             f"seed {again[0]} is among those that the setting was chosen on; report on fresh ones"
         )
     at = fresh
-    for name, value in (setting | values_of(ds, setting)).items():
+    for name, value in (setting | named(ds, setting)).items():
         if name in at.dims:
             if value not in at[name].values.tolist():
                 raise InputError(f"the fresh runs have no {name} = {value}")
@@ -1002,7 +1005,7 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
     records, names, results = [], {}, {}
     for method, ds in datasets.items():
         swept, constant = hyperparameters(ds), fixed(ds)
-        names |= dict.fromkeys([*swept, *_drawn(ds), *constant])
+        names |= dict.fromkeys([*swept, *drawn(ds), *constant])
         late = mean_interval(final_return(ds))
         results = {
             "episodes": ds.episodes.sum("row").mean("seed"),
