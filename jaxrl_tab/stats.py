@@ -146,6 +146,20 @@ def hyperparameters(ds: xr.Dataset) -> list[str]:
     return [str(name) for name in ds.episodes.dims if name not in NOT_SWEPT]
 
 
+def drawn(ds: xr.Dataset) -> list[str]:
+    """The names of the hyperparameters that were drawn at random: coordinates along the axis `draw`."""
+    return [str(name) for name, x in ds.coords.items() if x.dims == ("draw",) and name != "draw"]
+
+
+def named(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, Any]:
+    """`setting`, fit for `ds.sel`, in hyperparameters: instead of the number of a draw what was drawn."""
+    found = dict(setting)
+    if "draw" in found:
+        trial = ds.sel(draw=found.pop("draw"))
+        found |= {name: trial[name].item() for name in drawn(ds)}
+    return found
+
+
 def fixed(ds: xr.Dataset) -> dict[str, Any]:
     """The hyperparameters that were not swept, with their values."""
     return json.loads(ds.attrs.get("fixed", "{}"))
@@ -209,7 +223,7 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
     records, names, results = [], {}, {}
     for method, ds in datasets.items():
         swept, constant = hyperparameters(ds), fixed(ds)
-        names |= dict.fromkeys([*swept, *constant])
+        names |= dict.fromkeys([*swept, *drawn(ds), *constant])
         late = mean_interval(mean_return(ds, last_tenth(ds)))
         results = {
             "episodes": ds.episodes.sum("row").mean("seed"),
