@@ -263,10 +263,11 @@ def _label(method: str, setting: Mapping[str, Any]) -> str:
 
 def in_words(setting: Mapping[str, Any]) -> list[str]:
     """Each of the hyperparameters with its value as people write it: "α = 0.5"."""
-    return [f"{GREEK.get(name, name)} = {_value(value)}" for name, value in setting.items()]
+    return [f"{GREEK.get(name, name)} = {written(value)}" for name, value in setting.items()]
 
 
-def _value(x: Any) -> str:
+def written(x: Any) -> str:
+    """The value of a hyperparameter as people write it."""
     if isinstance(x, bool):
         return "on" if x else "off"
     return _number(x) if isinstance(x, int | float) else str(x)

@@ -5,7 +5,8 @@ to read it, and how it was made.
 """
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,11 +31,11 @@ CAPTIONS = {
     "setting. The dashed line is the exact optimum.",
     "sensitivity": "How much it matters which {0} one takes: the mean return at the end for each that was "
     "tried, with its 95% interval. What else can be set stays where the method did best.",
-    "greedy_path": "Where the agent goes if it always takes an action that it learned to be best; last, an "
-    "optimal policy. Of all seeds the one whose path is the median in length. Faint arrows: greedy actions "
-    "beside the path; hatched: out of reach.",
-    "values": "What the methods learned that the states are worth, as a mean over seeds, with the action that "
-    "is best most often; last, the exact values and all optimal actions.",
+    "greedy_path": "Where the agent goes if it always takes an action that it learned to be best; of all "
+    "seeds the one whose path is the median in length. Faint arrows: greedy actions beside the path; "
+    "hatched: out of reach. Last, if all have the same optimum, an optimal policy.",
+    "values": "What the methods learned that the states are worth, as a mean over seeds, with the action "
+    "that is best most often. Last, if all have the same optimum, the exact values and all optimal actions.",
 }
 OF_PREDICTION = {
     "learning_curves": "The error of the learned values while the method learns (root of the mean squared "
@@ -84,7 +85,9 @@ def write(
             raise InputError(f"there is no environment {label!r}; there are {', '.join(envs)}")
         parts = {name: datasets[name] for name in names}
         again = {_method(name): ds for name, ds in fresh.items() if name in parts}
-        chapters.append(_chapter(label, {_method(name): ds for name, ds in parts.items()}, envs[label], again))
+        chapters.append(
+            _chapter(label, {_method(name): ds for name, ds in parts.items()}, envs[label], again)
+        )
     text = render(
         "report.html",
         title=_title(datasets, chapters),
@@ -156,7 +159,7 @@ class Row(NamedTuple):
         mean, low, high, n: mean of the score, its 95% interval, and how many seeds are in it.
         most: between what nine of ten runs lie.
         seeds, diverged: how many seeds it was run on, and how many of these diverged.
-        episodes: finished in a run, mean.
+        episodes: finished in a run, mean; NaN where their number was given.
         end: exact value of the greedy policy at the end, median; of prediction the error at the end, mean.
         optimum: v* from the start, of prediction v_pi.
         star: whether it is the best of its method.
@@ -187,21 +190,26 @@ def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) 
     varied = _varied(rows)
     ranked = sorted(rows, key=lambda row: _rank(row, prediction))
     stars = [row for row in ranked if row.star]
+    decimals = _decimals([*stars, *again.values()])
     return Chapter(
         label=label,
         about=describe.summary(type(env)),
         methods=list(datasets),
         runs=_runs(next(iter(datasets.values()))),
-        common=", ".join(plot.in_words({k: x for k, x in rows[0].setting.items() if k not in varied})),
-        finding=_finding(stars, again, prediction, varied),
+        common=", ".join(
+            plot.in_words({k: x for row in rows for k, x in row.setting.items() if k not in varied})
+        ),
+        finding=_finding(stars, again, prediction, varied, decimals),
         prediction=prediction,
-        chosen=_chosen_table(stars, again, prediction, varied),
-        pictures=_pictures(label, datasets, env, stars, prediction),
-        settings=_settings_table(ranked, prediction, varied),
+        chosen=_chosen_table(stars, again, prediction, varied, decimals),
+        pictures=_pictures(label, datasets, env, stars, prediction, decimals),
+        settings=_settings_table(ranked, prediction, varied, decimals),
         num_settings=len(rows),
-        diverged=[f"{_setting_of(row, varied)}: {row.diverged} of {row.seeds}" for row in rows if row.diverged],
+        diverged=[
+            f"{_setting_of(row, varied)}: {row.diverged} of {row.seeds}" for row in rows if row.diverged
+        ],
         num_diverged=sum(row.diverged for row in rows),
-        some_seeds_missing=any(row.n < row.seeds - row.diverged for row in rows),
+        some_seeds_missing=_some_seeds_missing(rows),
         greedy_worth=not prediction and any("greedy_value" in ds for ds in datasets.values()),
     )
 
@@ -209,24 +217,25 @@ def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) 
 def _rows(method: str, ds: xr.Dataset) -> list[Row]:
     """All settings of a method, in the order of its axes."""
     names, constant = stats.hyperparameters(ds), stats.fixed(ds)
-    diverged = ~np.isfinite(ds.q).all(("state", "action"))
+    diverged = ds.diverged if "diverged" in ds else ~np.isfinite(ds.q).all(("state", "action"))
     score = stats.score(ds).where(~diverged)
-    interval = stats.mean_interval(score)
+    mean, low, high, n = stats.mean_interval(score)
     if stats.is_prediction(ds):
         end = ds.v_error.isel(row=-1).astype(float).where(~diverged).mean("seed")
     elif "greedy_value" in ds:
         end = ds.greedy_value.isel(row=-1).where(~diverged).median("seed")
     else:
-        end = xr.full_like(interval.mean, np.nan)
+        end = xr.full_like(mean, np.nan)
     numbers = {
-        "mean": interval.mean,
-        "low": interval.low,
-        "high": interval.high,
-        "n": interval.n,
+        "mean": mean,
+        "low": low,
+        "high": high,
+        "n": n,
         "diverged": diverged.sum("seed"),
-        "episodes": ds.episodes.sum("row").where(~diverged).mean("seed"),
+        # Where episodes were the budget all have the same.
+        "episodes": ds.episodes.sum("row").where(~diverged & ("num_steps" in ds.attrs)).mean("seed"),
         "end": end,
-        "optimum": stats.optimum(ds).broadcast_like(interval.mean),
+        "optimum": stats.optimum(ds).broadcast_like(mean),
     }
     flat = {name: x.transpose(*names).values.ravel().tolist() for name, x in numbers.items()}
     scores = score.transpose(*names, "seed").values.reshape(-1, ds.sizes["seed"])
@@ -260,24 +269,29 @@ def _rank(row: Row, prediction: bool) -> tuple[bool, int, float]:
 
 
 def _varied(rows: Sequence[Row]) -> list[str]:
-    """The hyperparameters that are not the same in all rows."""
-    names = dict.fromkeys(name for row in rows for name in row.setting)
-    missing = object()
-    return [name for name in names if len({str(row.setting.get(name, missing)) for row in rows}) > 1]
+    """The hyperparameters that are not the same in all rows that have them."""
+    values: dict[str, set[str]] = {}
+    for row in rows:
+        for name, value in row.setting.items():
+            values.setdefault(name, set()).add(plot.written(value))
+    return [name for name, found in values.items() if len(found) > 1]
 
 
 def _runs(ds: xr.Dataset) -> str:
     unit = "steps" if "num_steps" in ds.attrs else "episodes"
-    return f"{_count(int(ds.attrs[f'num_{unit}']), unit)} in each of {_count(ds.sizes['seed'], 'runs')} (seeds)"
+    return (
+        f"{_count(int(ds.attrs[f'num_{unit}']), unit)} in each of {_count(ds.sizes['seed'], 'runs')} (seeds)"
+    )
 
 
-def _finding(stars: Sequence[Row], again: Mapping[str, Row], prediction: bool, varied: Sequence[str]) -> str:
+def _finding(
+    stars: Sequence[Row], again: Mapping[str, Row], prediction: bool, varied: Sequence[str], decimals: int
+) -> str:
     """The best method in a sentence, by what was found on fresh seeds where there is that."""
     row = min((again.get(row.method, row) for row in stars), key=lambda row: _rank(row, prediction))
     if np.isnan(row.mean):
         return "no run has a result to compare"
     setting = _setting_of(next(star for star in stars if star.method == row.method), varied)
-    decimals = _decimals([row])
     what = "mean error" if prediction else "mean return"
     optimum = "" if prediction or np.isnan(row.optimum) else f"; at best {_number(row.optimum)}"
     seeds = " on fresh seeds" if again else ""
@@ -288,70 +302,72 @@ def _finding(stars: Sequence[Row], again: Mapping[str, Row], prediction: bool, v
 
 
 def _chosen_table(
-    stars: Sequence[Row], again: Mapping[str, Row], prediction: bool, varied: Sequence[str]
+    stars: Sequence[Row], again: Mapping[str, Row], prediction: bool, varied: Sequence[str], decimals: int
 ) -> Table:
-    """The setting chosen for each method, and what it gave, on fresh seeds too where it was run on them."""
+    """The setting chosen for each method, and what it gave: on fresh seeds where it was run on them, too."""
     what = "mean error" if prediction else "mean return"
-    chosen = f"{what} on the seeds it was chosen on" if again else what
-    head = ["method", "setting", chosen, "95% interval"]
-    head += [f"{what} on fresh seeds", "95% interval"] if again else []
-    head += ["9 of 10 runs", *_diverged_head(stars), "exact value" if prediction else "exact optimum"]
-    decimals = _decimals([*stars, *again.values()])
-    rows = []
-    for row in stars:
-        setting = ", ".join(plot.in_words({k: row.setting[k] for k in varied if k in row.setting}))
-        last = again.get(row.method, row)
-        rows.append(
-            [
-                row.method,
-                setting or "as given",
-                *_mean_cells(row, decimals),
-                *(_mean_cells(again.get(row.method), decimals) if again else []),
-                _between(last.most, decimals),
-                *([f"{last.diverged} of {last.seeds}"] if _diverged_head(stars) else []),
-                _number(row.optimum),
-            ]
-        )
-    return Table(head, rows, [False] * len(rows))
+    last = [again.get(row.method, row) for row in stars]
+    columns = _columns(last, prediction, decimals)
+    columns["exact value" if prediction else "exact optimum"] = lambda row: _number(row.optimum)
+    head = ["method", "setting", f"{what}, seeds of the choice" if again else what, "95% interval"]
+    head += [f"{what}, fresh seeds", "95% interval"] if again else []
+    rows = [
+        [
+            row.method,
+            _setting(row, varied) or "as given",
+            *_mean_cells(row, decimals),
+            *(_mean_cells(again.get(row.method), decimals) if again else []),
+            *(cell(shown) for cell in columns.values()),
+        ]
+        for row, shown in zip(stars, last, strict=True)
+    ]
+    return Table([*head, *columns], rows, [False] * len(rows))
 
 
-def _settings_table(ranked: Sequence[Row], prediction: bool, varied: Sequence[str]) -> Table:
+def _settings_table(ranked: Sequence[Row], prediction: bool, varied: Sequence[str], decimals: int) -> Table:
     """All settings in the order given: the best of each method has a star."""
-    starred = len(ranked) > len({row.method for row in ranked})
-    few = any(row.n < row.seeds - row.diverged for row in ranked)
-    ends = any(not np.isnan(row.end) for row in ranked)
-    optima = len({_number(row.optimum) for row in ranked}) > 1
-    head = ["method", *(plot.GREEK.get(name, name) for name in varied)]
-    head += ["mean error" if prediction else "mean return", "95% interval", "9 of 10 runs"]
-    head += [*(["seeds counted"] if few else []), *_diverged_head(ranked), "episodes"]
-    head += ["error at the end" if prediction else "worth of the greedy policy"] if ends else []
-    head += ["exact optimum"] if optima else []
-    ranked = ranked[:AT_MOST]
-    decimals = _decimals(ranked[:AT_ONCE])
-    rows = []
-    for row in ranked:
-        rows.append(
-            [
-                f"{row.method} ★" if row.star and starred else row.method,
-                *(_value(row.setting[name]) if name in row.setting else "–" for name in varied),
-                *_mean_cells(row, decimals),
-                _between(row.most, decimals),
-                *([f"{row.n} of {row.seeds}"] if few else []),
-                *([str(row.diverged)] if "diverged" in head else []),
-                _number(row.episodes, 1),
-                *([_number(row.end, decimals if prediction else None)] if ends else []),
-                *([_number(row.optimum)] if optima else []),
-            ]
-        )
-    return Table(head, rows, [row.star and starred for row in ranked])
+    settings = Counter(row.method for row in ranked)
+    stars = [row.star and settings[row.method] > 1 for row in ranked[:AT_MOST]]
+    columns = _columns(ranked, prediction, decimals)
+    if len({_number(row.optimum) for row in ranked}) > 1:
+        columns["exact optimum"] = lambda row: _number(row.optimum)
+    what = "mean error" if prediction else "mean return"
+    head = ["method", *(plot.GREEK.get(name, name) for name in varied), what, "95% interval", *columns]
+    rows = [
+        [
+            f"{row.method} ★" if star else row.method,
+            *(plot.written(row.setting[name]) if name in row.setting else "–" for name in varied),
+            *_mean_cells(row, decimals),
+            *(cell(row) for cell in columns.values()),
+        ]
+        for row, star in zip(ranked, stars, strict=False)
+    ]
+    return Table(head, rows, stars)
 
 
-def _diverged_head(rows: Iterable[Row]) -> list[str]:
-    return ["diverged"] if any(row.diverged for row in rows) else []
+def _columns(rows: Sequence[Row], prediction: bool, decimals: int) -> dict[str, Callable[[Row], str]]:
+    """What both tables tell after mean and interval, as far as there is anything to tell."""
+    columns: dict[str, Callable[[Row], str]] = {"9 of 10 runs": lambda row: _between(row.most, decimals)}
+    if _some_seeds_missing(rows):
+        columns["seeds counted"] = lambda row: f"{row.n} of {row.seeds}"
+    if any(row.diverged for row in rows):
+        columns["diverged"] = lambda row: str(row.diverged)
+    if not np.isnan([row.episodes for row in rows]).all():
+        columns["episodes"] = lambda row: _number(row.episodes, 1 if row.episodes < 1000 else 0)
+    if not np.isnan([row.end for row in rows]).all():
+        of_end = "error at the end" if prediction else "worth of the greedy policy"
+        columns[of_end] = lambda row: _number(row.end, decimals if prediction else None)
+    return columns
+
+
+def _some_seeds_missing(rows: Iterable[Row]) -> bool:
+    return any(row.n < row.seeds - row.diverged for row in rows)
 
 
 def _mean_cells(row: Row | None, decimals: int) -> list[str]:
-    return ["–", "–"] if row is None else [_number(row.mean, decimals), _between((row.low, row.high), decimals)]
+    return (
+        ["–", "–"] if row is None else [_number(row.mean, decimals), _between((row.low, row.high), decimals)]
+    )
 
 
 def _between(ends: tuple[float, float], decimals: int) -> str:
@@ -373,25 +389,24 @@ def _number(x: float, decimals: int | None = None) -> str:
     return text.replace("-", "−").replace(",", " ").replace("inf", "∞")
 
 
-def _value(x: Any) -> str:
-    return plot.in_words({"": x})[0].removeprefix(" = ")
+def _setting(row: Row, varied: Sequence[str]) -> str:
+    return ", ".join(plot.in_words({name: row.setting[name] for name in varied if name in row.setting}))
 
 
 def _setting_of(row: Row, varied: Sequence[str]) -> str:
-    return ", ".join([row.method, *plot.in_words({k: row.setting[k] for k in varied if k in row.setting})])
+    return ", ".join(filter(None, [row.method, _setting(row, varied)]))
 
 
 # --- pictures ----------------------------------------------------------------------------------------
 
 
 def _pictures(
-    label: str, datasets: Datasets, env: Environment, stars: Sequence[Row], prediction: bool
+    label: str, datasets: Datasets, env: Environment, stars: Sequence[Row], prediction: bool, decimals: int
 ) -> list[Picture]:
     figures = plot.pictures(datasets, env)
     if isinstance(env, Grid) and not prediction:
         figures["values"] = plot.value_tables(datasets, env)
     captions = CAPTIONS | (OF_PREDICTION if prediction else {})
-    decimals = _decimals(stars)
     ends = ", ".join(f"{row.method} {_number(row.mean, decimals)}" for row in stars)
     what = "mean error" if prediction else "mean return at the end"
     optimum = stars[0].optimum
@@ -450,7 +465,7 @@ def _range(counts: Iterable[int]) -> str:
 
 
 def _speed(name: str, ds: xr.Dataset) -> list[str]:
-    """How long a sweep took: its name, its steps, seconds, seconds of compiling, and million steps per second."""
+    """How long a sweep took: name, steps, seconds, seconds of compiling, and million steps per second."""
     steps = int(ds.steps.sum(dtype=np.int64))
     known = [float(ds.attrs.get(key, np.nan)) for key in ("seconds", "compile_seconds", "steps_per_second")]
     known[2] /= 1e6
