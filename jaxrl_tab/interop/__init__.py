@@ -22,7 +22,7 @@ LIBRARIES = ("gymnasium", "gymnax")
 
 
 def make(name: str, **parameters: Any) -> Any:
-    """An environment of another library by a name that says which: "gymnasium:Taxi-v4", "gymnax:Catch-bsuite".
+    """An environment of another library, by a name that says which: "gymnasium:Taxi-v4".
 
     Args:
         name: the library, a colon, and the environment's name there.
@@ -32,7 +32,7 @@ def make(name: str, **parameters: Any) -> Any:
         InputError: the name is of no such form, the library is not installed, or it is as `from_gymnax` and
             `from_gymnasium` say.
     """
-    library, colon, there = str(name).partition(":")
+    library, _, there = str(name).partition(":")
     if library not in LIBRARIES or not there:
         raise InputError(f"{shown(name)} is not of the form gymnasium:NAME or gymnax:NAME")
     return __getattr__(f"from_{library}")(there, **parameters)

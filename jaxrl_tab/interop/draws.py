@@ -60,7 +60,7 @@ class Enumeration(NamedTuple):
         choices: int32 [n, d]: all n combinations of what its d draws may give.
         function: (choice int32 [d], key, *args) -> (outputs, low, high), where `outputs` is a list of those
             asked for. Each of some independent uniform numbers has to be between its low and high for this
-            choice, float32 [u] each: `probability` says how probable that is.
+            choice, float32 [u] each: `probabilities` says how probable that is.
         is_exact: whether an output is a function of the choice alone, and not of the key, for each.
     """
 
@@ -69,9 +69,10 @@ class Enumeration(NamedTuple):
     is_exact: list[bool]
 
 
-def probability(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """How probable a choice is, float64 [...], from arrays [..., u]."""
-    return np.maximum(0.0, exact(high) - exact(low)).prod(axis=-1)
+def probabilities(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """How probable all choices are, float64 [..., n], from the ends that `function` gave, [..., n, u]."""
+    prob = np.maximum(0.0, exact(high) - exact(low)).prod(axis=-1)
+    return prob / prob.sum(axis=-1, keepdims=True)
 
 
 # --- values in a program that is being read ----------------------------------------------------------
@@ -168,7 +169,9 @@ class _Reader:
 
     def compute(self, eqn: Any, inputs: list[Any]) -> list[Any]:
         values = [self.plain(x) for x in inputs]
-        by_input = {x: value for x, value in zip(eqn.invars, values, strict=True) if not isinstance(x, Literal)}
+        by_input = {
+            x: value for x, value in zip(eqn.invars, values, strict=True) if not isinstance(x, Literal)
+        }
         one = jaxpr_as_fun(ClosedJaxpr(Jaxpr((), list(by_input), eqn.outvars, [eqn], eqn.effects), ()))
         constant = not any(isinstance(x, Tracer) for x in values)
         with jax.ensure_compile_time_eval() if constant else contextlib.nullcontext():  # it stays known
@@ -435,7 +438,9 @@ class Program:
         """
         jaxpr, bounds = self._program.jaxpr, []
         while True:
-            needed = {jaxpr.outvars[i] for i in (*outputs, *bounds) if not isinstance(jaxpr.outvars[i], Literal)}
+            needed = {
+                jaxpr.outvars[i] for i in (*outputs, *bounds) if not isinstance(jaxpr.outvars[i], Literal)
+            }
             for eqn in reversed(jaxpr.eqns):
                 if not needed.isdisjoint(eqn.outvars):
                     needed.update(x for x in eqn.invars if not isinstance(x, Literal))
