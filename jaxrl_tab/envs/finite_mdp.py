@@ -101,7 +101,9 @@ class FiniteMDP(Finite):
                 merged[s, a] = {(s, 0.0): 1.0} if is_terminal[s] else _added_up(listed)
         most = max(map(len, merged.flat), default=0)
         if not most:
-            raise InputError(f"{NAME}: outcomes must be a list of states, each a list of actions with outcomes")
+            raise InputError(
+                f"{NAME}: outcomes must be a list of states, each a list of actions with outcomes"
+            )
 
         prob, reward = np.zeros((2, num_states, num_actions, most))
         successors = np.tile(np.arange(num_states)[:, None, None], (1, num_actions, most))

@@ -105,6 +105,9 @@ class _Uniform(NamedTuple):
     end: Any
     draw: _Draw
 
+    def map(self, function: Callable[[Any], Any]) -> "_Uniform":
+        return _Uniform(function(self.value), function(self.start), function(self.end), self.draw)
+
 
 class _Gumbel(NamedTuple):
     value: Any
@@ -216,7 +219,8 @@ def _uniform(reader: _Reader, eqn: Any, key: Any, start: Any, end: Any) -> Any:
     if not reader.is_free(key, start, end):
         return None
     value = reader.compute(eqn, [key, start, end])[0].value
-    return _Uniform(value, *(jnp.broadcast_to(x, value.shape) for x in (start, end)), reader.new(key.name))
+    start, end = (jnp.broadcast_to(x, value.shape) for x in (start, end))
+    return _Uniform(value, start, end, reader.new(key.name))
 
 
 def _gumbel(reader: _Reader, eqn: Any, key: Any) -> Any:
@@ -293,9 +297,9 @@ def _moved(reader: _Reader, eqn: Any, x: Any, y: Any) -> Any:
         return eqn.primitive.bind(*(jnp.broadcast_to(z, shape) for z in (x, y)), **eqn.params)
 
     if isinstance(x, _Uniform) and _is_plain(y) and x.value.shape == shape:
-        return _Uniform(*(apply(z, y) for z in x[:3]), x.draw)
+        return x.map(lambda z: apply(z, y))
     if isinstance(y, _Uniform) and _is_plain(x) and y.value.shape == shape:
-        return _Uniform(*(apply(x, z) for z in y[:3]), y.draw)
+        return y.map(lambda z: apply(x, z))
     return None
 
 
@@ -313,9 +317,7 @@ def _mul(reader: _Reader, eqn: Any, x: Any, y: Any) -> Any:
 
 
 def _reshape(reader: _Reader, eqn: Any, x: Any) -> Any:
-    if not isinstance(x, _Uniform):
-        return None
-    return _Uniform(*(z.reshape(eqn.outvars[0].aval.shape) for z in x[:3]), x.draw)
+    return x.map(lambda z: z.reshape(eqn.outvars[0].aval.shape)) if isinstance(x, _Uniform) else None
 
 
 def _select_n(reader: _Reader, eqn: Any, which: Any, *cases: Any) -> Any:
@@ -417,6 +419,7 @@ class Program:
     def _second_pass(self, left: set | None) -> None:
         """Makes the program with an input for each choice."""
         self.is_exact: list[bool] = []
+        self._made: list[list[int]] = []  # the choices of each draw
 
         def run(choices, *inputs):
             reader = _Reader(lambda outcomes, size: next(chosen), left)

@@ -7,6 +7,7 @@ import gymnasium
 import jax
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 
 from jaxrl_tab import planning
 from jaxrl_tab.envs import ENVS, FiniteMDP
@@ -47,7 +48,7 @@ def from_gymnasium(env: Any, **parameters: Any) -> FiniteMDP:
         raise InputError(
             f"{name}: the moods of a fickle passenger are not in its table; leave fickle_passenger"
         )
-    limit = env.spec.max_episode_steps if env.spec else getattr(inner, "max_steps", None)
+    limit = env.spec.max_episode_steps if env.spec else None
     outcomes, terminal = _outcomes(table, np.asarray(start, float))
     start = np.append(start, np.zeros(len(outcomes) - len(start)))
     return FiniteMDP.from_outcomes(outcomes, terminal, start, limit or MAX_STEPS)
@@ -66,17 +67,19 @@ def _outcomes(
     table: Mapping[int, Mapping[int, list]], start: np.ndarray
 ) -> tuple[list[list[list[tuple[float, int, float]]]], list[int]]:
     """The outcomes [S][A] in Gymnasium's `table`, and the terminal states."""
-    reached, todo = set(), list(np.flatnonzero(start))
-    ends, goes_on = set(), set(todo)
+    todo = list(map(int, np.flatnonzero(start)))
+    ends: set[int] = set()
+    goes_on = set(todo)
     while todo:
-        reached.add(s := int(todo.pop()))
-        for p, s_next, _, done in (x for listed in table[s].values() for x in listed):
-            if p > 0:
-                (ends if done else goes_on).add(int(s_next))
-        todo = [s for s in goes_on - reached]
+        for p, s_next, _, done in (x for listed in table[todo.pop()].values() for x in listed):
+            if p > 0 and done:
+                ends.add(int(s_next))
+            elif p > 0 and s_next not in goes_on:
+                goes_on.add(int(s_next))
+                todo.append(int(s_next))
     second = {s: len(table) + i for i, s in enumerate(sorted(ends & goes_on))}
 
-    def entered(s_next, done):
+    def entered(s_next: int, done: bool = True) -> int:
         return second.get(int(s_next), int(s_next)) if done else int(s_next)
 
     outcomes = [
@@ -84,7 +87,7 @@ def _outcomes(
         for _, actions in sorted(table.items())
     ]
     blank = [[] for _ in outcomes[0]]
-    return outcomes + [blank] * len(second), sorted({second.get(s, s) for s in ends})
+    return outcomes + [blank] * len(second), [entered(s) for s in ends]
 
 
 class Tabular(gymnasium.Env):
@@ -94,7 +97,13 @@ class Tabular(gymnasium.Env):
 
     def __init__(self, env: Environment):
         self.env = env
-        self.max_steps = env.max_steps
+        name = next((name for name, cls in ENVS.items() if cls is type(env)), type(env).__name__)
+        self.spec = EnvSpec(
+            f"jaxrl_tab/{name}-v0",
+            entry_point=f"{__name__}:Tabular",
+            max_episode_steps=env.max_steps,
+            kwargs={"env": env},
+        )
         self.observation_space = spaces.Discrete(env.num_states)
         self.action_space = spaces.Discrete(env.num_actions)
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
@@ -112,10 +121,10 @@ class Tabular(gymnasium.Env):
         if self._s is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         if not self.action_space.contains(action):
-            raise InputError(f"action must be one of 0 to {self.action_space.n - 1}, not {shown(action)}")
+            raise InputError(f"action must be one of 0 to {self.env.num_actions - 1}, not {shown(action)}")
         outcome = self._step(self._key(), self._s, int(action))
         self._s, self._steps = int(outcome.s_next), self._steps + 1
-        return self._s, float(outcome.reward), bool(outcome.terminal), self._steps >= self.max_steps, {}
+        return self._s, float(outcome.reward), bool(outcome.terminal), self._steps >= self.env.max_steps, {}
 
     def _key(self) -> jax.Array:
         return jax.random.key(self.np_random.integers(2**32))
@@ -140,8 +149,8 @@ def to_gymnasium(env: Environment) -> Tabular:
 
     Observations are the numbers of states. A finite MDP has the table `P` and `initial_state_distrib` that
     Gymnasium's own tabular environments have. The time limit truncates, as it does here; there is nothing to
-    render. `reset(seed=...)` makes what follows reproducible. An environment that draws the problem of each run,
-    such as the k-armed testbed, keeps the one that it holds: give `env.instance(key)`.
+    render. `reset(seed=...)` makes what follows reproducible. An environment that draws the problem of each
+    run, such as the k-armed testbed, keeps the one that it holds: give `env.instance(key)`.
 
     Raises:
         InputError: `env` is no environment of ours.

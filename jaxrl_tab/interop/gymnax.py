@@ -1,5 +1,6 @@
 """gymnax 1.0, both ways."""
 
+import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -10,11 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from gymnax.environments import environment, spaces
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Int, Key
 
 from jaxrl_tab.envs import ENVS, FiniteMDP
 from jaxrl_tab.interop import draws
-from jaxrl_tab.types import Environment, InputError, Outcome, nearest, pytree, shown, static, whole
+from jaxrl_tab.types import (
+    Environment,
+    InputError,
+    Outcome,
+    check_pytree,
+    nearest,
+    pytree,
+    shown,
+    static,
+    whole,
+)
 
 MAX_STATES = (
     20_000  # of an imported task: with many more a table is no way to learn, and finding them is slow
@@ -166,11 +177,11 @@ def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environ
     if params is not None and not isinstance(params, Mapping):
         return env, params
     default, given = env.default_params, dict(params or {})
-    known = list(vars(default))
+    known = [field.name for field in dataclasses.fields(default)]
     for field in given:
         if field not in known:
             raise InputError(f"{env.name} has no parameter {field!r}; {nearest(field, known)}")
-    return env, default.replace(**given)
+    return env, dataclasses.replace(default, **given)
 
 
 @functools.lru_cache(maxsize=64)
@@ -254,7 +265,7 @@ class _Task:
         return lambda keys, states: _Seen.of(run(self.step.choices, keys, states, actions), len(self.leaves))
 
     def check_time(self, seen: "_Seen", where: np.ndarray, before: Any) -> None:
-        """Raises InputError unless the time is `before` + 1, and within its limit if it matters, `where` True."""
+        """Raises InputError unless the time is `before` + 1 `where` True, and within its limit if it matters."""
         time = seen.time[where]
         if (time != np.broadcast_to(before, where.shape)[where] + 1).any():
             raise InputError(
@@ -384,8 +395,8 @@ def _explore(task: _Task, found: _States) -> tuple[dict[int, float], list[Any]]:
     _check_countable(task, seen)
     numbers = found.add(seen, seen.observation, np.zeros(seen.prob.shape, bool))
     start: dict[int, float] = {}
-    for i in np.argwhere(numbers >= 0):
-        start[numbers[*i]] = start.get(numbers[*i], 0.0) + seen.prob[*i] / len(keys)
+    for i in map(tuple, np.argwhere(numbers >= 0)):
+        start[int(numbers[i])] = start.get(int(numbers[i]), 0.0) + float(seen.prob[i]) / len(keys)
     task.check_time(seen, seen.prob > 0, before=-1)
 
     step = task.transitions()
@@ -407,9 +418,8 @@ def _explore(task: _Task, found: _States) -> tuple[dict[int, float], list[Any]]:
         task.check_time(
             seen, (seen.prob > 0) & ~terminal, task.time_of(states)[: len(todo), None, None, None]
         )
-        for i in np.argwhere(numbers >= 0):
-            s, a = todo[i[0]], i[1]
-            outcomes[s][a].append((seen.prob[*i] / len(keys), numbers[*i], reward[*i]))
+        for i in map(tuple, np.argwhere(numbers >= 0)):
+            outcomes[todo[i[0]]][i[1]].append((seen.prob[i] / len(keys), int(numbers[i]), reward[i]))
     return start, outcomes
 
 
@@ -485,8 +495,8 @@ class Tabular(environment.Environment):
 def to_gymnax(env: Environment) -> Tabular:
     """`env` for code that is written for gymnax 1.0: `reset`, `step` with autoreset, `step_env`, spaces.
 
-    Observations are the numbers of states. The time limit is `max_steps_in_episode` of the default parameters.
-    An environment that draws the problem of each run, such as the k-armed testbed, keeps the one that it
+    Observations are the numbers of states. The time limit is `max_steps_in_episode` of its parameters. An
+    environment that draws the problem of each run, such as the k-armed testbed, keeps the one that it
     holds: give `env.instance(key)`. The same `env` gives the same object, so programs are compiled once.
 
     Raises:
