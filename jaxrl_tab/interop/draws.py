@@ -172,13 +172,10 @@ class _Reader:
 
     def compute(self, eqn: Any, inputs: list[Any]) -> list[Any]:
         values = [self.plain(x) for x in inputs]
-        by_input = {
-            x: value for x, value in zip(eqn.invars, values, strict=True) if not isinstance(x, Literal)
-        }
-        one = jaxpr_as_fun(ClosedJaxpr(Jaxpr((), list(by_input), eqn.outvars, [eqn], eqn.effects), ()))
         constant = not any(isinstance(x, Tracer) for x in values)
         with jax.ensure_compile_time_eval() if constant else contextlib.nullcontext():  # it stays known
-            given = one(*by_input.values())
+            given = eqn.primitive.bind(*values, **eqn.params)
+        given = given if eqn.primitive.multiple_results else [given]
         keyed = any(isinstance(x, _Key) for x in inputs)
         opaque = any(isinstance(x, _Opaque | _Uniform | _Gumbel) for x in inputs)
         derived = eqn.primitive.name, str(eqn.params), tuple(map(self.name_of, inputs))
