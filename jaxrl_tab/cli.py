@@ -32,7 +32,7 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, planning, runner
+from jaxrl_tab import batch, describe, planning, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite, Grid, Panel
@@ -396,7 +396,7 @@ class Sweep:
 
 
 def _sweep(argv: list[str]) -> int:
-    batch.use_all_cores()
+    _prepare()
     options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
     if options.write_template:
         return _write_template(options.env)
@@ -479,7 +479,7 @@ class Resume:
 
 
 def _resume(argv: list[str]) -> int:
-    batch.use_all_cores()
+    _prepare()
     options = parse(f"{PROG} resume", Resume, argv)
     if options.folder is None:
         raise InputError("name the folder of a sweep")
@@ -732,7 +732,7 @@ class Figure:
 
 
 def _figure(argv: list[str]) -> int:
-    batch.use_all_cores()
+    _prepare()
     options = parse(f"{PROG} figure", Figure, argv)
     if options.all and options.name:
         raise InputError("name a figure or give --all, not both")
@@ -774,6 +774,12 @@ def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:
 
 
 # --- shared ------------------------------------------------------------------------------------------
+
+
+def _prepare() -> None:
+    """What must be settled before anything is computed."""
+    batch.use_all_cores()
+    programs.keep()
 
 
 def _known(kind: str, name: str, names: Collection[str]) -> str:
