@@ -265,7 +265,10 @@ class _Task:
         return lambda keys, states: _Seen.of(run(self.step.choices, keys, states, actions), len(self.leaves))
 
     def check_time(self, seen: "_Seen", where: np.ndarray, before: Any) -> None:
-        """Raises InputError unless the time `where` True is `before` + 1 and, if it matters, within the limit."""
+        """Raises InputError unless the time is `before` + 1 and, if it matters, within the limit.
+
+        Only the places of `where` are looked at.
+        """
         time = seen.time[where]
         if (time != np.broadcast_to(before, where.shape)[where] + 1).any():
             raise InputError(
