@@ -835,7 +835,7 @@ def _folder(path: Path | None) -> Iterator[Path | None]:
 
 def _say_where(folder: Path, group: str | None = None) -> None:
     out = _console()
-    files = ", ".join(sorted(file.name for file in folder.iterdir()))
+    files = ", ".join(sorted(file.name for file in folder.iterdir() if not file.name.startswith(".")))
     out.print(f"[bold]{escape(str(folder))}[/]: {files}", soft_wrap=True)
     if group:
         how = f'xarray.open_datatree("{folder / runner.DATA}")["{group}"]'
