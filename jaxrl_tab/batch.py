@@ -127,7 +127,7 @@ def plan(
     Raises:
         InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
     """
-    devices = tuple(devices or jax.devices())
+    devices = tuple(devices or jax.local_devices())
     traced = [_traced(budget, *_signature((root, np.uint32(0), x, env))) for x in algorithms]
     results = traced[0].results
     if any(other.results != results for other in traced):
@@ -182,9 +182,9 @@ def run(
             [n, S, A], and the Log of them, [n, rows] each. It must copy what it wants to keep.
         progress: is called with the number of runs finished so far.
         room: the bytes that a call may take on each device.
-        devices: the JAX devices to use; all by default.
+        devices: the JAX devices to use; all of this process by default.
     """
-    devices = tuple(devices or jax.devices())
+    devices = tuple(devices or jax.local_devices())
     seeds = np.asarray(seeds, np.uint32)
 
     def of(run: np.ndarray) -> Any:

@@ -21,7 +21,7 @@ LAYERS = [
     ["train", "bridge"],
     ["offline"],
     ["importance", "batch", "results"],
-    ["sweep", "stats", "describe"],
+    ["sweep", "stats", "describe", "executors"],
     ["plot"],
     ["figures"],
     ["options"],
