@@ -36,6 +36,7 @@ from jaxrl_tab.algorithms import (
     SarsaLambdaForward,
     TargetQLearning,
 )
+from jaxrl_tab.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
 from jaxrl_tab.batch import use_all_cores
 from jaxrl_tab.envs import (
     ENVS,
@@ -52,6 +53,7 @@ from jaxrl_tab.envs import (
     WindyGridworld,
     make,
 )
+from jaxrl_tab.experiment import Experiment
 from jaxrl_tab.offline import Experience, collect, learn, replay
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import SweepResult
@@ -66,16 +68,22 @@ __all__ = [
     "ENVS",
     "PREDICTION",
     "Blackjack",
+    "Choice",
     "CliffWalking",
     "DoubleQLearning",
     "Easy21",
     "ExpectedSarsa",
     "Experience",
+    "Experiment",
     "FiniteMDP",
     "InfiniteVariance",
     "InputError",
+    "Integers",
     "KArmedTestbed",
+    "LinearGrid",
     "Log",
+    "LogGrid",
+    "LogUniform",
     "ManyTargets",
     "MaximizationBias",
     "MonteCarlo",
@@ -93,6 +101,7 @@ __all__ = [
     "TraceGridworld",
     "Transition",
     "TwoDoors",
+    "Uniform",
     "WindyGridworld",
     "algorithms",
     "batch",

@@ -31,17 +31,18 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, planning
+from jaxrl_tab import batch, describe, planning, programs
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite, Grid, Panel
-from jaxrl_tab.figures import FIGURES, Check, swept
+from jaxrl_tab.experiment import Experiment, plan, template
+from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page, six_digits
 from jaxrl_tab.options import Group, about, option_of, parameters, parse, real, size, values, whole, words
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import label
-from jaxrl_tab.sweep import METHODS, configurations
+from jaxrl_tab.sweep import METHODS, compute, result
 from jaxrl_tab.types import InputError, build, nearest
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
@@ -69,6 +70,7 @@ examples:
   {PROG} list
   {PROG} solve windy-gridworld --moves king
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
+  {PROG} sweep --write-template experiment.toml
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures
 
@@ -76,7 +78,7 @@ examples:
 """
 
 ALPHAS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # the step sizes of a sweep that names none
-STEPS = 8000
+SEEDS, STEPS = 100, 8000
 DATA = "results.nc"
 ENVIRONMENT = Group(ENVS, "Parameters of the environment.")
 HYPERPARAMETERS = Group(
@@ -329,8 +331,9 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
 class Sweep:
     """Every method with every combination of hyperparameters, each over the same seeds.
 
-    Prints a summary table. With --out, leaves a folder: results.nc (netCDF: the numbers of every seed, a
-    group for each method), summary.csv, and pictures.
+    What is run is said by options; or by a file, which can say more: several environments, random draws, and
+    settings of its own for each method. Prints a summary table. With --out, leaves a folder: results.nc
+    (netCDF: the numbers of every seed, a group for each method), summary.csv, and pictures.
 
     Methods of prediction learn the values of the policy in which all actions are equally likely, and are
     compared by their error.
@@ -341,13 +344,16 @@ class Sweep:
       jaxrl-tab sweep cliff-walking sarsa q-learning --alpha 0.5 --epsilon glie --episodes 500
       jaxrl-tab sweep k-armed-testbed q-learning --alpha 0.1 --behaviour greedy epsilon-greedy:0.1 ucb:2
       jaxrl-tab sweep random-walk n-step-td td-lambda --alpha 0.1 0.3 --n 1 4 16 --episodes 10
+      jaxrl-tab sweep --write-template experiment.toml
+      jaxrl-tab sweep experiment.toml --dry-run
+      jaxrl-tab sweep experiment.toml --out runs/experiment
     """
 
-    env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
-    """Name of the environment; see `jaxrl-tab list`."""
+    env: Annotated[Positional[str], arg(metavar="ENV|FILE", help_behavior_hint="")] = ""
+    """Name of the environment, see `jaxrl-tab list`; or an experiment in a file FILE.toml."""
     methods: Annotated[Positional[tuple[str, ...]], arg(metavar="METHOD ...", help_behavior_hint="")] = ()
     """Names of one or more methods; see `jaxrl-tab list`. An option goes to all that have it."""
-    seeds: Annotated[int, whole(1)] = 100
+    seeds: Annotated[int | None, whole(1), arg(help_behavior_hint=f"(default: {SEEDS})")] = None
     """How many seeds."""
     steps: Annotated[int | None, whole(1), arg(help_behavior_hint=f"(default: {STEPS})")] = None
     """How many steps each run takes."""
@@ -355,7 +361,7 @@ class Sweep:
     """How many episodes each run finishes, instead of --steps."""
     log_every: Annotated[int | None, whole(1), arg(help_behavior_hint="(default: 100 or 1)")] = None
     """How many steps, or episodes, are summed up in one row of the log."""
-    seed: Annotated[int, whole(0)] = 0
+    seed: Annotated[int | None, whole(0), arg(help_behavior_hint="(default: 0)")] = None
     """Which sequence of seeds."""
     memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
     """How much memory a method may take, such as 4GB; results that do not fit go to temporary files."""
@@ -364,6 +370,10 @@ class Sweep:
     (The error of methods of prediction is always recorded.)"""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
+    dry_run: Switch = False
+    """Show what would be run, in how much memory, and stop."""
+    write_template: Switch = False
+    """Write an experiment that explains itself, to FILE or, without one, to the screen, and stop."""
     json: Switch = False
     """Print the summary as JSON."""
     quiet: Switch = False
@@ -371,65 +381,99 @@ class Sweep:
 
 
 def _sweep(argv: list[str]) -> int:
-    batch.use_all_cores()
+    _prepare()
     options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
-    env = _environment(options.env, options.environment)
-    grids = _grids(_methods(options.methods), options.hyperparameters)
+    if options.write_template:
+        return _write_template(options.env)
+    experiment = _experiment(options)
+    if options.dry_run:
+        print(plan(experiment.parts(), options.memory).text())
+        return 0
+    return _conduct(experiment, options, ["sweep", *argv])
+
+
+def _experiment(options: Any) -> Experiment:
+    """The experiment that is in a file, or was typed."""
+    typed = {"steps": options.steps, "episodes": options.episodes, "log_every": options.log_every}
+    typed |= {"seeds": options.seeds, "seed": options.seed, "exact": options.exact or None}
+    typed: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
+    if options.env not in ENVS and (options.env.endswith(".toml") or Path(options.env).is_file()):
+        others = [*options.methods, *options.environment, *options.hyperparameters]
+        if said := [*others, *("--" + name.replace("_", "-") for name in typed)]:
+            raise InputError(f"{said[0]} beside a file: what is run is said in {options.env} alone")
+        return Experiment.load(options.env)
+    env = {"name": _known("an environment", options.env, ENVS)}
+    env |= _parameters_of(options.env, options.environment)
+    names = [_known("a method", name, METHODS) for name in options.methods or [""]]
+    grids = values(names, options.hyperparameters, HYPERPARAMETERS)
+    one = lambda tried: tried[0] if len(tried) == 1 else tried
+    methods = [{"name": name} | {k: one(tried) for k, tried in grids[name].items()} for name in names]
     if options.steps is not None and options.episodes is not None:
         raise InputError("give --steps or --episodes, not both")
-    budget = {
-        "num_seeds": options.seeds,
-        "num_steps": options.steps or (None if options.episodes else STEPS),
-        "num_episodes": options.episodes,
-        "log_every": options.log_every,
-        "seed": options.seed,
-        "memory": options.memory,
-        "exact": options.exact or set(grids) <= set(PREDICTION),
-    }
+    default: dict[str, Any] = {"seeds": SEEDS} | ({} if "episodes" in typed else {"steps": STEPS})
+    return Experiment([env], methods, **(default | typed))
 
+
+def _write_template(file: str) -> int:
+    if not file:
+        print(template(), end="")
+        return 0
+    try:
+        with open(file, "x", encoding="utf-8") as to:
+            to.write(template())
+    except FileExistsError:
+        raise InputError(f"{file} exists already; name a new file") from None
+    except OSError as error:
+        raise InputError(f"{file} cannot be written: {error.strerror}") from None
+    print(f"{file} is written; try {PROG} sweep {shlex.quote(file)} --dry-run")
+    return 0
+
+
+def _conduct(experiment: Experiment, options: Any, command: Sequence[str]) -> int:
+    """Runs the experiment, prints what came out, and leaves it in the folder."""
+    parts = experiment.parts()
+    several = len(experiment.environment) > 1
+    runs = {
+        name if several else name.partition("/")[2]: lambda progress, part=part: result(
+            part,
+            compute(part, memory=options.memory, progress=lambda done: progress(done, part.runs)),
+        ).to_xarray()
+        for name, part in parts.items()
+    }
     with _folder(options.out) as folder:
-        runs = {name: swept(env, name, grid, **budget) for name, grid in grids.items()}
-        datasets = _run(runs, folder, ["sweep", *argv], options.quiet)
+        datasets = _run(runs, folder, command, options.quiet)
         from jaxrl_tab import stats
 
-        table = stats.summary(datasets)
-        if not (options.json or options.quiet):
-            _print_summary(options.env, table, datasets)
-        if folder:
-            from jaxrl_tab import plot
+        tables = []
+        for environment in experiment.environment:
+            label = environment["label"]
+            names = {method["label"]: f"{label}/{method['label']}" for method in experiment.method}
+            own = {method: datasets[name if several else method] for method, name in names.items()}
+            tables.append(stats.summary(own))
+            if not (options.json or options.quiet):
+                _print_summary(label, tables[-1], own)
+            if several:
+                tables[-1].insert(0, "environment", label)
+            if folder:
+                from jaxrl_tab import plot
 
+                place = folder / label if several else folder
+                place.mkdir(exist_ok=True)
+                env = parts[next(iter(names.values()))].env
+                with Console(stderr=True, quiet=options.quiet).status("drawing the pictures"):
+                    plot.save_all(own, env, place)
+        import pandas as pd
+
+        table = pd.concat(tables, ignore_index=True)
+        if folder:
             table.to_csv(folder / "summary.csv", index=False)
-            with Console(stderr=True, quiet=options.quiet).status("drawing the pictures"):
-                plot.save_all(datasets, env, folder)
 
     if options.json:
         records = jsonlib.loads(str(table.to_json(orient="records")))
         _print_json({"folder": options.out and str(options.out), "summary": records})
     elif options.out and not options.quiet:
-        _say_where(options.out, options.methods[0])
+        _say_where(options.out, next(iter(runs)))
     return 0
-
-
-def _methods(names: Sequence[str]) -> Sequence[str]:
-    for i, name in enumerate(names or [""]):
-        if _known("a method", name, METHODS) in names[:i]:
-            raise InputError(f"the method {name} is named more than once")
-    prediction = [name for name in names if name in PREDICTION]
-    if prediction and (control := [name for name in names if name not in PREDICTION]):
-        raise InputError(
-            f"{prediction[0]} learns the values of a policy, and {control[0]} a policy, which cannot be "
-            "compared; sweep methods of prediction and of control apart"
-        )
-    return names
-
-
-def _grids(names: Sequence[str], given: Mapping[str, tuple[str, ...]]) -> dict[str, dict[str, Any]]:
-    """The grid of each method, checked: a list of values is swept, a single value is not."""
-    grids = {}
-    for name, grid in values(names, given, HYPERPARAMETERS).items():
-        grids[name] = {k: tried[0] if len(tried) == 1 else tried for k, tried in grid.items()}
-        configurations(METHODS[name], grids[name])
-    return grids
 
 
 def _run(
@@ -584,7 +628,7 @@ class Figure:
 
 
 def _figure(argv: list[str]) -> int:
-    batch.use_all_cores()
+    _prepare()
     options = parse(f"{PROG} figure", Figure, argv)
     if options.all and options.name:
         raise InputError("name a figure or give --all, not both")
@@ -628,6 +672,12 @@ def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:
 # --- shared ------------------------------------------------------------------------------------------
 
 
+def _prepare() -> None:
+    """What must be settled before anything is computed."""
+    batch.use_all_cores()
+    programs.keep()
+
+
 def _known(kind: str, name: str, names: Collection[str]) -> str:
     """`name`, which must be one of `names`."""
     if not name:
@@ -638,11 +688,14 @@ def _known(kind: str, name: str, names: Collection[str]) -> str:
 
 
 def _environment(name: str, given: Mapping[str, tuple[str, ...]]) -> Any:
-    _known("an environment", name, ENVS)
+    return build(ENVS[_known("an environment", name, ENVS)], name, _parameters_of(name, given))
+
+
+def _parameters_of(name: str, given: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+    """The parameters of an environment that were typed, with their values."""
     typed = values([name], given, ENVIRONMENT)[name]
     defaults = {p.name: p.default for p in parameters(ENVS[name])}
-    single = {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in typed.items()}
-    return build(ENVS[name], name, single)
+    return {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in typed.items()}
 
 
 @contextlib.contextmanager

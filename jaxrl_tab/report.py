@@ -4,7 +4,6 @@ For each environment the setting chosen for each method, pictures, and all setti
 to read it, and how it was made.
 """
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import groupby, product
@@ -100,9 +99,7 @@ def write(
         version=jaxrl_tab.__version__,
     )
     file = Path(folder) / FILE
-    unfinished = file.with_name(f"{FILE}.unfinished-{os.getpid()}")
-    unfinished.write_text(text, encoding="utf-8")
-    os.replace(unfinished, file)
+    file.write_text(text, encoding="utf-8")
     return file
 
 
@@ -217,7 +214,7 @@ def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) 
 def _rows(method: str, ds: xr.Dataset) -> list[Row]:
     """All settings of a method, in the order of its axes."""
     names, constant = stats.hyperparameters(ds), stats.fixed(ds)
-    diverged = ds.diverged if "diverged" in ds else ~np.isfinite(ds.q).all(("state", "action"))
+    diverged = ds.diverged
     score = stats.score(ds).where(~diverged)
     mean, low, high, n = stats.mean_interval(score)
     if stats.is_prediction(ds):

@@ -25,6 +25,10 @@ class InputError(ValueError):
     """Something that the user gave is wrong; the message is one line that says what would be right."""
 
 
+class RunError(RuntimeError):
+    """What was asked for is right, and could not be finished here; the message is one line that says why."""
+
+
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
 

@@ -11,7 +11,7 @@ ROOT = Path(jaxrl_tab.__file__).parent
 # Each module may import only from those in earlier rows (its own row only where it is a package).
 LAYERS = [
     ["types"],
-    ["tables", "rng", "memory"],
+    ["tables", "rng", "memory", "programs"],
     ["episode"],
     ["schedules"],
     ["policies"],
@@ -20,10 +20,11 @@ LAYERS = [
     ["prediction"],
     ["train", "bridge"],
     ["offline"],
-    ["stats"],
+    ["axes", "importance", "batch", "stats"],
     ["export"],
-    ["importance", "batch", "results"],
+    ["results"],
     ["sweep", "describe"],
+    ["experiment"],
     ["plot", "html"],
     ["figures", "report"],
     ["options"],

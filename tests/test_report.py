@@ -172,6 +172,7 @@ def test_diverged_runs_are_counted_and_left_out(windy, windy_sets, undrawn, tmp_
     broken["q"][2, 0] = np.nan
     broken["returns"][2, 0] = -np.inf
     broken["q"][1] = np.inf
+    broken["diverged"][2, 0] = broken["diverged"][1] = True
     page = read(report.write(tmp_path, {"windy/sarsa": broken}, {"windy": windy}, {}))
     assert "6 runs diverged" in page.text
     assert "sarsa, α = 0.9: 1 of 5" in page.text
