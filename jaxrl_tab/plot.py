@@ -218,7 +218,7 @@ def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, *
         line: how the line is drawn, as in `Axes.plot`.
     """
     interval = stats.mean_interval(values)
-    ax.plot(x, interval.mean, label=label, color=color, lw=line.pop("lw", 2), **line)
+    ax.plot(x, interval.estimate, label=label, color=color, lw=line.pop("lw", 2), **line)
     ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
 
 

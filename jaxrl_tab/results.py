@@ -126,8 +126,8 @@ class SweepResult:
         return export.to_pandas(self.to_xarray(), per)
 
 
-def is_diverged(q: np.ndarray, *sums: np.ndarray) -> np.ndarray:
-    """Whether there is a NaN or an infinity in a table [..., S, A], or in sums [..., rows] of it; bool [...]."""
+def is_diverged(q: Any, *sums: Any) -> np.ndarray:
+    """Whether there is a NaN or an infinity in a table [..., S, A] or in sums [..., rows], bool [...]."""
     found = np.zeros(q.shape[:-2], bool)
     for x in (q, *(x[..., None] for x in sums)):
         for extreme in (x.min((-2, -1)), x.max((-2, -1))):  # where there is a NaN, both are NaN
@@ -136,7 +136,7 @@ def is_diverged(q: np.ndarray, *sums: np.ndarray) -> np.ndarray:
 
 
 def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> None:
-    """Adds a dataset to a netCDF file, as a group. The file is made if need be, with attributes of its own."""
+    """Adds a dataset to a netCDF file, as a group. Where there is no file it is made, with attributes."""
     import xarray as xr
 
     if not file.exists():

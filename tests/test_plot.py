@@ -93,7 +93,7 @@ def test_learning_curves(ax, datasets):
     assert enough.any()
     assert not enough.all()
     np.testing.assert_array_equal(np.isfinite(sarsa.get_ydata()), enough)
-    np.testing.assert_allclose(sarsa.get_ydata()[enough], interval.mean.values[enough])
+    np.testing.assert_allclose(sarsa.get_ydata()[enough], interval.estimate.values[enough])
     np.testing.assert_array_equal(sarsa.get_xdata(), 200 * np.arange(1, 21))
     assert set(optimum.get_ydata()) == {-15}
     assert "exact optimum −15" in texts(ax)
