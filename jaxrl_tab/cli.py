@@ -640,12 +640,12 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     prediction = stats.is_prediction(*datasets.values())
     # some seeds finished no episode in the last tenth
     few = not prediction and bool((table["seeds"] < ds.sizes["seed"]).any())
-    score, score_high, score_head = "last_tenth_return", "last_tenth_high", "mean return,\nlast tenth"
+    score, bounds, score_head = "last_tenth_return", "last_tenth_", "mean return,\nlast tenth"
     if prediction:
-        score, score_high, score_head = "v_error", "v_error_high", "RMS error,\nwhole run"
+        score, bounds, score_head = "v_error", "v_error_", "RMS error,\nwhole run"
     exact = "greedy_value" in columns
     view = Table(
-        *["method", *varied, "episodes", score_head, "± 95%"],
+        *["method", *varied, "episodes", score_head, "95% interval\nof the mean"],
         *(["seeds\ncounted"] if few else []),
         *(["RMS error\nat the end"] if prediction else []),
         *["million\nsteps/s"],
@@ -655,8 +655,8 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     for column in view.columns[1:]:
         column.justify = "right"
     # Two digits of the narrowest interval; of errors also three of the smallest.
-    scores, high = (table[column].to_numpy(float) for column in (score, score_high))
-    decimals = _decimals(high - scores, 2)
+    scores, low, high = (table[column].to_numpy(float) for column in (score, bounds + "low", bounds + "high"))
+    decimals = _decimals((high - low) / 2, 2)
     if prediction:
         decimals = max(decimals, _decimals(scores, 3))
     digits = f"{{:.{decimals}f}}".format
@@ -664,13 +664,13 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
         best, differ = stats.best(datasets[str(method)]), len(rows[score].drop_duplicates()) > 1
         for row in rows.to_dict("records"):
             star = bool(best) and differ and all(row[name] == value for name, value in best.items())
-            mean, high = row[score], row[score_high]
+            low, high = row[bounds + "low"], row[bounds + "high"]
             view.add_row(
                 f"{method} *" if star else str(method),
                 *(_cell(row[h], words) for h in varied),
                 f"{row['episodes']:.1f}",
-                _cell(mean, digits),
-                _cell(high - mean, digits),
+                _cell(row[score], digits),
+                _cell(low, lambda low, high=high: f"{digits(low)} to {digits(high)}"),
                 *([str(row["seeds"])] if few else []),
                 *([_cell(row["final_v_error"], digits)] if prediction else []),
                 f"{row['steps_per_second'] / 1e6:.1f}",
@@ -835,7 +835,7 @@ def _folder(path: Path | None) -> Iterator[Path | None]:
 
 def _say_where(folder: Path, group: str | None = None) -> None:
     out = _console()
-    files = ", ".join(sorted(file.name for file in folder.iterdir()))
+    files = ", ".join(sorted(file.name for file in folder.iterdir() if not file.name.startswith(".")))
     out.print(f"[bold]{escape(str(folder))}[/]: {files}", soft_wrap=True)
     if group:
         how = f'xarray.open_datatree("{folder / runner.DATA}")["{group}"]'

@@ -156,7 +156,9 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
         x, mean, low, high = place(x), *(part.values for part in interval[:3])
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
-        ax.errorbar(x, mean, np.nan_to_num(high - mean), ls="none", capsize=3, color=style["color"])
+        ax.errorbar(
+            x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, color=style["color"]
+        )
         ax.plot(x, mean, lw=2, ms=7, label=label, **style)
         ax.plot(x[few], mean[few], ls="none", ms=3.5, marker=style["marker"], color="white", zorder=5)
         shown += [mean, low, high]

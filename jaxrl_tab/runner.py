@@ -585,9 +585,9 @@ def selection(outcome: Outcome) -> "pd.DataFrame":
         environment, _, method = name.partition("/")
         ds = outcome.datasets[name]
         row = {"environment": environment, "method": method, **stats.fixed(fresh)}
-        for kind, x in (("chosen", stats.score(ds.sel(stats.best(ds)))), ("fresh", stats.score(fresh))):
-            found = stats.mean_interval(x)
-            row |= {f"{kind}_score": float(found.mean)}
+        _, chosen, again, _ = stats.selection(ds, fresh)
+        for kind, found in (("chosen", chosen), ("fresh", again)):
+            row |= {f"{kind}_score": float(found.estimate)}
             row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}
         rows.append(row)
     names = dict.fromkeys(name for row in rows for name in row)  # not all methods have all hyperparameters

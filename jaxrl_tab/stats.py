@@ -668,7 +668,7 @@ def _along(
     their order along the dimension, of c places elsewhere that have equally many, and returns so many `parts`,
     [c] each. It makes arrays `resamples` times as large, which bounds c. Where there are no values all is NaN.
     """
-    within, dim = ((), dims) if isinstance(dims, str) else (dims[:1], dims[1])
+    within, dim = (dims[:1], dims[1]) if isinstance(dims, tuple) else ((), dims)
     _check_dims(x, [*within, dim])
     others = [d for d in x.dims if d not in (*within, dim)]
     like = x.isel(dict.fromkeys((*within, dim), 0), drop=True).transpose(*others).astype(float)

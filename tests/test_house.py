@@ -25,7 +25,7 @@ LAYERS = [
     ["export"],
     ["axes", "importance", "batch"],
     ["results"],
-    ["sweep", "describe"],
+    ["sweep", "describe", "executors"],
     ["experiment"],
     ["plot", "html"],
     ["figures", "report"],

@@ -76,7 +76,7 @@ class FiniteMDP(Finite):
     def from_outcomes(
         cls, outcomes: Listed, terminal: Any = (), start: Any = 0, max_steps: int = MAX_STEPS
     ) -> "FiniteMDP":
-        """Any finite MDP, from the outcomes of each action: outcomes[s][a] = [(probability, s', reward), ...].
+        """Any finite MDP, from the outcomes of each action, `outcomes[s][a] = [(p, s', reward), ...]`.
 
         No array [S, A, S'] is made, and a state s' may be entered with different rewards: they are kept
         apart. Outcomes of one s' and reward are added up.

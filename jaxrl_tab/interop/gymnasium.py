@@ -124,7 +124,9 @@ class Tabular(gymnasium.Env):
             raise InputError(f"action must be one of 0 to {self.env.num_actions - 1}, not {shown(action)}")
         outcome = self._step(self._key(), self._s, int(action))
         self._s, self._steps = int(outcome.s_next), self._steps + 1
-        return self._s, float(outcome.reward), bool(outcome.terminal), self._steps >= self.env.max_steps, {}
+        terminated = bool(outcome.terminal)
+        truncated = not terminated and self._steps >= self.env.max_steps
+        return self._s, float(outcome.reward), terminated, truncated, {}
 
     def _key(self) -> jax.Array:
         return jax.random.key(self.np_random.integers(2**32))

@@ -132,8 +132,7 @@ def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGy
     task = _Task(env, params)
     found = _States(task)
     start, outcomes = _explore(task, found)
-    number = found.numbering()
-    num_states = int(number.max()) + 1
+    number, num_states = found.numbering()
     rows = lambda x: _rows(np.array(x), number, num_states)
     observations = jax.tree.unflatten(
         task.observation_def, list(map(rows, zip(*found.observations, strict=True)))
@@ -265,7 +264,10 @@ class _Task:
         return lambda keys, states: _Seen.of(run(self.step.choices, keys, states, actions), len(self.leaves))
 
     def check_time(self, seen: "_Seen", where: np.ndarray, before: Any) -> None:
-        """Raises InputError unless the time `where` True is `before` + 1 and, if it matters, within the limit."""
+        """Raises InputError unless the time is `before` + 1 and, if it matters, within the limit.
+
+        Only the places of `where` are looked at.
+        """
         time = seen.time[where]
         if (time != np.broadcast_to(before, where.shape)[where] + 1).any():
             raise InputError(
@@ -360,15 +362,16 @@ class _States:
             )
         return number
 
-    def numbering(self) -> np.ndarray:
-        """The final number of each state, int [n]."""
+    def numbering(self) -> tuple[np.ndarray, int]:
+        """The final number of each state, int [n], and how many numbers there are."""
         space = self.task.env.observation_space(self.task.params)
-        observed = np.array([np.ravel(x[0])[0] for x in self.observations])
-        if isinstance(space, spaces.Discrete) and len(np.unique(observed)) == len(observed):
-            return observed.astype(int)
+        if isinstance(space, spaces.Discrete) and space.n <= MAX_STATES:
+            number = np.array([int(x) for (x,) in self.observations])
+            if number.min() >= 0 and number.max() < space.n and len(np.unique(number)) == len(number):
+                return number, space.n
         columns = [*zip(*self.states, strict=True), self.is_terminal]
-        columns = np.concatenate([np.array(x).reshape(len(observed), -1) for x in columns], axis=1)
-        return np.argsort(np.lexsort(columns.T[::-1]))
+        columns = np.concatenate([np.array(x).reshape(len(self.states), -1) for x in columns], axis=1)
+        return np.argsort(np.lexsort(columns.T[::-1])), len(self.states)
 
 
 def _bytes(arrays: Sequence[np.ndarray]) -> np.ndarray:
