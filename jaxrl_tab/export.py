@@ -118,9 +118,7 @@ def _runs(ds: xr.Dataset) -> xr.Dataset:
     """The log summed over each run, the score, and what was recorded, at the end."""
     log = _rows(ds)
     sums = {name: log[name].sum("row", skipna=False, dtype=_wide(log[name])) for name in LOG}
-    found = xr.Dataset(sums)
-    if "diverged" in ds:
-        found["diverged"] = ds.diverged
+    found = xr.Dataset(sums | {"diverged": ds.diverged})
     found["v_error" if stats.is_prediction(ds) else "last_tenth_return"] = stats.score(ds)
     ends = log.drop_vars(LOG).isel(row=-1, drop=True)
     return found.merge(ends.rename({name: f"final_{name}" for name in ends.data_vars}))

@@ -4,7 +4,6 @@ For each environment the setting chosen for each method, pictures, and all setti
 to read it, and how it was made.
 """
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import groupby, product
@@ -22,7 +21,6 @@ from jaxrl_tab.types import Environment, InputError
 
 FILE = "report.html"
 AT_ONCE, AT_MOST = 12, 1000  # rows of a table that are not folded away, and rows that are there at all
-MOST_RUNS = (0.05, 0.95)  # the quantiles between which nine of ten runs lie
 
 CAPTIONS = {
     "episodes": "How many episodes are over after so many steps. The steeper the line, the shorter the "
@@ -100,9 +98,7 @@ def write(
         version=jaxrl_tab.__version__,
     )
     file = Path(folder) / FILE
-    unfinished = file.with_name(f"{FILE}.unfinished-{os.getpid()}")
-    unfinished.write_text(text, encoding="utf-8")
-    os.replace(unfinished, file)
+    file.write_text(text, encoding="utf-8")
     return file
 
 
@@ -140,6 +136,7 @@ class Chapter(NamedTuple):
     common: str
     finding: str
     prediction: bool
+    compared: bool
     chosen: Table
     pictures: list[Picture]
     settings: Table
@@ -157,7 +154,7 @@ class Row(NamedTuple):
         method: its name.
         setting: all its hyperparameters, swept and fixed.
         mean, low, high, n: mean of the score, its 95% interval, and how many seeds are in it.
-        most: between what nine of ten runs lie.
+        run_low, run_high: where at least nine of ten runs lie, with confidence 95%.
         seeds, diverged: how many seeds it was run on, and how many of these diverged.
         episodes: finished in a run, mean; NaN where their number was given.
         end: exact value of the greedy policy at the end, median; of prediction the error at the end, mean.
@@ -171,13 +168,32 @@ class Row(NamedTuple):
     low: float
     high: float
     n: int
-    most: tuple[float, float]
+    run_low: float
+    run_high: float
     seeds: int
     diverged: int
     episodes: float
     end: float
     optimum: float
     star: bool
+
+
+class View(NamedTuple):
+    """How the numbers of a chapter are shown.
+
+    Attributes:
+        prediction: whether they are errors, the lower the better, or returns.
+        varied: the hyperparameters that are not the same in all settings.
+        decimals: of returns and errors.
+    """
+
+    prediction: bool
+    varied: list[str]
+    decimals: int
+
+    @property
+    def what(self) -> str:
+        return "mean error" if self.prediction else "mean return"
 
 
 # --- a chapter ---------------------------------------------------------------------------------------
@@ -187,27 +203,31 @@ def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) 
     prediction = stats.is_prediction(*datasets.values())
     rows = [row for method, ds in datasets.items() for row in _rows(method, ds)]
     again = {method: _rows(method, ds)[0] for method, ds in fresh.items()}
-    varied = _varied(rows)
     ranked = sorted(rows, key=lambda row: _rank(row, prediction))
     stars = [row for row in ranked if row.star]
-    decimals = _decimals([*stars, *again.values()])
+    if len(again) == len(stars):
+        stars.sort(key=lambda row: _rank(again[row.method], prediction))
+    view = View(prediction, _varied(rows), _decimals([*stars, *again.values()]))
+    judged = (
+        fresh if len(fresh) == len(datasets) else {m: ds.sel(stats.best(ds)) for m, ds in datasets.items()}
+    )
+    differences = _differences({row.method: stats.score(judged[row.method]) for row in stars}, view)
     return Chapter(
         label=label,
         about=describe.summary(type(env)),
         methods=list(datasets),
         runs=_runs(next(iter(datasets.values()))),
         common=", ".join(
-            plot.in_words({k: x for row in rows for k, x in row.setting.items() if k not in varied})
+            plot.in_words({k: x for row in rows for k, x in row.setting.items() if k not in view.varied})
         ),
-        finding=_finding(stars, again, prediction, varied, decimals),
+        finding=_finding(stars, again, view),
         prediction=prediction,
-        chosen=_chosen_table(stars, again, prediction, varied, decimals),
-        pictures=_pictures(label, datasets, env, stars, prediction, decimals),
-        settings=_settings_table(ranked, prediction, varied, decimals),
+        compared=bool(differences),
+        chosen=_chosen_table(stars, again, differences, view),
+        pictures=_pictures(label, datasets, env, stars, view),
+        settings=_settings_table(ranked, view),
         num_settings=len(rows),
-        diverged=[
-            f"{_setting_of(row, varied)}: {row.diverged} of {row.seeds}" for row in rows if row.diverged
-        ],
+        diverged=[f"{_setting_of(row, view)}: {row.diverged} of {row.seeds}" for row in rows if row.diverged],
         num_diverged=sum(row.diverged for row in rows),
         some_seeds_missing=_some_seeds_missing(rows),
         greedy_worth=not prediction and any("greedy_value" in ds for ds in datasets.values()),
@@ -217,9 +237,9 @@ def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) 
 def _rows(method: str, ds: xr.Dataset) -> list[Row]:
     """All settings of a method, in the order of its axes."""
     names, constant = stats.hyperparameters(ds), stats.fixed(ds)
-    diverged = ds.diverged if "diverged" in ds else ~np.isfinite(ds.q).all(("state", "action"))
-    score = stats.score(ds).where(~diverged)
+    score, diverged = stats.score(ds), ds.diverged
     mean, low, high, n = stats.mean_interval(score)
+    runs = stats.tolerance_interval(score)
     if stats.is_prediction(ds):
         end = ds.v_error.isel(row=-1).astype(float).where(~diverged).mean("seed")
     elif "greedy_value" in ds:
@@ -231,6 +251,8 @@ def _rows(method: str, ds: xr.Dataset) -> list[Row]:
         "low": low,
         "high": high,
         "n": n,
+        "run_low": runs.low,
+        "run_high": runs.high,
         "diverged": diverged.sum("seed"),
         # Where episodes were the budget all have the same.
         "episodes": ds.episodes.sum("row").where(~diverged & ("num_steps" in ds.attrs)).mean("seed"),
@@ -238,7 +260,6 @@ def _rows(method: str, ds: xr.Dataset) -> list[Row]:
         "optimum": stats.optimum(ds).broadcast_like(mean),
     }
     flat = {name: x.transpose(*names).values.ravel().tolist() for name, x in numbers.items()}
-    scores = score.transpose(*names, "seed").values.reshape(-1, ds.sizes["seed"])
     best = stats.best(ds)
     rows = []
     for i, values in enumerate(product(*(ds[name].values.tolist() for name in names))):
@@ -247,19 +268,12 @@ def _rows(method: str, ds: xr.Dataset) -> list[Row]:
             Row(
                 method=method,
                 setting=stats.named(ds, place) | constant,
-                most=_most(scores[i]),
                 seeds=ds.sizes["seed"],
                 star=place == best,
                 **{name: x[i] for name, x in flat.items()},
             )
         )
     return rows
-
-
-def _most(x: np.ndarray) -> tuple[float, float]:
-    x = x[np.isfinite(x)]
-    low, high = np.quantile(x, MOST_RUNS) if x.size else (np.nan, np.nan)
-    return float(low), float(high)
 
 
 def _rank(row: Row, prediction: bool) -> tuple[bool, int, float]:
@@ -284,39 +298,60 @@ def _runs(ds: xr.Dataset) -> str:
     )
 
 
-def _finding(
-    stars: Sequence[Row], again: Mapping[str, Row], prediction: bool, varied: Sequence[str], decimals: int
-) -> str:
+def _finding(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> str:
     """The best method in a sentence, by what was found on fresh seeds where there is that."""
-    row = min((again.get(row.method, row) for row in stars), key=lambda row: _rank(row, prediction))
+    row = min((again.get(row.method, row) for row in stars), key=lambda row: _rank(row, view.prediction))
     if np.isnan(row.mean):
         return "no run has a result to compare"
-    setting = _setting_of(next(star for star in stars if star.method == row.method), varied)
-    what = "mean error" if prediction else "mean return"
-    optimum = "" if prediction or np.isnan(row.optimum) else f"; at best {_number(row.optimum)}"
+    setting = _setting_of(next(star for star in stars if star.method == row.method), view)
+    optimum = "" if view.prediction or np.isnan(row.optimum) else f"; at best {_number(row.optimum)}"
     seeds = " on fresh seeds" if again else ""
-    return f"best: {setting}, with a {what} of {_number(row.mean, decimals)}{seeds}{optimum}"
+    return f"best: {setting}, with a {view.what} of {_number(row.mean, view.decimals)}{seeds}{optimum}"
 
 
 # --- tables ------------------------------------------------------------------------------------------
 
 
+def _differences(scores: Mapping[str, xr.DataArray], view: View) -> dict[str, list[str]]:
+    """How each method differs from the first on the same seeds: the mean with its interval, and p.
+
+    Args:
+        scores: of the chosen setting of each method, [seed]; nothing is said where their seeds differ.
+        view: of the chapter.
+    """
+    (first, best), *others = scores.items()
+    if not others or any(not np.array_equal(score.seed, best.seed) for score in scores.values()):
+        return {}
+    found = {method: stats.paired_difference(score, best) for method, score in others}
+    p = stats.holm(xr.concat([x.p for x in found.values()], "method"))
+    cells = {first: ["–", "–"]}
+    for (method, (interval, _, _)), p_value in zip(found.items(), p.values, strict=True):
+        mean, low, high = (float(x) for x in interval[:3])
+        by = f"{_number(mean, view.decimals)} ({_between(low, high, view)})"
+        cells[method] = [by, "< 0.001" if p_value < 0.001 else _number(p_value, 3)]
+    return cells
+
+
 def _chosen_table(
-    stars: Sequence[Row], again: Mapping[str, Row], prediction: bool, varied: Sequence[str], decimals: int
+    stars: Sequence[Row],
+    again: Mapping[str, Row],
+    differences: Mapping[str, Sequence[str]],
+    view: View,
 ) -> Table:
     """The setting chosen for each method, and what it gave: on fresh seeds where it was run on them, too."""
-    what = "mean error" if prediction else "mean return"
     last = [again.get(row.method, row) for row in stars]
-    columns = _columns(last, prediction, decimals)
-    columns["exact value" if prediction else "exact optimum"] = lambda row: _number(row.optimum)
-    head = ["method", "setting", f"{what}, seeds of the choice" if again else what, "95% interval"]
-    head += [f"{what}, fresh seeds", "95% interval"] if again else []
+    columns = _columns(last, view)
+    columns["exact value" if view.prediction else "exact optimum"] = lambda row: _number(row.optimum)
+    head = ["method", "setting", f"{view.what}, seeds of the choice" if again else view.what, "95% interval"]
+    head += [f"{view.what}, fresh seeds", "95% interval"] if again else []
+    head += ["difference from the first", "p"] if differences else []
     rows = [
         [
             row.method,
-            _setting(row, varied) or "as given",
-            *_mean_cells(row, decimals),
-            *(_mean_cells(again.get(row.method), decimals) if again else []),
+            _setting(row, view) or "as given",
+            *_mean_cells(row, view),
+            *(_mean_cells(again.get(row.method), view) if again else []),
+            *differences.get(row.method, []),
             *(cell(shown) for cell in columns.values()),
         ]
         for row, shown in zip(stars, last, strict=True)
@@ -324,20 +359,25 @@ def _chosen_table(
     return Table([*head, *columns], rows, [False] * len(rows))
 
 
-def _settings_table(ranked: Sequence[Row], prediction: bool, varied: Sequence[str], decimals: int) -> Table:
+def _settings_table(ranked: Sequence[Row], view: View) -> Table:
     """All settings in the order given: the best of each method has a star."""
     settings = Counter(row.method for row in ranked)
     stars = [row.star and settings[row.method] > 1 for row in ranked[:AT_MOST]]
-    columns = _columns(ranked, prediction, decimals)
+    columns = _columns(ranked, view)
     if len({_number(row.optimum) for row in ranked}) > 1:
         columns["exact optimum"] = lambda row: _number(row.optimum)
-    what = "mean error" if prediction else "mean return"
-    head = ["method", *(plot.GREEK.get(name, name) for name in varied), what, "95% interval", *columns]
+    head = [
+        "method",
+        *(plot.GREEK.get(name, name) for name in view.varied),
+        view.what,
+        "95% interval",
+        *columns,
+    ]
     rows = [
         [
             f"{row.method} ★" if star else row.method,
-            *(plot.written(row.setting[name]) if name in row.setting else "–" for name in varied),
-            *_mean_cells(row, decimals),
+            *(plot.written(row.setting[name]) if name in row.setting else "–" for name in view.varied),
+            *_mean_cells(row, view),
             *(cell(row) for cell in columns.values()),
         ]
         for row, star in zip(ranked, stars, strict=False)
@@ -345,9 +385,11 @@ def _settings_table(ranked: Sequence[Row], prediction: bool, varied: Sequence[st
     return Table(head, rows, stars)
 
 
-def _columns(rows: Sequence[Row], prediction: bool, decimals: int) -> dict[str, Callable[[Row], str]]:
+def _columns(rows: Sequence[Row], view: View) -> dict[str, Callable[[Row], str]]:
     """What both tables tell after mean and interval, as far as there is anything to tell."""
-    columns: dict[str, Callable[[Row], str]] = {"9 of 10 runs": lambda row: _between(row.most, decimals)}
+    columns: dict[str, Callable[[Row], str]] = {
+        "9 of 10 runs": lambda row: _between(row.run_low, row.run_high, view)
+    }
     if _some_seeds_missing(rows):
         columns["seeds counted"] = lambda row: f"{row.n} of {row.seeds}"
     if any(row.diverged for row in rows):
@@ -355,8 +397,8 @@ def _columns(rows: Sequence[Row], prediction: bool, decimals: int) -> dict[str, 
     if not np.isnan([row.episodes for row in rows]).all():
         columns["episodes"] = lambda row: _number(row.episodes, 1 if row.episodes < 1000 else 0)
     if not np.isnan([row.end for row in rows]).all():
-        of_end = "error at the end" if prediction else "worth of the greedy policy"
-        columns[of_end] = lambda row: _number(row.end, decimals if prediction else None)
+        of_end = "error at the end" if view.prediction else "worth of the greedy policy"
+        columns[of_end] = lambda row: _number(row.end, view.decimals if view.prediction else None)
     return columns
 
 
@@ -364,14 +406,14 @@ def _some_seeds_missing(rows: Iterable[Row]) -> bool:
     return any(row.n < row.seeds - row.diverged for row in rows)
 
 
-def _mean_cells(row: Row | None, decimals: int) -> list[str]:
+def _mean_cells(row: Row | None, view: View) -> list[str]:
     return (
-        ["–", "–"] if row is None else [_number(row.mean, decimals), _between((row.low, row.high), decimals)]
+        ["–", "–"] if row is None else [_number(row.mean, view.decimals), _between(row.low, row.high, view)]
     )
 
 
-def _between(ends: tuple[float, float], decimals: int) -> str:
-    return "–" if np.isnan(ends).any() else " to ".join(_number(x, decimals) for x in ends)
+def _between(low: float, high: float, view: View) -> str:
+    return " to ".join(_number(x, view.decimals) for x in (low, high)) if low <= high else "–"
 
 
 def _decimals(rows: Iterable[Row]) -> int:
@@ -389,28 +431,28 @@ def _number(x: float, decimals: int | None = None) -> str:
     return text.replace("-", "−").replace(",", " ").replace("inf", "∞")
 
 
-def _setting(row: Row, varied: Sequence[str]) -> str:
-    return ", ".join(plot.in_words({name: row.setting[name] for name in varied if name in row.setting}))
+def _setting(row: Row, view: View) -> str:
+    return ", ".join(plot.in_words({name: row.setting[name] for name in view.varied if name in row.setting}))
 
 
-def _setting_of(row: Row, varied: Sequence[str]) -> str:
-    return ", ".join(filter(None, [row.method, _setting(row, varied)]))
+def _setting_of(row: Row, view: View) -> str:
+    return ", ".join(filter(None, [row.method, _setting(row, view)]))
 
 
 # --- pictures ----------------------------------------------------------------------------------------
 
 
 def _pictures(
-    label: str, datasets: Datasets, env: Environment, stars: Sequence[Row], prediction: bool, decimals: int
+    label: str, datasets: Datasets, env: Environment, stars: Sequence[Row], view: View
 ) -> list[Picture]:
     figures = plot.pictures(datasets, env)
-    if isinstance(env, Grid) and not prediction:
+    if isinstance(env, Grid) and not view.prediction:
         figures["values"] = plot.value_tables(datasets, env)
-    captions = CAPTIONS | (OF_PREDICTION if prediction else {})
-    ends = ", ".join(f"{row.method} {_number(row.mean, decimals)}" for row in stars)
-    what = "mean error" if prediction else "mean return at the end"
+    captions = CAPTIONS | (OF_PREDICTION if view.prediction else {})
+    ends = ", ".join(f"{row.method} {_number(row.mean, view.decimals)}" for row in stars)
+    what = view.what if view.prediction else f"{view.what} at the end"
     optimum = stars[0].optimum
-    known = "" if prediction or np.isnan(optimum) else f"; exact optimum {_number(optimum)}"
+    known = "" if view.prediction or np.isnan(optimum) else f"; exact optimum {_number(optimum)}"
     pictures = []
     for name, figure in figures.items():
         kind, _, parameter = name.partition("_") if name.startswith("sensitivity") else (name, "", "")
