@@ -276,7 +276,9 @@ def written(x: Any) -> str:
     """The value of a hyperparameter as people write it."""
     if isinstance(x, bool):
         return "on" if x else "off"
-    return _number(x) if isinstance(x, int | float) else str(x)
+    if isinstance(x, int | float):
+        return _number(x, 6 if abs(x) >= 1 else 4)  # what is drawn at random has many digits
+    return str(x)
 
 
 def _styles() -> Iterable[dict[str, Any]]:

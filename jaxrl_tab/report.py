@@ -330,7 +330,7 @@ def _differences(scores: Mapping[str, xr.DataArray], view: View) -> dict[str, li
     for (method, (interval, _, _)), p_value in zip(found.items(), p.values, strict=True):
         mean, low, high = (float(x) for x in interval[:3])
         by = f"{_number(mean, view.decimals)} ({_between(low, high, view)})"
-        cells[method] = [by, "< 0.001" if p_value < 0.001 else _number(p_value, 3)]
+        cells[method] = [by, _unbroken("< 0.001") if p_value < 0.001 else _number(p_value, 3)]
     return cells
 
 
@@ -368,6 +368,8 @@ def _settings_table(ranked: Sequence[Row], view: View) -> Table:
     settings = Counter(row.method for row in ranked)
     stars = [row.star and settings[row.method] > 1 for row in ranked[:AT_MOST]]
     columns = _columns(ranked, view)
+    if not np.isnan([row.episodes for row in ranked]).all():
+        columns["episodes"] = lambda row: _number(row.episodes, 1 if row.episodes < 1000 else 0)
     if len({_number(row.optimum) for row in ranked}) > 1:
         columns["exact optimum"] = lambda row: _number(row.optimum)
     head = [
@@ -399,8 +401,6 @@ def _columns(rows: Sequence[Row], view: View) -> dict[str, Callable[[Row], str]]
         columns["seeds counted"] = lambda row: f"{row.n} of {row.seeds}"
     if any(row.diverged for row in rows):
         columns["diverged"] = lambda row: str(row.diverged)
-    if not np.isnan([row.episodes for row in rows]).all():
-        columns["episodes"] = lambda row: _number(row.episodes, 1 if row.episodes < 1000 else 0)
     if not np.isnan([row.end for row in rows]).all():
         of_end = "error at the end" if view.prediction else "worth of the greedy policy"
         columns[of_end] = lambda row: _number(row.end, view.decimals if view.prediction else None)
