@@ -144,7 +144,7 @@ def plan(
     Raises:
         InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
     """
-    devices = tuple(devices or jax.devices())
+    devices = tuple(devices or jax.local_devices())
     needs = [_needs(budget, *_signature((root, np.uint32(0), x, env))) for x in algorithms]
     results = needs[0].results
     if any(other.results != results for other in needs):
@@ -187,7 +187,7 @@ def forecast(
 ) -> Forecast:
     """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
     devices = tuple(devices or jax.devices())
-    one = _traced(budget, *_signature((root, np.uint32(0), algorithm, env)))
+    one = _needs(budget, *_signature((root, np.uint32(0), algorithm, env)))
     room = memory.free(devices) // 2 if limit is None else limit
     lanes, most = _width(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
     blocks = -(-runs // lanes)
@@ -219,13 +219,13 @@ def run(
             [n, S, A], and the Log of them, [n, rows] each. It must copy what it wants to keep.
         progress: is called with the number of runs finished so far.
         room: the bytes that a call may take on each device.
-        devices: the JAX devices to use; all by default.
+        devices: the JAX devices to use; all of this process by default.
         runs: the numbers of the runs to train, int [n]; all by default.
 
     Raises:
         RunError: the memory runs out, even with the smallest call. Calls that are too large are made smaller.
     """
-    devices = tuple(devices or jax.devices())
+    devices = tuple(devices or jax.local_devices())
     seeds = np.asarray(seeds, np.uint32)
     runs = np.arange(seeds.size) if runs is None else runs
 

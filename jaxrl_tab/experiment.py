@@ -115,9 +115,6 @@ class Experiment:
             self._set("log_every", self.log_every or default_log_every(self.steps))
             with _at("select"):
                 self._set("select", None if self.select is None else _selection(self.select, self.seeds))
-                if prediction and self.select and self.select["by"] != "score":
-                    with _at("by"):
-                        raise InputError("by: methods of prediction are chosen by their score, the error")
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)
@@ -215,8 +212,7 @@ class Selection:
     """How the best setting of each method is chosen, to be run again on seeds that had no part in the choice.
 
     Attributes:
-        by: "score": the mean return of the last tenth, of prediction the error; or "mean_return": that of the
-            whole run. They are functions of `stats`.
+        by: "score": the mean return of the last tenth, of prediction the error (see `stats.score`).
         fresh_seeds: how many seeds it is then run on.
     """
 
@@ -231,7 +227,7 @@ class Selection:
             _whole("fresh_seeds", self.fresh_seeds, 1)
 
 
-CRITERIA = ("score", "mean_return")
+CRITERIA = ("score",)
 
 
 def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:

@@ -4,7 +4,7 @@ import dataclasses
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from jaxrl_tab.train import Log
 from jaxrl_tab.types import Environment
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 
@@ -114,6 +115,15 @@ class SweepResult:
             "steps_per_second": self.steps_per_second,
         }
         return xr.Dataset(variables, coords, attrs)
+
+    def to_pandas(self, per: Literal["row", "seed"] = "row") -> "pd.DataFrame":
+        """The result as a table in long form: a row for each row of the log of each run, or for each run.
+
+        See `export.to_pandas`; its `to_csv` and `to_parquet` write it.
+        """
+        from jaxrl_tab import export
+
+        return export.to_pandas(self.to_xarray(), per)
 
 
 def is_diverged(q: Any, *sums: Any) -> np.ndarray:
