@@ -327,8 +327,10 @@ def iqm_interval(
 
     With `within="environment"` it is the IQM of all runs of all environments, from a bootstrap stratified by
     environment (Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice").
-    Scores of different environments must first be made comparable, for instance by the optimum of each.
-    Arguments and errors as in `bootstrap_interval`, which this is, made fast where nothing is stratified.
+    Scores of different environments must first be made comparable, for instance by the optimum of each. Over
+    seeds alone it takes the normal quantile for that of t in `bootstrap_interval`, with which its intervals
+    of ten seeds would be too wide: as it is, they held in 93.8% to 94.9% of the simulations of the table
+    above for 10, 30 and 100 seeds, but for 5 seeds in 90%. Arguments and errors as there.
     """
     if within is not None:
         return bootstrap_interval(x, iqm, dim, within, confidence)
@@ -339,7 +341,7 @@ def iqm_interval(
         n = values.shape[-1]
         copies = np.rint(_weights(n) * n).cumsum(-1)
         kept = np.diff(np.clip(copies, n // 4, n - n // 4), axis=-1, prepend=n // 4) / (n - 2 * (n // 4))
-        return iqm(values), *_percentiles(np.sort(values) @ kept.T, n, 1, confidence)
+        return iqm(values), *_percentiles(np.sort(values) @ kept.T, n, 1, np.inf, confidence)
 
     return Interval(*_along(x, dim, of, RESAMPLES))
 
@@ -356,9 +358,9 @@ def bootstrap_interval(
     A resample of n values in k strata varies less than fresh values do, by the factor 1 - k / n, and its
     spread is itself uncertain. So its quantiles are not taken at 2.5% and 97.5% but further out, where the
     standard normal distribution function is at ± sqrt(n / (n - k)) t(n - k) (Hesterberg 2015, Am. Statist.
-    69, 371-386). In simulation as in the table above, intervals of the IQM of 10, 30 and 100 seeds held in
-    96.5% to 97.2%, 95.3% to 95.8% and 94.1% to 95.5%; over 5 or 20 environments with ten seeds each in 93.0%
-    to 95.5%, but with three seeds in 88% to 94.9%. For means `mean_interval` is better.
+    69, 371-386). In simulation as in the table above, intervals of the IQM over 5 or 20 environments with ten
+    seeds each held in 93.0% to 95.5%; with three seeds only, in 88% to 94.9%. For means `mean_interval` is
+    better.
 
     Args:
         x: numbers, [..., dim, ...]; a NaN is left out.
@@ -380,17 +382,16 @@ def bootstrap_interval(
         drawn = [values[:, rng.integers(len(values.T), size=(RESAMPLES, len(values.T)))] for values in strata]
         with np.errstate(invalid="ignore"):  # infinities
             resampled = statistic(np.concatenate(drawn, axis=-1), axis=-1)
-        return estimate, *_percentiles(resampled, n, len(strata), confidence)
+        return estimate, *_percentiles(resampled, n, len(strata), n - len(strata), confidence)
 
     return Interval(*_along(x, dim if within is None else (within, dim), of, RESAMPLES))
 
 
-def _percentiles(resampled: np.ndarray, n: int, strata: int, confidence: float) -> np.ndarray:
+def _percentiles(resampled: np.ndarray, n: int, strata: int, degrees: float, confidence: float) -> np.ndarray:
     """Bounds, [2, c], from what resamples of n values gave, [c, resamples]; NaN where n is too small."""
-    degrees = n - strata
-    if degrees < 1:
+    if n <= strata:
         return np.full((2, len(resampled)), np.nan)
-    z = np.sqrt(n / degrees) * stats.t.ppf(_tails(confidence), degrees)
+    z = np.sqrt(n / (n - strata)) * stats.t.ppf(_tails(confidence), degrees)
     with np.errstate(invalid="ignore"):  # infinities
         return np.quantile(resampled, special.ndtr(z), axis=-1)
 
