@@ -13,12 +13,14 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
+
+import numpy as np
 
 from jaxrl_tab.types import InputError, is_whole, shown
 
 DRAW = "draw"  # the axis of trials; each of its values is a dict of what is drawn together
+MOST = 1e100  # so large an end may be; and so small, where its logarithm is taken
 DIGITS = 12  # significant ones of what is computed: beyond, machines may differ
 
 
@@ -206,9 +208,9 @@ def _check_grid(grid: Any, positive: bool = False) -> None:
 def _check_ends(spec: Any, positive: bool = False) -> None:
     ends = (spec.low, spec.high)
     for end in ends:
-        if not isinstance(end, Real) or isinstance(end, bool) or not math.isfinite(end):
-            raise InputError(f"the ends must be numbers, not {shown(end)}")
-    if positive and spec.low <= 0:
+        if not isinstance(end, int | float | np.number) or isinstance(end, bool) or not abs(end) <= MOST:
+            raise InputError(f"the ends must be numbers, {MOST:g} at most, not {shown(end)}")
+    if positive and spec.low < 1 / MOST:
         raise InputError(f"the ends must be above 0 on a logarithmic scale, not {shown(spec.low)}")
     if not spec.low < spec.high:
         raise InputError(f"the low end, {shown(spec.low)}, must be below the high end, {shown(spec.high)}")

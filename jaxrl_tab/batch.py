@@ -37,12 +37,14 @@ from jax.sharding import AxisType, Mesh, PartitionSpec
 
 from jaxrl_tab import memory, planning, programs
 from jaxrl_tab.train import Record, bytes_of_words, default_log_every, train
-from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError
+from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError, RunError
 
 LANES = 64
 BLOCKS = 16  # of a device in one call, at most
+FEWEST_LANES = 8  # on a CPU, where memory runs out: with fewer, exact values would differ in the last bit
 CALL_BYTES = 2**28  # that it takes on a device, at most, unless one block alone is larger
 CALL_SECONDS = 0.2  # about so long a call shall take
+_NO_MEMORY = "RESOURCE_EXHAUSTED"  # in the error of JAX
 _THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
 
 
@@ -142,7 +144,7 @@ def plan(
     Raises:
         InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
     """
-    devices = tuple(devices or jax.devices())
+    devices = tuple(devices or jax.local_devices())
     needs = [_needs(budget, *_signature((root, np.uint32(0), x, env))) for x in algorithms]
     results = needs[0].results
     if any(other.results != results for other in needs):
@@ -185,7 +187,7 @@ def forecast(
 ) -> Forecast:
     """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
     devices = tuple(devices or jax.devices())
-    one = _traced(budget, *_signature((root, np.uint32(0), algorithm, env)))
+    one = _needs(budget, *_signature((root, np.uint32(0), algorithm, env)))
     room = memory.free(devices) // 2 if limit is None else limit
     lanes, most = _width(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
     blocks = -(-runs // lanes)
@@ -217,10 +219,13 @@ def run(
             [n, S, A], and the Log of them, [n, rows] each. It must copy what it wants to keep.
         progress: is called with the number of runs finished so far.
         room: the bytes that a call may take on each device.
-        devices: the JAX devices to use; all by default.
+        devices: the JAX devices to use; all of this process by default.
         runs: the numbers of the runs to train, int [n]; all by default.
+
+    Raises:
+        RunError: the memory runs out, even with the smallest call. Calls that are too large are made smaller.
     """
-    devices = tuple(devices or jax.devices())
+    devices = tuple(devices or jax.local_devices())
     seeds = np.asarray(seeds, np.uint32)
     runs = np.arange(seeds.size) if runs is None else runs
 
@@ -245,7 +250,14 @@ def run(
     while done < len(runs):
         called = time.perf_counter()
         blocks = min(blocks, -(-(len(runs) - done) // (len(devices) * lanes)))
-        output = program(np.int32(blocks), *arguments(done, blocks))
+        try:
+            output = jax.block_until_ready(program(np.int32(blocks), *arguments(done, blocks)))
+        except (MemoryError, jax.errors.JaxRuntimeError) as error:
+            if isinstance(error, jax.errors.JaxRuntimeError) and _NO_MEMORY not in str(error):
+                raise
+            lanes, most = _smaller(call, lanes, most, devices)
+            blocks, program = 1, _compiled(devices, budget, *_signature(arguments(0, 1)))
+            continue
         for i in range(len(devices)):
             finished = np.arange(done, min(done + blocks * lanes, len(runs)))
             part = lambda x, i=i: np.asarray(x.addressable_shards[i].data)[0].reshape(-1, *x.shape[3:])
@@ -285,6 +297,27 @@ def _width(call: memory.Call, runs: int, room: int, devices: Sequence[Any]) -> t
     while lanes > 1 and call.bytes(lanes, 1) > room:
         lanes //= 2
     return lanes, 1
+
+
+def _smaller(call: memory.Call, lanes: int, most: int, devices: Sequence[Any]) -> tuple[int, int]:
+    """Half as many blocks of a call, or, where it is one, half as many lanes.
+
+    Raises:
+        RunError: it cannot be smaller.
+    """
+    if most > 1:
+        smaller = lanes, most // 2
+    elif lanes > (FEWEST_LANES if _on_cpu(devices) else 1):
+        smaller = lanes // 2, 1
+    else:
+        raise RunError(
+            f"there is not enough memory for {lanes} runs at a time on each device ({len(devices)}), the "
+            f"fewest there can be, which need {memory.words(len(devices) * call.bytes(lanes, 1))}: take a "
+            "larger log_every, or a smaller environment"
+        )
+    said = f"{lanes} runs at a time, {most} times a call"
+    logging.getLogger(__name__).warning("out of memory with %s; trying again with half", said)
+    return smaller
 
 
 def _signature(args: Any) -> tuple[Any, tuple]:

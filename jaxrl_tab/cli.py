@@ -1,4 +1,4 @@
-"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, sweep, figure.
+"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, sweep, resume, figure.
 
 Options for environments and methods are made from the registries: a new entry's parameters are options with
 no edit here. All that a person can get wrong is refused before anything is compiled, with exit code 2 and
@@ -7,6 +7,7 @@ one line. Tables and JSON go to stdout, progress and errors to stderr.
 
 import contextlib
 import dataclasses
+import datetime
 import json as jsonlib
 import os
 import shlex
@@ -31,19 +32,21 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, planning, programs
+from jaxrl_tab import batch, describe, executors, planning, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite, Grid, Panel
+from jaxrl_tab.executors import Executor
 from jaxrl_tab.experiment import Experiment, plan, template
 from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page, six_digits
+from jaxrl_tab.interrupt import interruptible
 from jaxrl_tab.options import Group, about, option_of, parameters, parse, real, size, values, whole, words
 from jaxrl_tab.prediction import PREDICTION
-from jaxrl_tab.results import label
-from jaxrl_tab.sweep import METHODS, compute, result
-from jaxrl_tab.types import InputError, build, nearest
+from jaxrl_tab.results import label, save
+from jaxrl_tab.sweep import METHODS
+from jaxrl_tab.types import InputError, RunError, build, nearest
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -64,6 +67,7 @@ commands:
   list      the environments and the methods, with their parameters
   solve     the exact values and an optimal policy of an environment
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
+  resume    go on with a sweep that was interrupted
   figure    make published figures again, and check their numbers
 
 examples:
@@ -71,6 +75,7 @@ examples:
   {PROG} solve windy-gridworld --moves king
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
   {PROG} sweep --write-template experiment.toml
+  {PROG} resume runs/windy
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures
 
@@ -79,7 +84,6 @@ examples:
 
 ALPHAS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # the step sizes of a sweep that names none
 SEEDS, STEPS = 100, 8000
-DATA = "results.nc"
 ENVIRONMENT = Group(ENVS, "Parameters of the environment.")
 HYPERPARAMETERS = Group(
     METHODS,
@@ -91,9 +95,10 @@ HYPERPARAMETERS = Group(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command and returns its exit code: 0, 1 (a figure is off), 2 (wrong input) or 130 (Ctrl-C).
+    """Runs one command and returns its exit code: 0, 2 (wrong input), 130 (Ctrl-C), or 1.
 
-    Where the reader of its output goes away, as `| head` does, it ends quietly with 1.
+    1 says that a figure is off, or that something could not be finished, as where the disk is full. Where the
+    reader of its output goes away, as `| head` does, it ends quietly with 1.
     """
     argv = sys.argv[1:] if argv is None else list(argv)
     try:
@@ -107,13 +112,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"{PROG}: {error}", file=sys.stderr)
         return 2
+    except RunError as error:
+        print(f"{PROG}: {error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt as stop:
         print("; ".join([f"{PROG}: interrupted", *map(str, stop.args)]), file=sys.stderr)
         return 130
 
 
 def _dispatch(argv: list[str]) -> int:
-    commands = {"list": _list, "solve": _solve, "sweep": _sweep, "figure": _figure}
+    commands = {
+        "list": _list,
+        "solve": _solve,
+        "sweep": _sweep,
+        "resume": _resume,
+        "figure": _figure,
+    }
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(HELP, end="")
         return 0
@@ -328,7 +342,59 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
 
 
 @dataclasses.dataclass
-class Sweep:
+class Where:
+    """Where a sweep is computed."""
+
+    executor: Annotated[str, arg(metavar="NAME")] = "local"
+    """local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see docs/scaling.md."""
+    address: Annotated[str | None, arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    """Of the Ray cluster, or of process 0 of a distributed job."""
+    processes: Annotated[int | None, whole(1), arg(help_behavior_hint="")] = None
+    """How many processes a distributed job has."""
+    process: Annotated[int | None, whole(0), arg(help_behavior_hint="")] = None
+    """Which of them this one is, from 0."""
+    slurm: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
+    """What SLURM is asked for, in the words of submitit: timeout_min=30 slurm_partition=short."""
+
+
+@contextlib.contextmanager
+def _executor(options: Any) -> Iterator[Executor]:
+    """The executor that was asked for, with the options that are its own."""
+    own = {
+        "local": (),
+        "ray": ("address",),
+        "slurm": ("slurm",),
+        "distributed": ("address", "processes", "process"),
+    }
+    name = _known("an executor", options.executor, own)
+    given = {option: getattr(options, option) for option in ("address", "processes", "process", "slurm")}
+    given = {option: value for option, value in given.items() if value not in (None, ())}
+    for option in given:
+        if option not in own[name]:
+            owners = ", ".join(other for other, names in own.items() if option in names)
+            raise InputError(f"--{option} is of --executor {owners}, and this one is {name}")
+    if name == "slurm":
+        if options.out is None:
+            raise InputError("--executor slurm needs --out: a folder that all machines see")
+        asked = dict(_key_and_value(word) for word in options.slurm)
+        given = {"folder": options.out / "jobs", "parameters": asked}
+    if name == "distributed":
+        names = {"processes": "num_processes", "process": "process_id"}
+        given = {names.get(option, option): value for option, value in given.items()}
+    executor = executors.get(name, **given)
+    with executor if isinstance(executor, executors.Distributed) else contextlib.nullcontext():
+        yield executor
+
+
+def _key_and_value(word: str) -> tuple[str, Any]:
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise InputError(f"--slurm takes KEY=VALUE, not {word!r}")
+    return key, int(value) if value.isdecimal() else value
+
+
+@dataclasses.dataclass
+class Sweep(Where):
     """Every method with every combination of hyperparameters, each over the same seeds.
 
     What is run is said by options; or by a file, which can say more: several environments, random draws, and
@@ -365,6 +431,8 @@ class Sweep:
     """Which sequence of seeds."""
     memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
     """How much memory a method may take, such as 4GB; results that do not fit go to temporary files."""
+    select: Switch = False
+    """Run the best setting of each method again, on as many fresh seeds; show both numbers."""
     exact: Switch = False
     """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
     (The error of methods of prediction is always recorded.)"""
@@ -375,7 +443,7 @@ class Sweep:
     write_template: Switch = False
     """Write an experiment that explains itself, to FILE or, without one, to the screen, and stop."""
     json: Switch = False
-    """Print the summary as JSON."""
+    """Print the summary, or what would be run, as JSON."""
     quiet: Switch = False
     """Show no progress and no table."""
 
@@ -385,17 +453,33 @@ def _sweep(argv: list[str]) -> int:
     options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
     if options.write_template:
         return _write_template(options.env)
-    experiment = _experiment(options)
+    with _executor(options) as executor:
+        if isinstance(executor, executors.Distributed) and executor.serve():
+            return 0
+        return _conduct(_experiment(options), executor, options, ["sweep", *argv])
+
+
+def _conduct(experiment: Experiment, executor: Executor, options: Any, command: Sequence[str]) -> int:
+    """Runs the experiment, prints what came out, and leaves it in the folder; or says what it would do."""
     if options.dry_run:
-        print(plan(experiment.parts(), options.memory).text())
+        found = plan(experiment.parts(), options.memory)
+        if options.json:
+            parts = {name: part._asdict() for name, part in found.parts.items()}
+            _print_json(found._asdict() | {"parts": parts})
+        else:
+            print(found.text())
         return 0
-    return _conduct(experiment, options, ["sweep", *argv])
+    given = {"memory": options.memory, "command": shlex.join([PROG, *command])}
+    with _watched(options, experiment) as progress:
+        outcome = runner.run(experiment, options.out, executor=executor, progress=progress, **given)
+    return _show(outcome, options.out, options)
 
 
 def _experiment(options: Any) -> Experiment:
     """The experiment that is in a file, or was typed."""
     typed = {"steps": options.steps, "episodes": options.episodes, "log_every": options.log_every}
     typed |= {"seeds": options.seeds, "seed": options.seed, "exact": options.exact or None}
+    typed |= {"select": {} if options.select else None}
     typed: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
     if options.env not in ENVS and (options.env.endswith(".toml") or Path(options.env).is_file()):
         others = [*options.methods, *options.environment, *options.hyperparameters]
@@ -429,51 +513,140 @@ def _write_template(file: str) -> int:
     return 0
 
 
-def _conduct(experiment: Experiment, options: Any, command: Sequence[str]) -> int:
-    """Runs the experiment, prints what came out, and leaves it in the folder."""
-    parts = experiment.parts()
-    several = len(experiment.environment) > 1
-    runs = {
-        name if several else name.partition("/")[2]: lambda progress, part=part: result(
-            part,
-            compute(part, memory=options.memory, progress=lambda done: progress(done, part.runs)),
-        ).to_xarray()
-        for name, part in parts.items()
-    }
-    with _folder(options.out) as folder:
-        datasets = _run(runs, folder, command, options.quiet)
-        from jaxrl_tab import stats
+@dataclasses.dataclass
+class Resume(Where):
+    """Goes on with a sweep that was interrupted: computes what is missing or damaged, and nothing else.
 
-        tables = []
-        for environment in experiment.environment:
-            label = environment["label"]
-            names = {method["label"]: f"{label}/{method['label']}" for method in experiment.method}
-            own = {method: datasets[name if several else method] for method, name in names.items()}
-            tables.append(stats.summary(own))
-            if not (options.json or options.quiet):
-                _print_summary(label, tables[-1], own)
-            if several:
-                tables[-1].insert(0, "environment", label)
-            if folder:
-                from jaxrl_tab import plot
+    The results are the same, to the last bit, as if nothing had happened.
 
-                place = folder / label if several else folder
-                place.mkdir(exist_ok=True)
-                env = parts[next(iter(names.values()))].env
-                with Console(stderr=True, quiet=options.quiet).status("drawing the pictures"):
-                    plot.save_all(own, env, place)
-        import pandas as pd
+    Examples:
+      jaxrl-tab resume runs/windy
+    """
 
-        table = pd.concat(tables, ignore_index=True)
-        if folder:
-            table.to_csv(folder / "summary.csv", index=False)
+    folder: Annotated[Positional[Path | None], arg(metavar="DIR", help_behavior_hint="")] = None
+    """The folder of the sweep: what --out named."""
+    memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
+    """How much memory it may take, such as 4GB."""
+    json: Switch = False
+    """Print the summary as JSON."""
+    quiet: Switch = False
+    """Show no progress and no table."""
 
+
+def _resume(argv: list[str]) -> int:
+    _prepare()
+    options = parse(f"{PROG} resume", Resume, argv)
+    if options.folder is None:
+        raise InputError("name the folder of a sweep")
+    options.out = options.folder
+    command = shlex.join([PROG, "resume", *argv])
+    with _executor(options) as executor:
+        if isinstance(executor, executors.Distributed) and executor.serve():
+            return 0
+        given = {"executor": executor, "memory": options.memory, "command": command}
+        with _watched(options) as progress:
+            outcome = runner.resume(options.out, progress=progress, **given)
+        return _show(outcome, options.out, options)
+
+
+@contextlib.contextmanager
+def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[runner.Report]:
+    """What a run reports its progress to: a bar. Where it is interrupted, it says how to go on."""
+    import pandas  # noqa: F401  Now, while there is nothing yet that Ctrl-C could wait for.
+
+    stderr = Console(stderr=True)
+    columns = (
+        SpinnerColumn(finished_text="✓"),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("runs{task.fields[more]}"),
+    )
+    quiet = options.quiet or not stderr.is_terminal
+    if experiment is not None and not quiet:
+        stderr.print(plan(experiment.parts(), options.memory).text(), markup=False, highlight=False)
+    try:
+        with interruptible(), Progress(*columns, console=stderr, disable=quiet) as bars:
+            bar = bars.add_task("compiling", total=None, more="")
+
+            def progress(state: runner.Progress) -> None:
+                bars.update(
+                    bar,
+                    description=state.label,
+                    completed=state.done,
+                    total=state.total,
+                    more=_more(state),
+                )
+
+            yield progress
+    except (KeyboardInterrupt, RunError) as stop:
+        if options.out is None or not Path(options.out).is_dir():
+            raise
+        kept = f"what is finished is kept, `{PROG} resume {shlex.quote(str(options.out))}` goes on"
+        raise type(stop)("; ".join([*map(str, stop.args), kept])) from None
+
+
+def _more(state: runner.Progress) -> str:
+    """The numbers beside the bar."""
+    said = [""]
+    if state.steps:
+        said.append(f"{state.steps / state.seconds / 1e6:.1f} million steps/s")
+    if state.left and state.done < state.total:
+        said.append(f"{datetime.timedelta(seconds=round(state.left))} left")
+    if state.diverged:
+        said.append(f"{state.diverged} diverged")
+    return ", ".join(said)
+
+
+def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
+    """Prints what came out: tables for people, or JSON."""
     if options.json:
-        records = jsonlib.loads(str(table.to_json(orient="records")))
-        _print_json({"folder": options.out and str(options.out), "summary": records})
-    elif options.out and not options.quiet:
-        _say_where(options.out, next(iter(runs)))
+        summary = {"folder": folder and str(folder), "summary": _records(runner.summary(outcome))}
+        chosen = {"selection": _records(runner.selection(outcome))} if outcome.fresh else {}
+        _print_json(summary | chosen)
+        return 0
+    if options.quiet:
+        return 0
+    from jaxrl_tab import stats
+
+    for environment in outcome.envs:
+        own = outcome.of(environment)
+        _print_summary(environment, stats.summary(own), own)
+    if outcome.fresh:
+        _print_selection(runner.selection(outcome))
+    if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
+        runs = sum(ds.diverged.size for ds in outcome.datasets.values())
+        _console().print(f"{diverged} of {runs} runs diverged: a number became infinite or NaN")
+    if folder:
+        name = next(iter(outcome.datasets))
+        _say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])
     return 0
+
+
+def _records(table: "pd.DataFrame") -> Any:
+    return jsonlib.loads(str(table.to_json(orient="records")))
+
+
+def _print_selection(table: "pd.DataFrame") -> None:
+    """The settings that were chosen, with what they gave on the seeds of the choice and on fresh ones."""
+    columns = list(table.columns)
+    hyperparameters = columns[2 : columns.index("chosen_score")]
+    view = Table("environment", "method", "chosen setting", "on the seeds\nof the choice", "± 95%")
+    view.add_column("on fresh\nseeds")
+    view.add_column("± 95%")
+    for column in view.columns[3:]:
+        column.justify = "right"
+    for row in table.to_dict("records"):
+        setting = [f"{h} {words(row[h])}" for h in hyperparameters if row[h] == row[h]]
+        scores = []
+        for kind in ("chosen", "fresh"):
+            mean, half = row[f"{kind}_score"], row[f"{kind}_high"] - row[f"{kind}_score"]
+            digits = f"{{:.{_decimals(np.array([half]), 2)}f}}".format
+            scores += [_cell(mean, digits), _cell(half, digits)]
+        view.add_row(row["environment"], row["method"], ", ".join(setting), *scores)
+    out = _console()
+    out.print(view)
+    out.print("the choice flatters the first number; report the second")
 
 
 def _run(
@@ -485,6 +658,7 @@ def _run(
     """
     import xarray  # noqa: F401  Now, because later a Ctrl-C in the second that it takes would lose a run's data.
 
+    about = {"command": shlex.join([PROG, *command]), "version": jaxrl_tab.__version__}
     datasets = {}
     columns = (
         SpinnerColumn(finished_text="✓"),
@@ -505,19 +679,8 @@ def _run(
 
             datasets[name] = run(progress)
             if folder:
-                _save(datasets[name], group, folder / DATA, command)
+                save(datasets[name], group, folder / runner.DATA, about)
     return datasets
-
-
-def _save(ds: "xr.Dataset", group: str, file: Path, command: Sequence[str]) -> None:
-    """Adds the data of one run to the netCDF file, as a group; the command is in the attributes above."""
-    import xarray as xr
-
-    if not file.exists():
-        about = {"command": shlex.join([PROG, *command]), "version": jaxrl_tab.__version__}
-        xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in ds.items() if x.ndim}
-    ds.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
 
 
 def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]") -> None:
@@ -731,10 +894,10 @@ def _folder(path: Path | None) -> Iterator[Path | None]:
 
 def _say_where(folder: Path, group: str | None = None) -> None:
     out = _console()
-    files = ", ".join(sorted(file.name for file in folder.iterdir()))
+    files = ", ".join(sorted(file.name for file in folder.iterdir() if not file.name.startswith(".")))
     out.print(f"[bold]{escape(str(folder))}[/]: {files}", soft_wrap=True)
     if group:
-        how = f'xarray.open_datatree("{folder / DATA}")["{group}"]'
+        how = f'xarray.open_datatree("{folder / runner.DATA}")["{group}"]'
         out.print(f"Read the data with {how}", markup=False, soft_wrap=True)
 
 

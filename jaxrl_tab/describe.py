@@ -6,6 +6,7 @@ And what a person may give for one of them: a number, or text such as "glie" and
 import dataclasses
 import inspect
 import re
+import sys
 from collections.abc import Callable
 from numbers import Integral, Real
 from typing import Any, NamedTuple
@@ -84,7 +85,8 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
     if rate and schedules.is_named(name):
         return _parsed(schedules.parse, what, name)
     wanted, fits = _KINDS[kind(parameter)]
-    if not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool):
+    wrong = not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool)
+    if wrong or (fits is Real and isinstance(given, int) and abs(given) > sys.float_info.max):
         more = f" or a schedule ({schedule_forms()})" if rate else ""
         raise InputError(f"{what} takes {wanted}{more}, not {shown(given)}")
     return kind(parameter)(given)

@@ -29,6 +29,7 @@ import json
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -41,7 +42,7 @@ from jaxrl_tab.envs import ENVS
 from jaxrl_tab.prediction import METHODS, PREDICTION
 from jaxrl_tab.sweep import Part, configurations, leaves_as_arrays, prepare
 from jaxrl_tab.train import default_log_every
-from jaxrl_tab.types import InputError, build, is_whole, nearest, shown
+from jaxrl_tab.types import InputError, build, init_learner, is_whole, nearest, shown
 
 LABEL = r"\w[^/\x00-\x1f\x7f]*"  # it names groups and files
 TEMPLATE = Path(__file__).with_name("template.toml")
@@ -127,7 +128,7 @@ class Experiment:
         """
         path = Path(path)
         try:
-            text = path.read_bytes().decode()
+            text = path.read_bytes().decode("utf-8-sig")
         except OSError as error:
             raise InputError(f"{path} cannot be read: {error.strerror}") from None
         except UnicodeDecodeError:
@@ -176,7 +177,7 @@ class Experiment:
                 env = build(ENVS[environment["name"]], environment["label"], values)
                 for i, method in enumerate(self.method):
                     with _at("method", i):
-                        found[f"{environment['label']}/{method['label']}"] = prepare(
+                        part = prepare(
                             env,
                             method["name"],
                             _grid(method, self.seed),
@@ -187,6 +188,9 @@ class Experiment:
                             seed=self.seed,
                             exact=self.exact,
                         )
+                        for config, *_ in part.programs:  # policies in tables must be of the task's size
+                            jax.eval_shape(partial(init_learner, part.configs[config], env))
+                    found[f"{environment['label']}/{method['label']}"] = part
         return found
 
     def to_toml(self) -> str:
@@ -208,7 +212,7 @@ class Selection:
     """How the best setting of each method is chosen, to be run again on seeds that had no part in the choice.
 
     Attributes:
-        by: "score": the mean return of the last tenth; of prediction the error (see `stats.score`).
+        by: "score": the mean return of the last tenth, of prediction the error (see `stats.score`).
         fresh_seeds: how many seeds it is then run on.
     """
 
@@ -250,14 +254,12 @@ def _change(what: str, before: Any, after: Any) -> list[str]:
     if before == after:
         return []
     texts = ["not given" if x is None else _toml(x) for x in (before, after)]
-    if max(map(len, texts)) > 200:
-        texts = [
-            f"{len(x)} values" if isinstance(x, list) else t
-            for x, t in zip((before, after), texts, strict=True)
-        ]
-    return [
-        f"{what} was {texts[0]}, and is {texts[1]}" if texts[0] != texts[1] else f"{what} has other values"
-    ]
+    if max(map(len, texts)) > 200:  # such as many draws
+        sizes = [len(x) if isinstance(x, list) else 1 for x in (before, after)]
+        if sizes[0] == sizes[1]:
+            return [f"{what} has other values"]
+        texts = [f"{n} values" if n > 1 else text for n, text in zip(sizes, texts, strict=True)]
+    return [f"{what} was {texts[0]}, and is {texts[1]}"]
 
 
 def template() -> str:
@@ -435,16 +437,20 @@ def _values_of_environment(key: str, given: Any, parameter: describe.Parameter) 
 
 def _methods(given: Any, seed: int) -> list[dict[str, Any]]:
     """The plain data of each method."""
-    found = []
-    for i, table in enumerate(_tables("method", given, METHODS)):
+    tables = _tables("method", given, METHODS)
+    first = tables[0]["name"]
+    for i, table in enumerate(tables):
         with _at("method", i):
-            found.append(_method(table, seed))
-            pair = sorted([found[0]["name"], table["name"]], key=lambda name: name not in PREDICTION)
-            if pair[0] in PREDICTION and pair[1] not in PREDICTION:
+            prediction, control = sorted([first, table["name"]], key=lambda name: name not in PREDICTION)
+            if prediction in PREDICTION and control not in PREDICTION:
                 raise InputError(
-                    f"{pair[0]} learns the values of a policy, and {pair[1]} a policy, which cannot be "
+                    f"{prediction} learns the values of a policy, and {control} a policy, which cannot be "
                     "compared; sweep methods of prediction and of control apart"
                 )
+    found = []
+    for i, table in enumerate(tables):
+        with _at("method", i):
+            found.append(_method(table, seed))
     _check_labels("method", found, range(len(found)))
     return found
 

@@ -4,7 +4,7 @@ import dataclasses
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from jaxrl_tab.train import Log
 from jaxrl_tab.types import Environment
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 
@@ -115,9 +116,18 @@ class SweepResult:
         }
         return xr.Dataset(variables, coords, attrs)
 
+    def to_pandas(self, per: Literal["row", "seed"] = "row") -> "pd.DataFrame":
+        """The result as a table in long form: a row for each row of the log of each run, or for each run.
 
-def is_diverged(q: np.ndarray, *sums: np.ndarray) -> np.ndarray:
-    """Whether there is a NaN or an infinity in a table [..., S, A], or in sums [..., rows] of it; bool [...]."""
+        See `export.to_pandas`; its `to_csv` and `to_parquet` write it.
+        """
+        from jaxrl_tab import export
+
+        return export.to_pandas(self.to_xarray(), per)
+
+
+def is_diverged(q: Any, *sums: Any) -> np.ndarray:
+    """Whether there is a NaN or an infinity in a table [..., S, A] or in sums [..., rows], bool [...]."""
     found = np.zeros(q.shape[:-2], bool)
     for x in (q, *(x[..., None] for x in sums)):
         for extreme in (x.min((-2, -1)), x.max((-2, -1))):  # where there is a NaN, both are NaN
@@ -126,7 +136,7 @@ def is_diverged(q: np.ndarray, *sums: np.ndarray) -> np.ndarray:
 
 
 def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> None:
-    """Adds a dataset to a netCDF file, as a group. The file is made if need be, with attributes of its own."""
+    """Adds a dataset to a netCDF file, as a group. Where there is no file it is made, with attributes."""
     import xarray as xr
 
     if not file.exists():

@@ -3,8 +3,8 @@
 The folder holds `experiment.toml` as it was given, `resolved.json` with all defaults and draws filled in,
 `provenance.json`, the shards with their manifest (see `storage`), and, when all are there, `results.nc`,
 `summary.csv`, pictures and `report.html`. Which runs are in a shard depends on the experiment alone, and what
-a run gives on its seed and hyperparameters alone: so the results are the same to the last bit, however often it
-was interrupted.
+a run gives on its seed and hyperparameters alone: so the results are the same to the last bit, however often
+it was interrupted.
 """
 
 import contextlib
@@ -33,6 +33,7 @@ import numpy as np
 
 import jaxrl_tab
 from jaxrl_tab import batch, storage
+from jaxrl_tab.executors import Executor, Local
 from jaxrl_tab.experiment import Experiment, PartPlan, Plan, difference
 from jaxrl_tab.memory import Results, free, size, words
 from jaxrl_tab.results import is_diverged, save
@@ -112,6 +113,7 @@ def run(
     experiment: Experiment,
     folder: str | Path | None = None,
     *,
+    executor: Executor | None = None,
     memory: int | None = None,
     progress: Report = lambda state: None,
     command: str | None = None,
@@ -121,7 +123,8 @@ def run(
     Args:
         experiment: what to run.
         folder: a new folder. Without one nothing is left but the outcome.
-        memory: how many bytes it may take, as in `sweep`.
+        executor: where it is computed, see `executors`; by default in this process.
+        memory: how many bytes it may take, as in `sweep`; of each worker, where there are several.
         progress: is called as shards are finished.
         command: what was typed, for the records; by default what started this process.
 
@@ -136,15 +139,16 @@ def run(
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
             _begin(path, experiment)
-            return _go_on(path, experiment, memory, progress, command, keep=False)
+            return _go_on(path, experiment, executor, memory, progress, command, keep=False)
     _begin(path, experiment)
     with storage.lock(path):
-        return _go_on(path, experiment, memory, progress, command)
+        return _go_on(path, experiment, executor, memory, progress, command)
 
 
 def resume(
     folder: str | Path,
     *,
+    executor: Executor | None = None,
     memory: int | None = None,
     progress: Report = lambda state: None,
     command: str | None = None,
@@ -155,7 +159,7 @@ def resume(
 
     Args:
         folder: the folder.
-        memory, progress, command: as in `run`.
+        executor, memory, progress, command: as in `run`.
 
     Raises:
         InputError: there is no experiment in the folder, or another process is at work in it, or the
@@ -169,29 +173,35 @@ def resume(
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
     command = shlex.join(sys.argv) if command is None else command
     with storage.lock(path):
-        return _go_on(path, _experiment_in(path), memory, progress, command)
+        return _go_on(path, _experiment_in(path), executor, memory, progress, command)
 
 
 def _go_on(
-    path: Path, experiment: Experiment, limit: int | None, report: Report, command: str, keep: bool = True
+    path: Path,
+    experiment: Experiment,
+    executor: Executor | None,
+    limit: int | None,
+    report: Report,
+    command: str,
+    keep: bool = True,
 ) -> Outcome:
     """All that is still to be done in a folder."""
     store = Store(path, experiment.fingerprint)
-    with _session(store, command) as provenance:
-        for line in store.found:
-            logging.getLogger(__name__).warning("%s", line)
-        job = Job(json.dumps(experiment.data()), limit)
-        meter = _Meter(job, experiment, store, report)
-        new = _compute(store, job, meter)
+    for line in store.found:
+        _warn(line)
+    with _session(store, command) as records:
+        job, meter, select = Job(json.dumps(experiment.data()), limit), _Meter(report), experiment.select
+        later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
+        executor = executor or Local()
+        new = _compute(store, job, executor, meter, later)
         datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
-        fresh = {}
-        if experiment.select is not None:
-            chosen = {name: _chosen(ds) for name, ds in datasets.items()}
-            job = job._replace(chosen=json.dumps(chosen))
-            new |= _compute(store, job, meter, {})
-            fresh, _ = _collect(store, job, [FRESH + name for name in datasets], room)
-            fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
         envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
+        fresh = {}
+        if select:
+            job = job._replace(chosen=json.dumps({name: _chosen(ds) for name, ds in datasets.items()}))
+            new |= _compute(store, job, executor, meter, {})
+            fresh, _ = _collect(store, job, list(later), room)
+            fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
         outcome = Outcome(datasets, fresh, envs)
         if keep and (new or not store.files):
             meter.show("tables, pictures, report")
@@ -226,11 +236,10 @@ class Job(NamedTuple):
         return _shards(self.experiment, self.chosen)
 
     def setting(self, shard: Shard) -> int | None:
-        """The chosen configuration that a shard of fresh seeds runs."""
-        return json.loads(self.chosen)[shard.part.removeprefix(FRESH)] if self._is_fresh(shard) else None
-
-    def _is_fresh(self, shard: Shard) -> bool:
-        return self.chosen is not None and shard.part.startswith(FRESH)
+        """The chosen configuration, of a shard of fresh seeds."""
+        if self.chosen is None or not shard.part.startswith(FRESH):
+            return None
+        return json.loads(self.chosen)[shard.part.removeprefix(FRESH)]
 
     def __call__(self, number: int) -> dict[str, np.ndarray]:
         """What the runs of a shard give: `q`, the fields of the log, and the `seconds` it took."""
@@ -290,25 +299,20 @@ def _runs(part: Part, shard: Shard) -> np.ndarray:
     return part.programs[shard.program][config] * part.num_seeds + place
 
 
-def _compute(store: Store, job: Job, meter: "_Meter", later: Mapping[str, int]) -> bool:
+def _compute(store: Store, job: Job, executor: Executor, meter: "_Meter", later: Mapping[str, int]) -> bool:
     """Computes the shards that are not there; whether there were any. `later`: see `_Meter.begin`."""
     missing = [number for number, shard in enumerate(job.shards) if not _is_there(store, job, number, shard)]
     meter.begin(store, job, missing, later)
-    for number, arrays in _here(job, missing):
-        diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
-        store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
-        meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
+    with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
+        for number, arrays in finished:
+            diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
+            store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
+            meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)
 
 
 def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
     return number in store.shards and store.shards[number]["setting"] == job.setting(shard)
-
-
-def _here(work: Job, tasks: Sequence[int]) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-    """(task, work(task)) for one task after another, in this process."""
-    for task in tasks:
-        yield task, work(task)
 
 
 def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[dict[str, xr.Dataset], int]":
@@ -421,8 +425,8 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
     there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
     if 2 * needed > (room := shutil.disk_usage(there).free):  # shards, and the whole
         raise InputError(
-            f"the results need {words(2 * needed)} on the disk, and there is room for {words(room)} in {there}: "
-            "take fewer seeds, or a larger log_every"
+            f"the results need {words(2 * needed)} on the disk, and there is room for {words(room)} in "
+            f"{there}: take fewer seeds, or a larger log_every"
         )
 
 
@@ -544,7 +548,7 @@ def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> 
 
 
 def _write_data(file: Path, datasets: "Mapping[str, xr.Dataset]", outcome: Outcome, about: Any) -> Path:
-    """A netCDF file with a group for each part: ENVIRONMENT/METHOD, or METHOD where there is one environment."""
+    """A netCDF file with a group for each part: ENVIRONMENT/METHOD; METHOD where there is one environment."""
     with storage.writing(file) as unfinished:
         for name, ds in datasets.items():
             save(ds, name if len(outcome.envs) > 1 else name.partition("/")[2], unfinished, about)
@@ -592,9 +596,9 @@ def selection(outcome: Outcome) -> "pd.DataFrame":
             row |= {f"{kind}_score": float(found.estimate)}
             row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}
         rows.append(row)
-    table = pd.DataFrame(rows)
-    scores = [column for column in table if str(column).startswith(("chosen_", "fresh_"))]
-    return table[[column for column in table if column not in scores] + scores]
+    names = dict.fromkeys(name for row in rows for name in row)  # not all methods have all hyperparameters
+    scores = [name for name in names if name.startswith(("chosen_", "fresh_"))]
+    return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
 
 def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:

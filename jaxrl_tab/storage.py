@@ -166,15 +166,6 @@ class Store:
         return arrays
 
     @property
-    def notes(self) -> dict[str, Any]:
-        """Plain data that `note` kept."""
-        return self._manifest["notes"]
-
-    def note(self, **facts: Any) -> None:
-        self._manifest["notes"] |= facts
-        self._write_manifest()
-
-    @property
     def files(self) -> list[str]:
         """The files made of the shards; none unless all are there and whole."""
         return list(self._manifest["files"])
@@ -267,7 +258,7 @@ def _checksum(data: Any) -> str:
 
 
 def _empty(fingerprint: str) -> dict[str, Any]:
-    return {"fingerprint": fingerprint, "shards": {}, "notes": {}, "files": {}}
+    return {"fingerprint": fingerprint, "shards": {}, "files": {}}
 
 
 def _name(number: int) -> str:

@@ -1,0 +1,108 @@
+"""Work for executors, in a module of its own: other processes must be able to import it."""
+
+import os
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxrl_tab as rl
+
+
+def learn(task):
+    """A real shard: 140 runs of 100 steps."""
+    result = rl.sweep(
+        rl.make("windy-gridworld"), rl.Sarsa, {"alpha": [0.25, 0.5]}, num_seeds=70, num_steps=100, seed=task
+    )
+    return {"q": result.q, "rewards": result.log.rewards}
+
+
+def square(task):
+    return {"square": np.array(task**2)}
+
+
+def begun(task, folder):
+    """Notes each time that a task is begun, in a file `TASK-TIME`, and gives the process."""
+    (Path(folder) / f"{task}-{time.time_ns()}").write_text(str(os.getpid()))
+    return {"pid": np.array(os.getpid())}
+
+
+def times(task, folder):
+    return len(list(Path(folder).glob(f"{task}-*")))
+
+
+def waits(task, folder, wait):
+    """Some of the tasks wait for ever where they are begun for the first time."""
+    begun(task, folder)
+    if task in wait and times(task, folder) == 1:
+        time.sleep(600)
+    return learn(task)
+
+
+def waits_on_node(task, folder, node):
+    """Tasks wait for ever on this Ray node."""
+    import ray
+
+    if ray.get_runtime_context().get_node_id() == node:
+        begun(task, folder)
+        time.sleep(600)
+    return learn(task)
+
+
+def dies(task, folder, deaths):
+    """Task 1 takes its process down, so many times."""
+    begun(task, folder)
+    if task == 1 and times(task, folder) <= deaths:
+        os.kill(os.getpid(), 9)
+    return square(task)
+
+
+def fails(task, folder):
+    begun(task, folder)
+    if task == 1:
+        raise ValueError("no such thing")
+    return square(task)
+
+
+def settings(task):
+    """What a result may depend on: the float type, XLA's flags; and how many devices there are."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    return {
+        "zero": np.asarray(jnp.zeros(())),
+        "flags": np.array(flags),
+        "devices": np.array(jax.device_count()),
+    }
+
+
+def same(given, tasks):
+    """Checks that these are the results of `learn`, each once, to the last bit."""
+    given = dict(list(given))
+    assert sorted(given) == sorted(tasks)
+    for task in tasks:
+        for name, array in learn(task).items():
+            assert np.asarray(given[task][name]).tobytes() == np.asarray(array).tobytes()
+
+
+def ended(pid, seconds=20):
+    """Whether a process ends within that time."""
+    for _ in range(seconds * 10):
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        if state == "Z":
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def the_process(folder, task, seconds=60):
+    """The process in which a task was begun, as soon as it was."""
+    for _ in range(seconds * 20):
+        for file in Path(folder).glob(f"{task}-*"):
+            if pid := file.read_text():
+                return int(pid)
+        time.sleep(0.05)
+    raise AssertionError(f"task {task} was not begun")

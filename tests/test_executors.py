@@ -1,0 +1,60 @@
+"""Executors: what is the same for all of them, and the one in this process."""
+
+import functools
+
+import numpy as np
+import pytest
+import shards
+
+from jaxrl_tab import executors
+from jaxrl_tab.executors import base
+from jaxrl_tab.types import InputError, RunError
+
+
+def test_local_gives_what_work_gives_one_at_a_time(tmp_path):
+    given = executors.get("local").run(functools.partial(shards.begun, folder=tmp_path), [3, 1, 2])
+    assert next(given)[0] == 3
+    assert shards.times(1, tmp_path) == 0  # it is not asked for yet
+    assert [task for task, _ in given] == [1, 2]
+
+
+def test_local_lets_errors_through(tmp_path):
+    with pytest.raises(ValueError, match=r"no such thing"):
+        dict(executors.Local().run(functools.partial(shards.fails, folder=tmp_path), [0, 1]))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("rays", {}, "no executor is called 'rays'; did you mean 'ray'"),
+        ("local", {"cores": 2}, "local has no parameter 'cores'"),
+        ("ray", {"adress": "10.0.0.1:6379"}, "did you mean 'address'"),
+    ],
+)
+def test_what_is_not_there_is_refused(name, options, said):
+    with pytest.raises(InputError, match=said):
+        executors.get(name, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "options"), [("ray", "ray", {}), ("slurm", "submitit", {"folder": "x"})]
+)
+def test_a_missing_package_is_named_with_its_extra(monkeypatch, name, package, options):
+    monkeypatch.setattr(base.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(InputError, match=rf"{package} is not installed: pip install 'jaxrl-tab\[{name}\]'"):
+        executors.get(name, **options)
+
+
+def test_a_job_does_the_work_and_returns_its_errors(tmp_path):
+    job = base.Job.of(functools.partial(shards.fails, folder=tmp_path))
+    assert base.given(3, job(3)) == (3, {"square": np.array(9)})
+    with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$") as raised:
+        base.given(1, job(1))
+    assert "in fails" in raised.value.__notes__[0]  # where it happened
+
+
+def test_a_job_refuses_another_version():
+    job = base.Job.of(shards.square)
+    result = job._replace(versions=job.versions | {"jax": "0.9.0"})(0)
+    assert isinstance(result, base.Failed)
+    assert "0.9.0 where this was started: install the same on all machines" in result.line
