@@ -569,7 +569,8 @@ def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[run
 
             def progress(state: runner.Progress) -> None:
                 if experiment is not None and not quiet and state.steps == 0 and state.done == 0:
-                    stderr.print(plan(experiment.parts(), options.memory).text(), highlight=False)
+                    text = plan(experiment.parts(), options.memory).text()
+                    stderr.print(text, markup=False, highlight=False, soft_wrap=True)
                 bars.update(
                     bar,
                     description=state.label,
@@ -637,8 +638,9 @@ def _print_selection(table: "pd.DataFrame") -> None:
     columns = list(table.columns)
     hyperparameters = columns[2 : columns.index("chosen_score")]
     scores = ["on the seeds\nof the choice", "95% interval", "on fresh\nseeds", "95% interval"]
-    view = Table("environment", "method", "chosen setting", *scores)
-    for column in view.columns[3:]:
+    several = len(set(table["environment"])) > 1
+    view = Table(*(["environment"] if several else []), "method", "chosen\nsetting", *scores)
+    for column in view.columns[-4:]:
         column.justify = "right"
     for row in table.to_dict("records"):
         setting = [f"{h} {words(row[h])}" for h in hyperparameters if row[h] == row[h]]
@@ -647,7 +649,8 @@ def _print_selection(table: "pd.DataFrame") -> None:
             mean, low, high = (row[f"{kind}_{what}"] for what in ("score", "low", "high"))
             digits = f"{{:.{_decimals(np.array([(high - low) / 2]), 2)}f}}".format
             cells += [_cell(mean, digits), _interval(low, high, digits)]
-        view.add_row(row["environment"], row["method"], ", ".join(setting), *cells)
+        names = (row["environment"], row["method"]) if several else (row["method"],)
+        view.add_row(*names, ", ".join(setting) or "–", *cells)
     out = _console()
     out.print(view)
     out.print("the choice flatters the first number; report the second")

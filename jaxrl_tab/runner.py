@@ -585,7 +585,7 @@ def selection(outcome: Outcome) -> "pd.DataFrame":
     """The setting chosen for each part: its score on the seeds that it was chosen on, and on fresh ones.
 
     Returns:
-        A frame with the columns `environment`, `method`, the hyperparameters of the setting, `chosen_score`
+        A frame with the columns `environment`, `method`, the hyperparameters that were swept, `chosen_score`
         with `chosen_low` and `chosen_high`, which flatter it, and `fresh_score` with `fresh_low` and
         `fresh_high`, which do not; the intervals are of the mean, 95%.
     """
@@ -597,8 +597,8 @@ def selection(outcome: Outcome) -> "pd.DataFrame":
     for name, fresh in outcome.fresh.items():
         environment, _, method = name.partition("/")
         ds = outcome.datasets[name]
-        row = {"environment": environment, "method": method, **stats.fixed(fresh)}
-        _, chosen, again, _ = stats.selection(ds, fresh, getattr(stats, outcome.by or "score"))
+        setting, chosen, again, _ = stats.selection(ds, fresh, getattr(stats, outcome.by or "score"))
+        row = {"environment": environment, "method": method, **stats.named(ds, setting)}
         for kind, found in (("chosen", chosen), ("fresh", again)):
             row |= {f"{kind}_score": float(found.estimate)}
             row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}

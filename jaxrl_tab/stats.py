@@ -37,6 +37,7 @@ import pandas as pd
 import xarray as xr
 from scipy import special, stats
 
+from jaxrl_tab.schedules import typed
 from jaxrl_tab.types import InputError, nearest, shown
 
 NOT_SWEPT = ("seed", "row", "state", "action")  # dimensions of a dataset that are no hyperparameters
@@ -997,6 +998,7 @@ def selection(ds: xr.Dataset, fresh: xr.Dataset, by: Measure = score, confidence
         elif (
             name != "draw"
             and (got := fixed(at).get(name, at[name].item() if name in at.coords else None)) != value
+            and not (isinstance(got, float) and typed(got) == value)  # as on an axis beside schedules
         ):
             raise InputError(f"the fresh runs must have {name} = {value}, not {got}")
     promised = mean_interval(by(ds.sel(setting)), confidence=confidence)
