@@ -23,7 +23,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import MaxNLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from jaxrl_tab import planning, stats
 from jaxrl_tab.envs.base import COMPASS, Finite, Grid
@@ -37,7 +37,7 @@ TITLE, SMALL = 11, 8  # font sizes, points
 DPI = 150
 LINE = 85  # characters of a title
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
-FEW_TICKS, MOST_TICKS = 12, 25  # values, and states or values on a log axis, beyond which not each has a tick
+FEW_TICKS, MOST_TICKS = 12, 25  # values, and states, beyond which not each has its tick on an axis
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 Datasets = Mapping[str, xr.Dataset]
@@ -185,8 +185,12 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
         x = np.unique(np.concatenate(tried).astype(float))
         if x.min() > 0 and x.max() > 10 * x.min():
             ax.set_xscale("log")
-        if len(x) <= (MOST_TICKS if ax.get_xscale() == "log" else FEW_TICKS):
+        if len(x) <= FEW_TICKS:
             ax.set_xticks(x, [f"{v:g}" for v in x])
+            ax.xaxis.set_minor_locator(NullLocator())
+        elif ax.get_xscale() == "log":
+            ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
             ax.xaxis.set_minor_locator(NullLocator())
         return lambda x: x.astype(float)
     names = list(dict.fromkeys(_text(v) for x in tried for v in x.tolist()))
@@ -272,7 +276,9 @@ def written(x: Any) -> str:
     """The value of a hyperparameter as people write it."""
     if isinstance(x, bool):
         return "on" if x else "off"
-    return _number(x) if isinstance(x, int | float) else str(x)
+    if isinstance(x, int | float):
+        return _number(x, 6 if abs(x) >= 1 else 4)  # what is drawn at random has many digits
+    return str(x)
 
 
 def _styles() -> Iterable[dict[str, Any]]:
@@ -804,18 +810,22 @@ def canvas(width: float, height: float) -> Figure:
 def _caption(datasets: Datasets, env: Environment) -> str:
     """What was run: the environment, what is not as usual in it, the hyperparameters of all, the seeds."""
     names = dict.fromkeys(str(ds.attrs["environment"]) for ds in datasets.values())
-    unusual = [
+    first, *others = [stats.fixed(ds) for ds in datasets.values()]
+    common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
+    # Lines that fit the narrowest figure, broken between settings and not within.
+    settings = [setting.replace(" ", "\xa0") for setting in [*names, *unusual(env), *in_words(common)]]
+    lines = textwrap.wrap(", ".join(settings), LINE, break_on_hyphens=False)
+    what = "\n".join(lines).replace("\xa0", " ")
+    seeds = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
+    return f"{what}\nmean and 95% interval over {seeds} seeds"
+
+
+def unusual(env: Environment) -> list[str]:
+    """The parameters of the environment that are not as they are by default, each with its value."""
+    return [
         f"{field.name} = {getattr(env, field.name)}"
         for field in dataclasses.fields(env)  # pyright: ignore[reportArgumentType]
         if isinstance(field.default, (str, int, float))
         and np.ndim(getattr(env, field.name)) == 0
         and getattr(env, field.name) != field.default
     ]
-    first, *others = [stats.fixed(ds) for ds in datasets.values()]
-    common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
-    # Lines that fit the narrowest figure, broken between settings and not within.
-    settings = [setting.replace(" ", "\xa0") for setting in [*names, *unusual, *in_words(common)]]
-    lines = textwrap.wrap(", ".join(settings), LINE, break_on_hyphens=False)
-    what = "\n".join(lines).replace("\xa0", " ")
-    seeds = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
-    return f"{what}\nmean and 95% interval over {seeds} seeds"

@@ -131,6 +131,7 @@ class Chapter(NamedTuple):
 
     label: str
     about: str
+    unusual: str
     methods: list[str]
     runs: str
     common: str
@@ -215,6 +216,7 @@ def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) 
     return Chapter(
         label=label,
         about=describe.summary(type(env)),
+        unusual=", ".join(plot.unusual(env)),
         methods=list(datasets),
         runs=_runs(next(iter(datasets.values()))),
         common=", ".join(
@@ -329,7 +331,7 @@ def _differences(scores: Mapping[str, xr.DataArray], view: View) -> dict[str, li
     for (method, (interval, _, _)), p_value in zip(found.items(), p.values, strict=True):
         mean, low, high = (float(x) for x in interval[:3])
         by = f"{_number(mean, view.decimals)} ({_between(low, high, view)})"
-        cells[method] = [by, "< 0.001" if p_value < 0.001 else _number(p_value, 3)]
+        cells[method] = [by, _unbroken("< 0.001") if p_value < 0.001 else _number(p_value, 3)]
     return cells
 
 
@@ -343,15 +345,17 @@ def _chosen_table(
     last = [again.get(row.method, row) for row in stars]
     columns = _columns(last, view)
     columns["exact value" if view.prediction else "exact optimum"] = lambda row: _number(row.optimum)
-    head = ["method", "setting", f"{view.what}, seeds of the choice" if again else view.what, "95% interval"]
-    head += [f"{view.what}, fresh seeds", "95% interval"] if again else []
+    seeds = _range(row.seeds for row in again.values())
+    mean = f"{view.what} (95% interval)"
+    head = ["method", "setting", f"{mean}, seeds of the choice" if again else mean]
+    head += [f"{mean}, {seeds} fresh seeds"] if again else []
     head += ["difference from the first", "p"] if differences else []
     rows = [
         [
             row.method,
             _setting(row, view) or "as given",
-            *_mean_cells(row, view),
-            *(_mean_cells(again.get(row.method), view) if again else []),
+            _mean_cell(row, view),
+            *([_mean_cell(again[row.method], view) if row.method in again else "–"] if again else []),
             *differences.get(row.method, []),
             *(cell(shown) for cell in columns.values()),
         ]
@@ -365,6 +369,8 @@ def _settings_table(ranked: Sequence[Row], view: View) -> Table:
     settings = Counter(row.method for row in ranked)
     stars = [row.star and settings[row.method] > 1 for row in ranked[:AT_MOST]]
     columns = _columns(ranked, view)
+    if not np.isnan([row.episodes for row in ranked]).all():
+        columns["episodes"] = lambda row: _number(row.episodes, 1 if row.episodes < 1000 else 0)
     if len({_number(row.optimum) for row in ranked}) > 1:
         columns["exact optimum"] = lambda row: _number(row.optimum)
     head = [
@@ -378,7 +384,8 @@ def _settings_table(ranked: Sequence[Row], view: View) -> Table:
         [
             f"{row.method} ★" if star else row.method,
             *(plot.written(row.setting[name]) if name in row.setting else "–" for name in view.varied),
-            *_mean_cells(row, view),
+            _number(row.mean, view.decimals),
+            _between(row.low, row.high, view),
             *(cell(row) for cell in columns.values()),
         ]
         for row, star in zip(ranked, stars, strict=False)
@@ -395,8 +402,6 @@ def _columns(rows: Sequence[Row], view: View) -> dict[str, Callable[[Row], str]]
         columns["seeds counted"] = lambda row: f"{row.n} of {row.seeds}"
     if any(row.diverged for row in rows):
         columns["diverged"] = lambda row: str(row.diverged)
-    if not np.isnan([row.episodes for row in rows]).all():
-        columns["episodes"] = lambda row: _number(row.episodes, 1 if row.episodes < 1000 else 0)
     if not np.isnan([row.end for row in rows]).all():
         of_end = "error at the end" if view.prediction else "worth of the greedy policy"
         columns[of_end] = lambda row: _number(row.end, view.decimals if view.prediction else None)
@@ -407,14 +412,17 @@ def _some_seeds_missing(rows: Iterable[Row]) -> bool:
     return any(row.n < row.seeds - row.diverged for row in rows)
 
 
-def _mean_cells(row: Row | None, view: View) -> list[str]:
-    return (
-        ["–", "–"] if row is None else [_number(row.mean, view.decimals), _between(row.low, row.high, view)]
-    )
+def _mean_cell(row: Row, view: View) -> str:
+    return f"{_number(row.mean, view.decimals)} ({_between(row.low, row.high, view)})"
 
 
 def _between(low: float, high: float, view: View) -> str:
-    return " to ".join(_number(x, view.decimals) for x in (low, high)) if low <= high else "–"
+    """An interval on one line."""
+    return _unbroken(" to ".join(_number(x, view.decimals) for x in (low, high))) if low <= high else "–"
+
+
+def _unbroken(text: str) -> str:
+    return text.replace(" ", "\xa0")
 
 
 def _decimals(rows: Iterable[Row]) -> int:
@@ -429,11 +437,12 @@ def _number(x: float, decimals: int | None = None) -> str:
     if np.isnan(x):
         return "–"
     text = f"{round(x, 9) + 0:.6g}" if decimals is None else f"{round(x, decimals) + 0:,.{decimals}f}"
-    return text.replace("-", "−").replace(",", " ").replace("inf", "∞")
+    return text.replace("-", "−").replace(",", "\xa0").replace("inf", "∞")
 
 
 def _setting(row: Row, view: View) -> str:
-    return ", ".join(plot.in_words({name: row.setting[name] for name in view.varied if name in row.setting}))
+    shown = {name: row.setting[name] for name in view.varied if name in row.setting}
+    return ", ".join(map(_unbroken, plot.in_words(shown)))
 
 
 def _setting_of(row: Row, view: View) -> str:
