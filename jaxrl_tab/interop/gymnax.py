@@ -399,8 +399,8 @@ def _check_countable(task: _Task, seen: _Seen) -> None:
     for i, x in zip(task.leaves, seen.state, strict=True):
         if len(x) > 1 and np.issubdtype(x.dtype, np.floating) and len(np.unique(x, axis=0)) == len(x):
             raise InputError(
-                f"{task.name}: {len(x)} keys give {len(x)} different values of {task.names[i]} in the start state, as "
-                "if from a continuum; a table needs few states"
+                f"{task.name}: {len(x)} keys give {len(x)} different values of {task.names[i]} in the start "
+                "state, as if from a continuum; a table needs few states"
             )
 
 
