@@ -59,6 +59,11 @@ def dies(task, folder, deaths):
     return square(task)
 
 
+def dies_in(task, folder, doomed):
+    """Takes the process down in this task."""
+    return dies(task - doomed + 1, folder, deaths=9)
+
+
 def fails(task, folder):
     begun(task, folder)
     if task == 1:
@@ -69,7 +74,11 @@ def fails(task, folder):
 def settings(task):
     """What a result may depend on: the float type, XLA's flags; and how many devices there are."""
     flags = os.environ.get("XLA_FLAGS", "")
-    return {"zero": np.asarray(jnp.zeros(())), "flags": np.array(flags), "devices": np.array(jax.device_count())}
+    return {
+        "zero": np.asarray(jnp.zeros(())),
+        "flags": np.array(flags),
+        "devices": np.array(jax.device_count()),
+    }
 
 
 def same(given, tasks):

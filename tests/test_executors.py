@@ -36,7 +36,9 @@ def test_what_is_not_there_is_refused(name, options, said):
         executors.get(name, **options)
 
 
-@pytest.mark.parametrize(("name", "package", "options"), [("ray", "ray", {}), ("slurm", "submitit", {"folder": "x"})])
+@pytest.mark.parametrize(
+    ("name", "package", "options"), [("ray", "ray", {}), ("slurm", "submitit", {"folder": "x"})]
+)
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, name, package, options):
     monkeypatch.setattr(base.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(InputError, match=rf"{package} is not installed: pip install 'jaxrl-tab\[{name}\]'"):

@@ -116,7 +116,9 @@ def given(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
 
 def environment() -> dict[str, str]:
     """The variables that say how XLA and JAX work, for processes that do not inherit them."""
-    return {name: value for name, value in os.environ.items() if name.startswith(("JAX_", "JAXRL_TAB_", "XLA_"))}
+    return {
+        name: value for name, value in os.environ.items() if name.startswith(("JAX_", "JAXRL_TAB_", "XLA_"))
+    }
 
 
 def need(package: str, extra: str) -> None:

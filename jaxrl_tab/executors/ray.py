@@ -13,7 +13,9 @@ from jaxrl_tab.executors.base import Arrays, Failed, Job, Work, environment, giv
 from jaxrl_tab.types import InputError, RunError, whole
 
 _SECONDS = 5  # in which the address of a cluster must answer
-_AHEAD = 2  # tasks handed out for each place where one can run: so none stands idle, and few results wait here
+_AHEAD = (
+    2  # tasks handed out for each place where one can run: so none stands idle, and few results wait here
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ class Ray:
             try:
                 while waiting or under_way:
                     while waiting and len(under_way) < _AHEAD * self._places():
-                        under_way[call.remote(job, waiting[0])] = waiting.popleft()
+                        task = waiting.popleft()
+                        under_way[call.remote(job, task)] = task
                     ready, _ = ray.wait(list(under_way), num_returns=1)
                     yield given(*self._fetch(under_way, ready.pop()))
             finally:
@@ -104,10 +107,14 @@ class Ray:
         except (ConnectionError, ValueError) as error:
             raise RunError(f"no Ray cluster at {self._address}: {str(error).splitlines()[0]}") from error
         try:
-            largest = max((node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"]), default=0)
+            largest = max(
+                (node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"]), default=0
+            )
             if largest < self.num_cpus:
                 logging.getLogger(__name__).warning(
-                    "no node of the Ray cluster has %d cores, only %d: waiting for one", self.num_cpus, largest
+                    "no node of the Ray cluster has %d cores, only %d: waiting for one",
+                    self.num_cpus,
+                    largest,
                 )
             yield
         finally:
