@@ -13,7 +13,7 @@ import pytest
 import shards
 
 from jaxrl_tab import executors
-from jaxrl_tab.types import InputError, RunError
+from jaxrl_tab.types import RunError
 
 PROGRAM = """
 import functools, sys

@@ -48,7 +48,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, name, package, o
 def test_a_job_does_the_work_and_returns_its_errors(tmp_path):
     job = base.Job.of(functools.partial(shards.fails, folder=tmp_path))
     assert base.given(3, job(3)) == (3, {"square": np.array(9)})
-    with pytest.raises(RunError, match="(?m)^shard 1 failed: ValueError: no such thing$") as raised:
+    with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$") as raised:
         base.given(1, job(1))
     assert "in fails" in raised.value.__notes__[0]  # where it happened
 
@@ -57,4 +57,4 @@ def test_a_job_refuses_another_version():
     job = base.Job.of(shards.square)
     result = job._replace(versions=job.versions | {"jax": "0.9.0"})(0)
     assert isinstance(result, base.Failed)
-    assert "0.9.0 where this was started: install the same on all machines" in result.line
+    assert "but 0.9.0 where this was started: install the same on all machines" in result.line

@@ -73,7 +73,7 @@ def test_a_worker_that_always_dies_is_given_up(cluster, tmp_path):
 
 def test_an_error_is_raised_and_not_tried_again(cluster, tmp_path):
     work = functools.partial(shards.fails, folder=tmp_path)
-    with pytest.raises(RunError, match="(?m)^shard 1 failed: ValueError: no such thing$"):
+    with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$"):
         list(executors.Ray(cluster.address).run(work, [0, 1]))
     assert shards.times(1, tmp_path) == 1
     assert not ray.is_initialized()

@@ -3,8 +3,6 @@
 import functools
 import os
 import stat
-import sys
-import threading
 from pathlib import Path
 
 import jax
@@ -56,7 +54,9 @@ def test_shards_are_dealt_out_among_jobs_and_one_that_dies_is_handed_in_again(tm
 def test_a_job_that_always_dies_is_given_up_and_what_it_said_stays(tmp_path):
     work = functools.partial(shards.dies, folder=tmp_path, deaths=9)
     executor = executors.Slurm(tmp_path / "jobs", cluster="local", max_retries=0)
-    with pytest.raises(RunError, match="the job of shards 1 died 1 times: what it said is in (.*)") as raised:
+    with pytest.raises(
+        RunError, match=r"the job of shards 1 died 1 times: what it said is in (.*)"
+    ) as raised:
         list(executor.run(work, [1]))
     assert Path(str(raised.value).rpartition(" ")[2]).exists()
 
@@ -66,7 +66,7 @@ def test_an_error_is_raised_after_what_came_before_it(tmp_path):
         functools.partial(shards.fails, folder=tmp_path), [0, 1, 2]
     )
     assert next(given)[0] == 0
-    with pytest.raises(RunError, match="(?m)^shard 1 failed: ValueError: no such thing$"):
+    with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$"):
         next(given)
     assert shards.times(2, tmp_path) == 0
     assert not (tmp_path / "jobs").exists()

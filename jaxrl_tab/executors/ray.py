@@ -22,8 +22,8 @@ _AHEAD = (
 class Ray:
     """On a Ray cluster; on the cores of this machine where there is none.
 
-    A task that is lost with its worker or its node is done again, elsewhere. All machines need the same versions
-    of jaxrl_tab, jax and jaxlib. A connection to Ray that this process already has is used, and stays.
+    A task that is lost with its worker or its node is done again, elsewhere. Where no node has room, it waits
+    for one. A connection to Ray that this process already has is used, and stays.
 
     Attributes:
         address: of the cluster, "HOST:PORT" or "ray://HOST:PORT"; by default what RAY_ADDRESS names, or a
@@ -71,8 +71,9 @@ class Ray:
                     ray.cancel(reference, force=True)
 
     def _fetch(self, under_way: dict[Any, int], reference: Any) -> tuple[int, Arrays | Failed]:
-        """The result of a task, which is then no longer under way: Ray lets go of it once nobody looks at it."""
+        """The result of a task, now no longer under way: Ray lets go of it once nobody looks at it."""
         import ray
+        import ray.exceptions
 
         task = under_way.pop(reference)
         try:
