@@ -15,6 +15,7 @@ from jaxrl_tab import (
     bridge,
     envs,
     importance,
+    interop,
     offline,
     planning,
     policies,
@@ -36,6 +37,7 @@ from jaxrl_tab.algorithms import (
     SarsaLambdaForward,
     TargetQLearning,
 )
+from jaxrl_tab.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
 from jaxrl_tab.batch import use_all_cores
 from jaxrl_tab.envs import (
     ENVS,
@@ -52,12 +54,14 @@ from jaxrl_tab.envs import (
     WindyGridworld,
     make,
 )
+from jaxrl_tab.experiment import Experiment
 from jaxrl_tab.offline import Experience, collect, learn, replay
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import SweepResult
+from jaxrl_tab.runner import resume, run
 from jaxrl_tab.sweep import sweep
 from jaxrl_tab.train import Log, train
-from jaxrl_tab.types import InputError, Outcome, Transition
+from jaxrl_tab.types import InputError, Outcome, RunError, Transition
 
 __version__ = "0.1.0"
 
@@ -66,16 +70,22 @@ __all__ = [
     "ENVS",
     "PREDICTION",
     "Blackjack",
+    "Choice",
     "CliffWalking",
     "DoubleQLearning",
     "Easy21",
     "ExpectedSarsa",
     "Experience",
+    "Experiment",
     "FiniteMDP",
     "InfiniteVariance",
     "InputError",
+    "Integers",
     "KArmedTestbed",
+    "LinearGrid",
     "Log",
+    "LogGrid",
+    "LogUniform",
     "ManyTargets",
     "MaximizationBias",
     "MonteCarlo",
@@ -85,6 +95,7 @@ __all__ = [
     "QLambda",
     "QLearning",
     "RandomWalk",
+    "RunError",
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",
@@ -93,6 +104,7 @@ __all__ = [
     "TraceGridworld",
     "Transition",
     "TwoDoors",
+    "Uniform",
     "WindyGridworld",
     "algorithms",
     "batch",
@@ -100,6 +112,7 @@ __all__ = [
     "collect",
     "envs",
     "importance",
+    "interop",
     "learn",
     "make",
     "offline",
@@ -107,6 +120,8 @@ __all__ = [
     "policies",
     "prediction",
     "replay",
+    "resume",
+    "run",
     "schedules",
     "sweep",
     "train",

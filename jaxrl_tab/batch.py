@@ -31,17 +31,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.experimental import serialize_executable
 from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
-from jaxrl_tab import memory, planning
+from jaxrl_tab import memory, planning, programs
 from jaxrl_tab.train import Record, bytes_of_words, default_log_every, train
-from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError
+from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError, RunError
 
 LANES = 64
 BLOCKS = 16  # of a device in one call, at most
+FEWEST_LANES = 8  # on a CPU, where memory runs out: with fewer, exact values would differ in the last bit
 CALL_BYTES = 2**28  # that it takes on a device, at most, unless one block alone is larger
 CALL_SECONDS = 0.2  # about so long a call shall take
+_NO_MEMORY = "RESOURCE_EXHAUSTED"  # in the error of JAX
 _THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
 
 
@@ -99,6 +102,20 @@ class Plan(NamedTuple):
     room: int
 
 
+class Forecast(NamedTuple):
+    """What running some runs of one program will take, known from shapes alone.
+
+    Attributes:
+        blocks: how many blocks of runs there are, on all devices together.
+        results: the bytes of what the runs give.
+        working: the bytes of the largest call, on all devices together.
+    """
+
+    blocks: int
+    results: int
+    working: int
+
+
 class Seconds(NamedTuple):
     """Time spent running, and time spent compiling: 0 where the program was there already."""
 
@@ -128,12 +145,12 @@ def plan(
         InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
     """
     devices = tuple(devices or jax.local_devices())
-    traced = [_traced(budget, *_signature((root, np.uint32(0), x, env))) for x in algorithms]
-    results = traced[0].results
-    if any(other.results != results for other in traced):
+    needs = [_needs(budget, *_signature((root, np.uint32(0), x, env))) for x in algorithms]
+    results = needs[0].results
+    if any(other.results != results for other in needs):
         raise InputError("what record gives must be of the same shape in all runs")
 
-    least = max(one.call.bytes(_least_lanes(devices), blocks=1) for one in traced)
+    least = max(one.call.bytes(_least_lanes(devices), blocks=1) for one in needs)
     machine, device = (memory.free(x) // 2 if limit is None else limit for x in ((), devices))
     needed = runs * memory.size(results)
     if _on_cpu(devices):  # whose memory is the machine's
@@ -159,6 +176,25 @@ def plan(
     return Plan(memory.Results(results, runs, on_disk), device)
 
 
+def forecast(
+    env: Environment,
+    algorithm: Algorithm,
+    root: jax.Array,
+    runs: int,
+    budget: Budget,
+    limit: int | None = None,
+    devices: Sequence[Any] | None = None,
+) -> Forecast:
+    """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
+    devices = tuple(devices or jax.devices())
+    one = _needs(budget, *_signature((root, np.uint32(0), algorithm, env)))
+    room = memory.free(devices) // 2 if limit is None else limit
+    lanes, most = _width(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
+    blocks = -(-runs // lanes)
+    working = len(devices) * one.call.bytes(lanes, min(most, -(-blocks // len(devices))))
+    return Forecast(blocks, runs * memory.size(one.results), working)
+
+
 def run(
     env: Environment,
     algorithms: Algorithm,
@@ -169,8 +205,9 @@ def run(
     progress: Callable[[int], None] = lambda done: None,
     room: int = sys.maxsize,
     devices: Sequence[Any] | None = None,
+    runs: np.ndarray | None = None,
 ) -> Seconds:
-    """Trains every run of a batch.
+    """Trains every run of a batch, or some of them.
 
     Args:
         env: the environment, the same for all.
@@ -178,18 +215,23 @@ def run(
         root: JAX key; a run uses `fold_in(root, its seed)`.
         seeds: the number of each run's seed, int [...]; runs are numbered in C order.
         budget: what to do in each run.
-        keep: is called with the numbers of some runs, int [n], and what they gave: their tables, float
+        keep: is called with the places in `runs` of some, int [n], and what they gave: their tables, float
             [n, S, A], and the Log of them, [n, rows] each. It must copy what it wants to keep.
         progress: is called with the number of runs finished so far.
         room: the bytes that a call may take on each device.
         devices: the JAX devices to use; all of this process by default.
+        runs: the numbers of the runs to train, int [n]; all by default.
+
+    Raises:
+        RunError: the memory runs out, even with the smallest call. Calls that are too large are made smaller.
     """
     devices = tuple(devices or jax.local_devices())
     seeds = np.asarray(seeds, np.uint32)
+    runs = np.arange(seeds.size) if runs is None else runs
 
     def of(run: np.ndarray) -> Any:
         """The seed and the algorithm of these runs."""
-        place = np.unravel_index(np.minimum(run, seeds.size - 1), seeds.shape)
+        place = np.unravel_index(runs[np.minimum(run, len(runs) - 1)], seeds.shape)
         broadcast = lambda x: np.broadcast_to(x, seeds.shape + x.shape[seeds.ndim :])
         return jax.tree.map(lambda x: broadcast(x)[place], (seeds, algorithms))
 
@@ -199,18 +241,25 @@ def run(
         return root, *of(run[:, np.minimum(np.arange(most), blocks - 1)]), env
 
     begun = time.perf_counter()
-    call = _traced(budget, *_signature((root, *of(np.array(0)), env))).call
-    lanes, most = _width(call, seeds.size, room, devices)
+    call = _needs(budget, *_signature((root, *of(np.array(0)), env))).call
+    lanes, most = _width(call, len(runs), room, devices)
     program = _compiled(devices, budget, *_signature(arguments(0, 1)))
     compiled = time.perf_counter()
 
     done, blocks = 0, 1
-    while done < seeds.size:
+    while done < len(runs):
         called = time.perf_counter()
-        blocks = min(blocks, -(-(seeds.size - done) // (len(devices) * lanes)))
-        output = program(np.int32(blocks), *arguments(done, blocks))
+        blocks = min(blocks, -(-(len(runs) - done) // (len(devices) * lanes)))
+        try:
+            output = jax.block_until_ready(program(np.int32(blocks), *arguments(done, blocks)))
+        except (MemoryError, jax.errors.JaxRuntimeError) as error:
+            if isinstance(error, jax.errors.JaxRuntimeError) and _NO_MEMORY not in str(error):
+                raise
+            lanes, most = _smaller(call, lanes, most, devices)
+            blocks, program = 1, _compiled(devices, budget, *_signature(arguments(0, 1)))
+            continue
         for i in range(len(devices)):
-            finished = np.arange(done, min(done + blocks * lanes, seeds.size))
+            finished = np.arange(done, min(done + blocks * lanes, len(runs)))
             part = lambda x, i=i: np.asarray(x.addressable_shards[i].data)[0].reshape(-1, *x.shape[3:])
             keep(finished, jax.tree.map(lambda x: part(x)[: len(finished)], output))  # noqa: B023
             done += len(finished)
@@ -250,46 +299,78 @@ def _width(call: memory.Call, runs: int, room: int, devices: Sequence[Any]) -> t
     return lanes, 1
 
 
+def _smaller(call: memory.Call, lanes: int, most: int, devices: Sequence[Any]) -> tuple[int, int]:
+    """Half as many blocks of a call, or, where it is one, half as many lanes.
+
+    Raises:
+        RunError: it cannot be smaller.
+    """
+    if most > 1:
+        smaller = lanes, most // 2
+    elif lanes > (FEWEST_LANES if _on_cpu(devices) else 1):
+        smaller = lanes // 2, 1
+    else:
+        raise RunError(
+            f"there is not enough memory for {lanes} runs at a time on each device ({len(devices)}), the "
+            f"fewest there can be, which need {memory.words(len(devices) * call.bytes(lanes, 1))}: take a "
+            "larger log_every, or a smaller environment"
+        )
+    said = f"{lanes} runs at a time, {most} times a call"
+    logging.getLogger(__name__).warning("out of memory with %s; trying again with half", said)
+    return smaller
+
+
 def _signature(args: Any) -> tuple[Any, tuple]:
     leaves, treedef = jax.tree.flatten(args)
     return treedef, tuple(jax.typeof(x) for x in leaves)
 
 
-class _Traced(NamedTuple):
-    """One run, traced: so its shapes are known, and the program is made of it without tracing it again.
+class _Needs(NamedTuple):
+    """What a run needs of memory.
 
     Attributes:
-        function: (root, seed, algorithm, env) -> (table, Log).
-        results: the shapes of these.
+        results: the shapes of its table and its Log.
         call: the bytes of a call.
     """
 
-    function: Callable
     results: Any
     call: memory.Call
 
 
 @functools.lru_cache(maxsize=64)
-def _traced(budget: Budget, treedef: Any, avals: tuple) -> _Traced:
+def _needs(budget: Budget, treedef: Any, avals: tuple) -> _Needs:
+    def make(_: str) -> _Needs:
+        traced = _traced(budget, treedef, avals)
+        root, seed, algorithm, env = jax.tree.unflatten(treedef, avals)
+        (results, _) = traced.out_info
+        carried = {
+            id(x): x.aval for x in traced.jaxpr.jaxpr.outvars
+        }  # the table once, where it is in the state
+        call = memory.Call(
+            shared=memory.size((root, env)) + _tables(env),
+            kept=memory.size((seed, algorithm, results)),
+            working=_working(env, budget, memory.size(carried)),
+        )
+        return _Needs(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), results), call)
+
+    same = lambda x: x
+    return programs.kept(("needs", budget, _named(treedef, avals)), make, pack=same, unpack=same)
+
+
+@functools.lru_cache(maxsize=64)
+def _traced(budget: Budget, treedef: Any, avals: tuple) -> Any:
+    """One run, traced: (root, seed, algorithm, env) -> ((table, Log), state of the learner)."""
+
     def one(root, seed, algorithm, env):
         state, log = train(jax.random.fold_in(root, seed), algorithm, env, **budget._asdict())
         return (state.q, log), state
 
-    root, seed, algorithm, env = jax.tree.unflatten(treedef, avals)
-    traced = jax.jit(one).trace(root, seed, algorithm, env)
-    results, _ = traced.out_info
-    carried = {id(x): x.aval for x in traced.jaxpr.jaxpr.outvars}  # the table once, where it is in the state
-    call = memory.Call(
-        shared=memory.size((root, env)) + _tables(env),
-        kept=memory.size((seed, algorithm, results)),
-        working=_working(env, budget, memory.size(carried)),
-    )
+    return jax.jit(one).trace(*jax.tree.unflatten(treedef, avals))
 
-    def function(*args):
-        outputs = jaxpr_as_fun(traced.jaxpr)(*jax.tree.leaves(args))
-        return jax.tree.unflatten(jax.tree.structure(traced.out_info), outputs)[0]
 
-    return _Traced(function, results, call)
+def _named(treedef: Any, avals: tuple) -> Any:
+    """The arguments of a program, with the kind of each array in its place, as `programs` names them."""
+    return jax.tree.unflatten(treedef, [f"{x} {x.weak_type}" for x in avals])
 
 
 def _tables(env: Environment) -> int:
@@ -320,21 +401,36 @@ def _working(env: Environment, budget: Budget, carried: int) -> int:
 @functools.lru_cache(maxsize=64)
 def _compiled(devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tuple):
     """The program for one call: every device trains so many blocks of its own, one after another."""
+    return programs.kept(
+        ("program", [d.id for d in devices], budget, _named(treedef, avals)),
+        lambda called: _compile(called, devices, budget, treedef, avals),
+        pack=serialize_executable.serialize,
+        unpack=lambda packed: serialize_executable.deserialize_and_load(*packed, execution_devices=devices),
+    )
+
+
+def _compile(called: str, devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tuple):
     root, seeds, algorithms, env = jax.tree.unflatten(treedef, avals)
     of_one = jax.tree.map(lambda x: x.update(shape=x.shape[3:]), (seeds, algorithms))
-    one = _traced(budget, treedef, tuple(jax.tree.leaves((root, *of_one, env))))
+    traced = _traced(budget, treedef, tuple(jax.tree.leaves((root, *of_one, env))))  # not traced again
+    results, _ = traced.out_info
+
+    def one(*args):
+        outputs = jaxpr_as_fun(traced.jaxpr)(*jax.tree.leaves(args))
+        return jax.tree.unflatten(jax.tree.structure(traced.out_info), outputs)[0]
 
     def device(blocks, root, seeds, algorithms, env):
         seeds, algorithms = jax.tree.map(lambda x: x[0], (seeds, algorithms))
-        empty = jax.tree.map(lambda x: jnp.zeros((*seeds.shape, *x.shape), x.dtype), one.results)
+        empty = jax.tree.map(lambda x: jnp.zeros((*seeds.shape, *x.shape), x.dtype), results)
 
         def put(i, outputs):
             seed, algorithm = jax.tree.map(lambda x: x[i], (seeds, algorithms))
-            block = jax.vmap(one.function, in_axes=(None, 0, 0, None))(root, seed, algorithm, env)
+            block = jax.vmap(one, in_axes=(None, 0, 0, None))(root, seed, algorithm, env)
             return jax.tree.map(lambda all_blocks, x: all_blocks.at[i].set(x), outputs, block)
 
         return jax.tree.map(lambda x: x[None], lax.fori_loop(0, blocks, put, empty))
 
+    device.__name__ = called
     split, shared = PartitionSpec("devices"), PartitionSpec()
     program = jax.shard_map(
         device,

@@ -1,4 +1,4 @@
-"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, sweep, figure.
+"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, sweep, resume, figure.
 
 Options for environments and methods are made from the registries: a new entry's parameters are options with
 no edit here. All that a person can get wrong is refused before anything is compiled, with exit code 2 and
@@ -7,6 +7,7 @@ one line. Tables and JSON go to stdout, progress and errors to stderr.
 
 import contextlib
 import dataclasses
+import datetime
 import json as jsonlib
 import os
 import shlex
@@ -31,18 +32,21 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, planning
+from jaxrl_tab import batch, describe, executors, planning, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite, Grid, Panel
-from jaxrl_tab.figures import FIGURES, Check, swept
+from jaxrl_tab.executors import Executor
+from jaxrl_tab.experiment import Experiment, plan, template
+from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page, six_digits
+from jaxrl_tab.interrupt import interruptible
 from jaxrl_tab.options import Group, about, option_of, parameters, parse, real, size, values, whole, words
 from jaxrl_tab.prediction import PREDICTION
-from jaxrl_tab.results import label
-from jaxrl_tab.sweep import METHODS, configurations
-from jaxrl_tab.types import InputError, build, nearest
+from jaxrl_tab.results import label, save
+from jaxrl_tab.sweep import METHODS
+from jaxrl_tab.types import InputError, RunError, build, nearest
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -63,12 +67,15 @@ commands:
   list      the environments and the methods, with their parameters
   solve     the exact values and an optimal policy of an environment
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
+  resume    go on with a sweep that was interrupted
   figure    make published figures again, and check their numbers
 
 examples:
   {PROG} list
   {PROG} solve windy-gridworld --moves king
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
+  {PROG} sweep --write-template experiment.toml
+  {PROG} resume runs/windy
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures
 
@@ -76,8 +83,7 @@ examples:
 """
 
 ALPHAS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # the step sizes of a sweep that names none
-STEPS = 8000
-DATA = "results.nc"
+SEEDS, STEPS = 100, 8000
 ENVIRONMENT = Group(ENVS, "Parameters of the environment.")
 HYPERPARAMETERS = Group(
     METHODS,
@@ -89,9 +95,10 @@ HYPERPARAMETERS = Group(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command and returns its exit code: 0, 1 (a figure is off), 2 (wrong input) or 130 (Ctrl-C).
+    """Runs one command and returns its exit code: 0, 2 (wrong input), 130 (Ctrl-C), or 1.
 
-    Where the reader of its output goes away, as `| head` does, it ends quietly with 1.
+    1 says that a figure is off, or that something could not be finished, as where the disk is full. Where the
+    reader of its output goes away, as `| head` does, it ends quietly with 1.
     """
     argv = sys.argv[1:] if argv is None else list(argv)
     try:
@@ -105,13 +112,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"{PROG}: {error}", file=sys.stderr)
         return 2
+    except RunError as error:
+        print(f"{PROG}: {error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt as stop:
         print("; ".join([f"{PROG}: interrupted", *map(str, stop.args)]), file=sys.stderr)
         return 130
 
 
 def _dispatch(argv: list[str]) -> int:
-    commands = {"list": _list, "solve": _solve, "sweep": _sweep, "figure": _figure}
+    commands = {
+        "list": _list,
+        "solve": _solve,
+        "sweep": _sweep,
+        "resume": _resume,
+        "figure": _figure,
+    }
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(HELP, end="")
         return 0
@@ -326,11 +342,64 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
 
 
 @dataclasses.dataclass
-class Sweep:
+class Where:
+    """Where a sweep is computed."""
+
+    executor: Annotated[str, arg(metavar="NAME")] = "local"
+    """local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see docs/scaling.md."""
+    address: Annotated[str | None, arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    """Of the Ray cluster, or of process 0 of a distributed job."""
+    processes: Annotated[int | None, whole(1), arg(help_behavior_hint="")] = None
+    """How many processes a distributed job has."""
+    process: Annotated[int | None, whole(0), arg(help_behavior_hint="")] = None
+    """Which of them this one is, from 0."""
+    slurm: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
+    """What SLURM is asked for, in the words of submitit: timeout_min=30 slurm_partition=short."""
+
+
+@contextlib.contextmanager
+def _executor(options: Any) -> Iterator[Executor]:
+    """The executor that was asked for, with the options that are its own."""
+    own = {
+        "local": (),
+        "ray": ("address",),
+        "slurm": ("slurm",),
+        "distributed": ("address", "processes", "process"),
+    }
+    name = _known("an executor", options.executor, own)
+    given = {option: getattr(options, option) for option in ("address", "processes", "process", "slurm")}
+    given = {option: value for option, value in given.items() if value not in (None, ())}
+    for option in given:
+        if option not in own[name]:
+            owners = ", ".join(other for other, names in own.items() if option in names)
+            raise InputError(f"--{option} is of --executor {owners}, and this one is {name}")
+    if name == "slurm":
+        if options.out is None:
+            raise InputError("--executor slurm needs --out: a folder that all machines see")
+        asked = dict(_key_and_value(word) for word in options.slurm)
+        given = {"folder": options.out / "jobs", "parameters": asked}
+    if name == "distributed":
+        names = {"processes": "num_processes", "process": "process_id"}
+        given = {names.get(option, option): value for option, value in given.items()}
+    executor = executors.get(name, **given)
+    with executor if isinstance(executor, executors.Distributed) else contextlib.nullcontext():
+        yield executor
+
+
+def _key_and_value(word: str) -> tuple[str, Any]:
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise InputError(f"--slurm takes KEY=VALUE, not {word!r}")
+    return key, int(value) if value.isdecimal() else value
+
+
+@dataclasses.dataclass
+class Sweep(Where):
     """Every method with every combination of hyperparameters, each over the same seeds.
 
-    Prints a summary table. With --out, leaves a folder: results.nc (netCDF: the numbers of every seed, a
-    group for each method), summary.csv, and pictures.
+    What is run is said by options; or by a file, which can say more: several environments, random draws, and
+    settings of its own for each method. Prints a summary table. With --out, leaves a folder: results.nc
+    (netCDF: the numbers of every seed, a group for each method), summary.csv, and pictures.
 
     Methods of prediction learn the values of the policy in which all actions are equally likely, and are
     compared by their error.
@@ -341,13 +410,16 @@ class Sweep:
       jaxrl-tab sweep cliff-walking sarsa q-learning --alpha 0.5 --epsilon glie --episodes 500
       jaxrl-tab sweep k-armed-testbed q-learning --alpha 0.1 --behaviour greedy epsilon-greedy:0.1 ucb:2
       jaxrl-tab sweep random-walk n-step-td td-lambda --alpha 0.1 0.3 --n 1 4 16 --episodes 10
+      jaxrl-tab sweep --write-template experiment.toml
+      jaxrl-tab sweep experiment.toml --dry-run
+      jaxrl-tab sweep experiment.toml --out runs/experiment
     """
 
-    env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
-    """Name of the environment; see `jaxrl-tab list`."""
+    env: Annotated[Positional[str], arg(metavar="ENV|FILE", help_behavior_hint="")] = ""
+    """Name of the environment, see `jaxrl-tab list`; or an experiment in a file FILE.toml."""
     methods: Annotated[Positional[tuple[str, ...]], arg(metavar="METHOD ...", help_behavior_hint="")] = ()
     """Names of one or more methods; see `jaxrl-tab list`. An option goes to all that have it."""
-    seeds: Annotated[int, whole(1)] = 100
+    seeds: Annotated[int | None, whole(1), arg(help_behavior_hint=f"(default: {SEEDS})")] = None
     """How many seeds."""
     steps: Annotated[int | None, whole(1), arg(help_behavior_hint=f"(default: {STEPS})")] = None
     """How many steps each run takes."""
@@ -355,81 +427,226 @@ class Sweep:
     """How many episodes each run finishes, instead of --steps."""
     log_every: Annotated[int | None, whole(1), arg(help_behavior_hint="(default: 100 or 1)")] = None
     """How many steps, or episodes, are summed up in one row of the log."""
-    seed: Annotated[int, whole(0)] = 0
+    seed: Annotated[int | None, whole(0), arg(help_behavior_hint="(default: 0)")] = None
     """Which sequence of seeds."""
     memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
     """How much memory a method may take, such as 4GB; results that do not fit go to temporary files."""
+    select: Switch = False
+    """Run the best setting of each method again, on as many fresh seeds; show both numbers."""
     exact: Switch = False
     """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
     (The error of methods of prediction is always recorded.)"""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
+    dry_run: Switch = False
+    """Show what would be run, in how much memory, and stop."""
+    write_template: Switch = False
+    """Write an experiment that explains itself, to FILE or, without one, to the screen, and stop."""
+    json: Switch = False
+    """Print the summary, or what would be run, as JSON."""
+    quiet: Switch = False
+    """Show no progress and no table."""
+
+
+def _sweep(argv: list[str]) -> int:
+    _prepare()
+    options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
+    if options.write_template:
+        return _write_template(options.env)
+    with _executor(options) as executor:
+        if isinstance(executor, executors.Distributed) and executor.serve():
+            return 0
+        return _conduct(_experiment(options), executor, options, ["sweep", *argv])
+
+
+def _conduct(experiment: Experiment, executor: Executor, options: Any, command: Sequence[str]) -> int:
+    """Runs the experiment, prints what came out, and leaves it in the folder; or says what it would do."""
+    if options.dry_run:
+        found = plan(experiment.parts(), options.memory)
+        if options.json:
+            parts = {name: part._asdict() for name, part in found.parts.items()}
+            _print_json(found._asdict() | {"parts": parts})
+        else:
+            print(found.text())
+        return 0
+    given = {"memory": options.memory, "command": shlex.join([PROG, *command])}
+    with _watched(options, experiment) as progress:
+        outcome = runner.run(experiment, options.out, executor=executor, progress=progress, **given)
+    return _show(outcome, options.out, options)
+
+
+def _experiment(options: Any) -> Experiment:
+    """The experiment that is in a file, or was typed."""
+    typed = {"steps": options.steps, "episodes": options.episodes, "log_every": options.log_every}
+    typed |= {"seeds": options.seeds, "seed": options.seed, "exact": options.exact or None}
+    typed |= {"select": {} if options.select else None}
+    typed: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
+    if options.env not in ENVS and (options.env.endswith(".toml") or Path(options.env).is_file()):
+        others = [*options.methods, *options.environment, *options.hyperparameters]
+        if said := [*others, *("--" + name.replace("_", "-") for name in typed)]:
+            raise InputError(f"{said[0]} beside a file: what is run is said in {options.env} alone")
+        return Experiment.load(options.env)
+    env = {"name": _known("an environment", options.env, ENVS)}
+    env |= _parameters_of(options.env, options.environment)
+    names = [_known("a method", name, METHODS) for name in options.methods or [""]]
+    grids = values(names, options.hyperparameters, HYPERPARAMETERS)
+    one = lambda tried: tried[0] if len(tried) == 1 else tried
+    methods = [{"name": name} | {k: one(tried) for k, tried in grids[name].items()} for name in names]
+    if options.steps is not None and options.episodes is not None:
+        raise InputError("give --steps or --episodes, not both")
+    default: dict[str, Any] = {"seeds": SEEDS} | ({} if "episodes" in typed else {"steps": STEPS})
+    return Experiment([env], methods, **(default | typed))
+
+
+def _write_template(file: str) -> int:
+    if not file:
+        print(template(), end="")
+        return 0
+    try:
+        with open(file, "x", encoding="utf-8") as to:
+            to.write(template())
+    except FileExistsError:
+        raise InputError(f"{file} exists already; name a new file") from None
+    except OSError as error:
+        raise InputError(f"{file} cannot be written: {error.strerror}") from None
+    print(f"{file} is written; try {PROG} sweep {shlex.quote(file)} --dry-run")
+    return 0
+
+
+@dataclasses.dataclass
+class Resume(Where):
+    """Goes on with a sweep that was interrupted: computes what is missing or damaged, and nothing else.
+
+    The results are the same, to the last bit, as if nothing had happened.
+
+    Examples:
+      jaxrl-tab resume runs/windy
+    """
+
+    folder: Annotated[Positional[Path | None], arg(metavar="DIR", help_behavior_hint="")] = None
+    """The folder of the sweep: what --out named."""
+    memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
+    """How much memory it may take, such as 4GB."""
     json: Switch = False
     """Print the summary as JSON."""
     quiet: Switch = False
     """Show no progress and no table."""
 
 
-def _sweep(argv: list[str]) -> int:
-    batch.use_all_cores()
-    options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
-    env = _environment(options.env, options.environment)
-    grids = _grids(_methods(options.methods), options.hyperparameters)
-    if options.steps is not None and options.episodes is not None:
-        raise InputError("give --steps or --episodes, not both")
-    budget = {
-        "num_seeds": options.seeds,
-        "num_steps": options.steps or (None if options.episodes else STEPS),
-        "num_episodes": options.episodes,
-        "log_every": options.log_every,
-        "seed": options.seed,
-        "memory": options.memory,
-        "exact": options.exact or set(grids) <= set(PREDICTION),
-    }
+def _resume(argv: list[str]) -> int:
+    _prepare()
+    options = parse(f"{PROG} resume", Resume, argv)
+    if options.folder is None:
+        raise InputError("name the folder of a sweep")
+    options.out = options.folder
+    command = shlex.join([PROG, "resume", *argv])
+    with _executor(options) as executor:
+        if isinstance(executor, executors.Distributed) and executor.serve():
+            return 0
+        given = {"executor": executor, "memory": options.memory, "command": command}
+        with _watched(options) as progress:
+            outcome = runner.resume(options.out, progress=progress, **given)
+        return _show(outcome, options.out, options)
 
-    with _folder(options.out) as folder:
-        runs = {name: swept(env, name, grid, **budget) for name, grid in grids.items()}
-        datasets = _run(runs, folder, ["sweep", *argv], options.quiet)
-        from jaxrl_tab import stats
 
-        table = stats.summary(datasets)
-        if not (options.json or options.quiet):
-            _print_summary(options.env, table, datasets)
-        if folder:
-            from jaxrl_tab import plot
+@contextlib.contextmanager
+def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[runner.Report]:
+    """What a run reports its progress to: a bar. Where it is interrupted, it says how to go on."""
+    import pandas  # noqa: F401  Now, while there is nothing yet that Ctrl-C could wait for.
 
-            table.to_csv(folder / "summary.csv", index=False)
-            with Console(stderr=True, quiet=options.quiet).status("drawing the pictures"):
-                plot.save_all(datasets, env, folder)
+    stderr = Console(stderr=True)
+    columns = (
+        SpinnerColumn(finished_text="✓"),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("runs{task.fields[more]}"),
+    )
+    quiet = options.quiet or not stderr.is_terminal
+    if experiment is not None and not quiet:
+        stderr.print(plan(experiment.parts(), options.memory).text(), markup=False, highlight=False)
+    try:
+        with interruptible(), Progress(*columns, console=stderr, disable=quiet) as bars:
+            bar = bars.add_task("compiling", total=None, more="")
 
+            def progress(state: runner.Progress) -> None:
+                bars.update(
+                    bar,
+                    description=state.label,
+                    completed=state.done,
+                    total=state.total,
+                    more=_more(state),
+                )
+
+            yield progress
+    except (KeyboardInterrupt, RunError) as stop:
+        if options.out is None or not Path(options.out).is_dir():
+            raise
+        kept = f"what is finished is kept, `{PROG} resume {shlex.quote(str(options.out))}` goes on"
+        raise type(stop)("; ".join([*map(str, stop.args), kept])) from None
+
+
+def _more(state: runner.Progress) -> str:
+    """The numbers beside the bar."""
+    said = [""]
+    if state.steps:
+        said.append(f"{state.steps / state.seconds / 1e6:.1f} million steps/s")
+    if state.left and state.done < state.total:
+        said.append(f"{datetime.timedelta(seconds=round(state.left))} left")
+    if state.diverged:
+        said.append(f"{state.diverged} diverged")
+    return ", ".join(said)
+
+
+def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
+    """Prints what came out: tables for people, or JSON."""
     if options.json:
-        records = jsonlib.loads(str(table.to_json(orient="records")))
-        _print_json({"folder": options.out and str(options.out), "summary": records})
-    elif options.out and not options.quiet:
-        _say_where(options.out, options.methods[0])
+        summary = {"folder": folder and str(folder), "summary": _records(runner.summary(outcome))}
+        chosen = {"selection": _records(runner.selection(outcome))} if outcome.fresh else {}
+        _print_json(summary | chosen)
+        return 0
+    if options.quiet:
+        return 0
+    from jaxrl_tab import stats
+
+    for environment in outcome.envs:
+        own = outcome.of(environment)
+        _print_summary(environment, stats.summary(own), own)
+    if outcome.fresh:
+        _print_selection(runner.selection(outcome))
+    if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
+        runs = sum(ds.diverged.size for ds in outcome.datasets.values())
+        _console().print(f"{diverged} of {runs} runs diverged: a number became infinite or NaN")
+    if folder:
+        name = next(iter(outcome.datasets))
+        _say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])
     return 0
 
 
-def _methods(names: Sequence[str]) -> Sequence[str]:
-    for i, name in enumerate(names or [""]):
-        if _known("a method", name, METHODS) in names[:i]:
-            raise InputError(f"the method {name} is named more than once")
-    prediction = [name for name in names if name in PREDICTION]
-    if prediction and (control := [name for name in names if name not in PREDICTION]):
-        raise InputError(
-            f"{prediction[0]} learns the values of a policy, and {control[0]} a policy, which cannot be "
-            "compared; sweep methods of prediction and of control apart"
-        )
-    return names
+def _records(table: "pd.DataFrame") -> Any:
+    return jsonlib.loads(str(table.to_json(orient="records")))
 
 
-def _grids(names: Sequence[str], given: Mapping[str, tuple[str, ...]]) -> dict[str, dict[str, Any]]:
-    """The grid of each method, checked: a list of values is swept, a single value is not."""
-    grids = {}
-    for name, grid in values(names, given, HYPERPARAMETERS).items():
-        grids[name] = {k: tried[0] if len(tried) == 1 else tried for k, tried in grid.items()}
-        configurations(METHODS[name], grids[name])
-    return grids
+def _print_selection(table: "pd.DataFrame") -> None:
+    """The settings that were chosen, with what they gave on the seeds of the choice and on fresh ones."""
+    columns = list(table.columns)
+    hyperparameters = columns[2 : columns.index("chosen_score")]
+    view = Table("environment", "method", "chosen setting", "on the seeds\nof the choice", "± 95%")
+    view.add_column("on fresh\nseeds")
+    view.add_column("± 95%")
+    for column in view.columns[3:]:
+        column.justify = "right"
+    for row in table.to_dict("records"):
+        setting = [f"{h} {words(row[h])}" for h in hyperparameters if row[h] == row[h]]
+        scores = []
+        for kind in ("chosen", "fresh"):
+            mean, half = row[f"{kind}_score"], row[f"{kind}_high"] - row[f"{kind}_score"]
+            digits = f"{{:.{_decimals(np.array([half]), 2)}f}}".format
+            scores += [_cell(mean, digits), _cell(half, digits)]
+        view.add_row(row["environment"], row["method"], ", ".join(setting), *scores)
+    out = _console()
+    out.print(view)
+    out.print("the choice flatters the first number; report the second")
 
 
 def _run(
@@ -441,6 +658,7 @@ def _run(
     """
     import xarray  # noqa: F401  Now, because later a Ctrl-C in the second that it takes would lose a run's data.
 
+    about = {"command": shlex.join([PROG, *command]), "version": jaxrl_tab.__version__}
     datasets = {}
     columns = (
         SpinnerColumn(finished_text="✓"),
@@ -461,19 +679,8 @@ def _run(
 
             datasets[name] = run(progress)
             if folder:
-                _save(datasets[name], group, folder / DATA, command)
+                save(datasets[name], group, folder / runner.DATA, about)
     return datasets
-
-
-def _save(ds: "xr.Dataset", group: str, file: Path, command: Sequence[str]) -> None:
-    """Adds the data of one run to the netCDF file, as a group; the command is in the attributes above."""
-    import xarray as xr
-
-    if not file.exists():
-        about = {"command": shlex.join([PROG, *command]), "version": jaxrl_tab.__version__}
-        xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in ds.items() if x.ndim}
-    ds.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
 
 
 def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]") -> None:
@@ -492,12 +699,12 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     prediction = stats.is_prediction(*datasets.values())
     # some seeds finished no episode in the last tenth
     few = not prediction and bool((table["seeds"] < ds.sizes["seed"]).any())
-    score, score_high, score_head = "last_tenth_return", "last_tenth_high", "mean return,\nlast tenth"
+    score, bounds, score_head = "last_tenth_return", "last_tenth_", "mean return,\nlast tenth"
     if prediction:
-        score, score_high, score_head = "v_error", "v_error_high", "RMS error,\nwhole run"
+        score, bounds, score_head = "v_error", "v_error_", "RMS error,\nwhole run"
     exact = "greedy_value" in columns
     view = Table(
-        *["method", *varied, "episodes", score_head, "± 95%"],
+        *["method", *varied, "episodes", score_head, "95% interval\nof the mean"],
         *(["seeds\ncounted"] if few else []),
         *(["RMS error\nat the end"] if prediction else []),
         *["million\nsteps/s"],
@@ -507,8 +714,8 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     for column in view.columns[1:]:
         column.justify = "right"
     # Two digits of the narrowest interval; of errors also three of the smallest.
-    scores, high = (table[column].to_numpy(float) for column in (score, score_high))
-    decimals = _decimals(high - scores, 2)
+    scores, low, high = (table[column].to_numpy(float) for column in (score, bounds + "low", bounds + "high"))
+    decimals = _decimals((high - low) / 2, 2)
     if prediction:
         decimals = max(decimals, _decimals(scores, 3))
     digits = f"{{:.{decimals}f}}".format
@@ -516,13 +723,13 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
         best, differ = stats.best(datasets[str(method)]), len(rows[score].drop_duplicates()) > 1
         for row in rows.to_dict("records"):
             star = bool(best) and differ and all(row[name] == value for name, value in best.items())
-            mean, high = row[score], row[score_high]
+            low, high = row[bounds + "low"], row[bounds + "high"]
             view.add_row(
                 f"{method} *" if star else str(method),
                 *(_cell(row[h], words) for h in varied),
                 f"{row['episodes']:.1f}",
-                _cell(mean, digits),
-                _cell(high - mean, digits),
+                _cell(row[score], digits),
+                _cell(low, lambda low, high=high: f"{digits(low)} to {digits(high)}"),
                 *([str(row["seeds"])] if few else []),
                 *([_cell(row["final_v_error"], digits)] if prediction else []),
                 f"{row['steps_per_second'] / 1e6:.1f}",
@@ -584,7 +791,7 @@ class Figure:
 
 
 def _figure(argv: list[str]) -> int:
-    batch.use_all_cores()
+    _prepare()
     options = parse(f"{PROG} figure", Figure, argv)
     if options.all and options.name:
         raise InputError("name a figure or give --all, not both")
@@ -628,6 +835,12 @@ def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:
 # --- shared ------------------------------------------------------------------------------------------
 
 
+def _prepare() -> None:
+    """What must be settled before anything is computed."""
+    batch.use_all_cores()
+    programs.keep()
+
+
 def _known(kind: str, name: str, names: Collection[str]) -> str:
     """`name`, which must be one of `names`."""
     if not name:
@@ -638,11 +851,14 @@ def _known(kind: str, name: str, names: Collection[str]) -> str:
 
 
 def _environment(name: str, given: Mapping[str, tuple[str, ...]]) -> Any:
-    _known("an environment", name, ENVS)
+    return build(ENVS[_known("an environment", name, ENVS)], name, _parameters_of(name, given))
+
+
+def _parameters_of(name: str, given: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+    """The parameters of an environment that were typed, with their values."""
     typed = values([name], given, ENVIRONMENT)[name]
     defaults = {p.name: p.default for p in parameters(ENVS[name])}
-    single = {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in typed.items()}
-    return build(ENVS[name], name, single)
+    return {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in typed.items()}
 
 
 @contextlib.contextmanager
@@ -678,10 +894,10 @@ def _folder(path: Path | None) -> Iterator[Path | None]:
 
 def _say_where(folder: Path, group: str | None = None) -> None:
     out = _console()
-    files = ", ".join(sorted(file.name for file in folder.iterdir()))
+    files = ", ".join(sorted(file.name for file in folder.iterdir() if not file.name.startswith(".")))
     out.print(f"[bold]{escape(str(folder))}[/]: {files}", soft_wrap=True)
     if group:
-        how = f'xarray.open_datatree("{folder / DATA}")["{group}"]'
+        how = f'xarray.open_datatree("{folder / runner.DATA}")["{group}"]'
         out.print(f"Read the data with {how}", markup=False, soft_wrap=True)
 
 

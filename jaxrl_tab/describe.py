@@ -1,9 +1,18 @@
-"""What an environment or a method says about itself: its parameters, from its fields and its docstring."""
+"""What an environment or a method says about itself: its parameters, from its fields and its docstring.
+
+And what a person may give for one of them: a number, or text such as "glie" and "softmax:0.5".
+"""
 
 import dataclasses
 import inspect
 import re
+import sys
+from collections.abc import Callable
+from numbers import Integral, Real
 from typing import Any, NamedTuple
+
+from jaxrl_tab import policies, schedules
+from jaxrl_tab.types import InputError, shown
 
 _ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
 
@@ -35,6 +44,73 @@ def parameters(cls: type) -> list[Parameter]:
     for base in reversed(cls.__mro__):
         told |= _attributes(base.__dict__.get("__doc__") or "")
     return [Parameter(f.name, f.type, f.default, told.get(f.name, "")) for f in dataclasses.fields(cls)]
+
+
+def takes_schedule(parameter: Parameter) -> bool:
+    """Whether it may be a schedule instead of a number."""
+    return parameter.type == schedules.Rate
+
+
+def takes_policy(parameter: Parameter) -> bool:
+    """Whether it is a policy."""
+    return parameter.type == policies.Policy | None
+
+
+def kind(parameter: Parameter) -> type:
+    """The type of its value, or of the entries of its value: that of its default; float for a schedule."""
+    like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
+    return float if takes_schedule(parameter) else type(like)
+
+
+def value(what: str, given: Any, parameter: Parameter) -> Any:
+    """`given` as a value of a parameter, or as an entry of one that is a tuple.
+
+    Args:
+        what: what the person calls the parameter.
+        given: a number, a switch or a text, as it is typed: "glie", "softmax:0.5"; schedules and policies
+            stay as they are.
+        parameter: which parameter it is for.
+
+    Raises:
+        InputError: it is of the wrong type, or a text that means nothing.
+    """
+    name = given.replace("_", "-") if isinstance(given, str) else ""
+    if takes_policy(parameter):
+        if not name and isinstance(given, policies.Policy):
+            return given
+        return _parsed(policies.parse, what, name or shown(given))
+    rate = takes_schedule(parameter)
+    if rate and isinstance(given, schedules.Schedule):
+        return given
+    if rate and schedules.is_named(name):
+        return _parsed(schedules.parse, what, name)
+    wanted, fits = _KINDS[kind(parameter)]
+    wrong = not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool)
+    if wrong or (fits is Real and isinstance(given, int) and abs(given) > sys.float_info.max):
+        more = f" or a schedule ({schedule_forms()})" if rate else ""
+        raise InputError(f"{what} takes {wanted}{more}, not {shown(given)}")
+    return kind(parameter)(given)
+
+
+_KINDS: dict[type, tuple[str, type]] = {
+    bool: ("true or false", bool),
+    int: ("a whole number", Integral),
+    float: ("a number", Real),
+    str: ("text", str),
+}
+
+
+def schedule_forms() -> str:
+    """How a schedule may be typed."""
+    forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.FAMILIES)])
+    return f"{forms}, where CLOCK is one of {', '.join(schedules.CLOCKS)}"
+
+
+def _parsed(parse: Callable[[str], Any], what: str, text: str) -> Any:
+    try:
+        return parse(text)
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from None
 
 
 def _attributes(doc: str) -> dict[str, str]:

@@ -21,7 +21,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from jaxrl_tab import describe, memory, policies, schedules
+from jaxrl_tab import describe, memory, policies
 from jaxrl_tab.types import InputError, nearest
 
 
@@ -177,7 +177,7 @@ def _values(
 
 def parameters(cls: type) -> list[describe.Parameter]:
     """The parameters of a registered class that can be typed: all but tables, which have no default."""
-    return [p for p in describe.parameters(cls) if p.default is not None or _takes_policy(p)]
+    return [p for p in describe.parameters(cls) if p.default is not None or describe.takes_policy(p)]
 
 
 def option_of(parameter: describe.Parameter) -> str:
@@ -200,28 +200,15 @@ def about(group: Group) -> str:
     """What the group is, and how a schedule and a policy are typed if some parameter takes one."""
     known = [p for cls in group.registry.values() for p in parameters(cls)]
     parts = [group.help]
-    if any(map(_takes_schedule, known)):
-        parts.append(f"A schedule is one of {_schedules()}.")
-    if any(map(_takes_policy, known)):
+    if any(map(describe.takes_schedule, known)):
+        parts.append(f"A schedule is one of {describe.schedule_forms()}.")
+    if any(map(describe.takes_policy, known)):
         parts.append(f"A policy is one of {_policies()}.")
     return " ".join(parts)
 
 
-def _schedules() -> str:
-    forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.FAMILIES)])
-    return f"{forms}, where CLOCK is one of {', '.join(schedules.CLOCKS)}"
-
-
 def _policies() -> str:
     return ", ".join(map(policies.form, policies.POLICIES))
-
-
-def _takes_schedule(parameter: describe.Parameter) -> bool:
-    return parameter.type == schedules.Rate
-
-
-def _takes_policy(parameter: describe.Parameter) -> bool:
-    return parameter.type == policies.Policy | None
 
 
 def _options(name: str, group: Group) -> type:
@@ -259,27 +246,11 @@ def _hint(owned: Mapping[str, describe.Parameter], group: Group) -> str:
 
 def _value(option: str, token: str, parameter: describe.Parameter) -> Any:
     """`token` as a value of the kind that the parameter's default is."""
-    name = token.replace("_", "-")
-    if _takes_policy(parameter):
-        return _parsed(policies.parse, option, name)
-    rate = _takes_schedule(parameter)
-    like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
-    kind = float if rate else type(like)
-    with contextlib.suppress(ValueError):
-        return kind(token)
-    if rate and schedules.is_named(name):
-        return _parsed(schedules.parse, option, name)
-    wanted = "a whole number" if kind is int else "a number"
-    if rate:
-        wanted += f" or a schedule ({_schedules()})"
-    raise InputError(f"{option} takes {wanted}, not {token!r}")
-
-
-def _parsed(parse: Callable[[str], Any], option: str, token: str) -> Any:
-    try:
-        return parse(token)
-    except InputError as error:
-        raise InputError(f"{option}: {error}") from None
+    given: Any = token
+    if (kind := describe.kind(parameter)) in (int, float):
+        with contextlib.suppress(ValueError):
+            given = kind(token)
+    return describe.value(option, given, parameter)
 
 
 def _field(parameter: describe.Parameter) -> str:

@@ -23,7 +23,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import MaxNLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from jaxrl_tab import planning, stats
 from jaxrl_tab.envs.base import COMPASS, Finite, Grid
@@ -121,31 +121,32 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
     the method's best combination. A point is hollow where seeds that finished no episode in the last tenth
     are missing from it. A method that did not sweep the parameter is drawn at the one value that it had.
     Schedules and policies, and numbers beside them, stand side by side in the order in which they come.
+    Where the parameter was drawn at random there is a point for each draw, in which what was drawn with it
+    is another, too.
 
     Raises:
         InputError: no method swept the parameter.
     """
-    if not any(parameter in stats.hyperparameters(ds) for ds in datasets.values()):
+    if not any(parameter in stats.hyperparameters(ds) + stats.drawn(ds) for ds in datasets.values()):
         raise InputError(f"no method swept {parameter!r}")
     prediction = stats.is_prediction(*datasets.values())
-    series = {}
+    series, drawn = {}, set()
     for name, ds in datasets.items():
         chosen = stats.best(ds)
+        if parameter in stats.drawn(ds):
+            drawn.add(name)
+            del chosen["draw"]
         chosen.pop(parameter, None)
+        label = _label(name, stats.named(ds, chosen))
         ds = ds.sel(chosen)
-        if parameter not in ds.dims:
+        if name not in drawn and parameter not in ds.dims:
             if parameter not in stats.fixed(ds):
                 continue
             ds = ds.expand_dims({parameter: [stats.fixed(ds)[parameter]]})
         score = stats.score(ds) if prediction else stats.mean_return(ds, stats.last_tenth(ds))
         interval = stats.mean_interval(score)
         few = (interval.n < ds.sizes["seed"]).values
-        series[name] = (
-            _label(name, chosen),
-            ds[parameter].values,
-            interval,
-            (interval.n < ds.sizes["seed"]).values,
-        )
+        series[name] = label, ds[parameter].values, interval, few
     place = _places(ax, [x for _, x, _, _ in series.values()])
     shown, incomplete = [], False
     for name, style in zip(datasets, _styles(), strict=False):
@@ -153,8 +154,11 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
             continue
         label, x, interval, few = series[name]
         x, mean, low, high = place(x), *(part.values for part in interval[:3])
-        style["ls"] = "-" if x.dtype.kind == "f" else "none"  # nothing lies between two schedules
-        ax.errorbar(x, mean, np.nan_to_num(high - mean), ls="none", capsize=3, color=style["color"])
+        between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
+        style["ls"] = "-" if between else "none"
+        ax.errorbar(
+            x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, color=style["color"]
+        )
         ax.plot(x, mean, lw=2, ms=7, label=label, **style)
         ax.plot(x[few], mean[few], ls="none", ms=3.5, marker=style["marker"], color="white", zorder=5)
         shown += [mean, low, high]
@@ -181,8 +185,12 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
         x = np.unique(np.concatenate(tried).astype(float))
         if x.min() > 0 and x.max() > 10 * x.min():
             ax.set_xscale("log")
-        if ax.get_xscale() == "log" or len(x) <= FEW_TICKS:
+        if len(x) <= FEW_TICKS:
             ax.set_xticks(x, [f"{v:g}" for v in x])
+            ax.xaxis.set_minor_locator(NullLocator())
+        elif ax.get_xscale() == "log":
+            ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
             ax.xaxis.set_minor_locator(NullLocator())
         return lambda x: x.astype(float)
     names = list(dict.fromkeys(_text(v) for x in tried for v in x.tolist()))
@@ -216,7 +224,7 @@ def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, *
         line: how the line is drawn, as in `Axes.plot`.
     """
     interval = stats.mean_interval(values)
-    ax.plot(x, interval.mean, label=label, color=color, lw=line.pop("lw", 2), **line)
+    ax.plot(x, interval.estimate, label=label, color=color, lw=line.pop("lw", 2), **line)
     ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
 
 
@@ -252,21 +260,25 @@ def _chosen(datasets: Datasets, given: Mapping[str, Any]) -> Iterable[tuple[str,
     for method, ds in datasets.items():
         own = {name: value for name, value in given.items() if name in stats.hyperparameters(ds)}
         setting = stats.best(ds, **own)
-        yield _label(method, setting), ds.sel(setting)
+        yield _label(method, stats.named(ds, setting)), ds.sel(setting)
 
 
 def _label(method: str, setting: Mapping[str, Any]) -> str:
-    return ", ".join([method, *_settings(setting)])
+    return ", ".join([method, *in_words(setting)])
 
 
-def _settings(setting: Mapping[str, Any]) -> list[str]:
-    return [f"{GREEK.get(name, name)} = {_value(value)}" for name, value in setting.items()]
+def in_words(setting: Mapping[str, Any]) -> list[str]:
+    """Each of the hyperparameters with its value as people write it: "α = 0.5"."""
+    return [f"{GREEK.get(name, name)} = {written(value)}" for name, value in setting.items()]
 
 
-def _value(x: Any) -> str:
+def written(x: Any) -> str:
+    """The value of a hyperparameter as people write it."""
     if isinstance(x, bool):
         return "on" if x else "off"
-    return _number(x) if isinstance(x, int | float) else str(x)
+    if isinstance(x, int | float):
+        return _number(x, 6 if abs(x) >= 1 else 4)  # what is drawn at random has many digits
+    return str(x)
 
 
 def _styles() -> Iterable[dict[str, Any]]:
@@ -686,6 +698,14 @@ def save_all(datasets: Datasets, env: Environment, folder: Path | str) -> list[P
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    figures = pictures(datasets, env) | {"overview": overview(datasets, env)}
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png")
+    return [folder / f"{name}.png" for name in figures]
+
+
+def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
+    """The figures of `save_all` by their names, but for the overview, in which they are again."""
     prediction = stats.is_prediction(*datasets.values())
     figures = {}
     for name, draw in _curves(datasets, env).items():
@@ -696,11 +716,8 @@ def save_all(datasets: Datasets, env: Environment, folder: Path | str) -> list[P
     if isinstance(env, Grid) and not prediction:
         figures["greedy_path"] = _all_paths(datasets, env)
     elif isinstance(env, Finite) and env.panels():
-        figures["values"] = _all_tables(datasets, env)
-    figures["overview"] = overview(datasets, env)
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png")
-    return [folder / f"{name}.png" for name in figures]
+        figures["values"] = value_tables(datasets, env)
+    return figures
 
 
 def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], None]]:
@@ -710,7 +727,8 @@ def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], 
     if not prediction:
         curves["episodes"] = lambda ax: episodes_against_steps(ax, datasets)
     curves["learning_curves"] = lambda ax: learning_curves(ax, datasets)
-    swept = dict.fromkeys(name for ds in datasets.values() for name in stats.hyperparameters(ds))
+    names = (name for ds in datasets.values() for name in stats.hyperparameters(ds) + stats.drawn(ds))
+    swept = dict.fromkeys(name for name in names if name != "draw")
     for i, name in enumerate(sorted(swept, key=lambda name: name != "alpha")):
         key = f"sensitivity_{name}" if i else "sensitivity"
         curves[key] = lambda ax, name=name: sensitivity(ax, datasets, name)
@@ -719,7 +737,7 @@ def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], 
     return curves
 
 
-def _all_tables(datasets: Datasets, env: Finite) -> Figure:
+def value_tables(datasets: Datasets, env: Finite) -> Figure:
     """The panels of the environment: a row for what each method learned, and one for what is exact.
 
     What a method learned is the mean over seeds of its largest action value, and the action that is greedy
@@ -777,10 +795,10 @@ def _all_paths(datasets: Datasets, env: Grid) -> Figure:
 def _median_path(ax: Axes, env: Grid, method: str, ds: xr.Dataset) -> None:
     """The greedy path that is the median over seeds in length, at the best hyperparameters."""
     setting = stats.best(ds)
-    ds = ds.sel(setting)
+    label, ds = _label(method, stats.named(ds, setting)), ds.sel(setting)
     lengths = _Moves.of(env).distance(ds.q.values)[:, env.start_state]
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]
-    title = f"greedy path of {_label(method, setting)}; median of {len(lengths)} seeds"
+    title = f"greedy path of {label}; median of {len(lengths)} seeds"
     greedy_path(ax, env, ds.q.values[median], title, float(stats.optimum(ds)))
 
 
@@ -792,18 +810,22 @@ def canvas(width: float, height: float) -> Figure:
 def _caption(datasets: Datasets, env: Environment) -> str:
     """What was run: the environment, what is not as usual in it, the hyperparameters of all, the seeds."""
     names = dict.fromkeys(str(ds.attrs["environment"]) for ds in datasets.values())
-    unusual = [
+    first, *others = [stats.fixed(ds) for ds in datasets.values()]
+    common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
+    # Lines that fit the narrowest figure, broken between settings and not within.
+    settings = [setting.replace(" ", "\xa0") for setting in [*names, *unusual(env), *in_words(common)]]
+    lines = textwrap.wrap(", ".join(settings), LINE, break_on_hyphens=False)
+    what = "\n".join(lines).replace("\xa0", " ")
+    seeds = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
+    return f"{what}\nmean and 95% interval over {seeds} seeds"
+
+
+def unusual(env: Environment) -> list[str]:
+    """The parameters of the environment that are not as they are by default, each with its value."""
+    return [
         f"{field.name} = {getattr(env, field.name)}"
         for field in dataclasses.fields(env)  # pyright: ignore[reportArgumentType]
         if isinstance(field.default, (str, int, float))
         and np.ndim(getattr(env, field.name)) == 0
         and getattr(env, field.name) != field.default
     ]
-    first, *others = [stats.fixed(ds) for ds in datasets.values()]
-    common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
-    # Lines that fit the narrowest figure, broken between settings and not within.
-    settings = [setting.replace(" ", "\xa0") for setting in [*names, *unusual, *_settings(common)]]
-    lines = textwrap.wrap(", ".join(settings), LINE, break_on_hyphens=False)
-    what = "\n".join(lines).replace("\xa0", " ")
-    seeds = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
-    return f"{what}\nmean and 95% interval over {seeds} seeds"

@@ -2,17 +2,20 @@
 
 import dataclasses
 import json
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from jaxrl_tab.axes import DRAW
 from jaxrl_tab.policies import Policy
 from jaxrl_tab.schedules import Schedule, typed
 from jaxrl_tab.train import Log
 from jaxrl_tab.types import Environment
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 
@@ -23,16 +26,19 @@ class SweepResult:
     Attributes:
         environment, algorithm: names in the registries (of the class, where it is not registered).
         env: the environment.
-        grid: swept hyperparameters in the order of the axes, each with its values.
+        grid: swept hyperparameters in the order of the axes, each with its values. Those that were drawn at
+            random go together: they are the axis `draw`, each value a dict of them.
         fixed: the other hyperparameters.
         log: what happened, NumPy [*grid, seeds, rows] each; see `train.Log`.
         q: the final tables, float [*grid, seeds, S, A].
         optimal_value: v* from the start distribution, for prediction v_pi; float64 [gammas] where gamma is
-            swept, else []. Where each run has a problem of its own, the mean over problems. NaN where
-            the environment does not say, or there is no finite v*, or no single such number.
-        root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), i)`.
+            swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over
+            problems. NaN where the environment does not say, or there is no finite v*, or no single such
+            number.
+        root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), first_seed + i)`.
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
+        first_seed: see `root_seed`.
     """
 
     environment: str
@@ -49,6 +55,7 @@ class SweepResult:
     log_every: int
     seconds: float
     compile_seconds: float
+    first_seed: int = 0
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -60,11 +67,17 @@ class SweepResult:
         """Environment steps with their updates, per second, compilation apart."""
         return float(self.log.steps.sum(dtype=np.int64)) / self.seconds
 
+    @property
+    def diverged(self) -> np.ndarray:
+        """Whether a NaN or an infinity is in the table or in the sums of the log, bool [*grid, seeds]."""
+        return is_diverged(self.q, self.log.returns, self.log.rewards)
+
     def to_xarray(self) -> "xr.Dataset":
         """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
 
-        The fields of the log are its variables, with what was recorded, and `q` [*grid, seed, state, action];
-        what is the same for all runs is in `attrs`.
+        The fields of the log are its variables, with what was recorded, `q` [*grid, seed, state, action], and
+        `diverged` [*grid, seed]; what is the same for all runs is in `attrs`. Hyperparameters that were drawn
+        at random are coordinates along a dimension `draw`: alpha(draw).
         """
         import xarray as xr
 
@@ -78,10 +91,14 @@ class SweepResult:
             more = [f"{name}_{i}" for i in range(x.ndim - len(axes) - 1)]
             variables[name] = ((*axes, "row", *more), x)
         variables["q"] = ((*axes, "state", "action"), self.q)
-        if "gamma" in self.grid:
-            variables["optimum"] = (("gamma",), self.optimal_value)
-        coords: dict[str, Any] = {name: labels(values) for name, values in self.grid.items()}
-        coords["seed"] = np.arange(self.q.shape[len(self.grid)])
+        variables["diverged"] = (axes, self.diverged)
+        if self.optimal_value.ndim:
+            variables["optimum"] = (("gamma" if "gamma" in self.grid else DRAW,), self.optimal_value)
+        coords: dict[str, Any] = {name: labels(x) for name, x in self.grid.items() if name != DRAW}
+        if draws := self.grid.get(DRAW):
+            coords[DRAW] = np.arange(len(draws))
+            coords |= {name: (DRAW, labels(trial[name] for trial in draws)) for name in draws[0]}
+        coords["seed"] = self.first_seed + np.arange(self.q.shape[len(self.grid)])
         coords["row"] = np.arange(self.log.steps.shape[-1])
         budget = {"num_steps": self.num_steps, "num_episodes": self.num_episodes}
         attrs = {
@@ -98,6 +115,34 @@ class SweepResult:
             "steps_per_second": self.steps_per_second,
         }
         return xr.Dataset(variables, coords, attrs)
+
+    def to_pandas(self, per: Literal["row", "seed"] = "row") -> "pd.DataFrame":
+        """The result as a table in long form: a row for each row of the log of each run, or for each run.
+
+        See `export.to_pandas`; its `to_csv` and `to_parquet` write it.
+        """
+        from jaxrl_tab import export
+
+        return export.to_pandas(self.to_xarray(), per)
+
+
+def is_diverged(q: Any, *sums: Any) -> np.ndarray:
+    """Whether there is a NaN or an infinity in a table [..., S, A] or in sums [..., rows], bool [...]."""
+    found = np.zeros(q.shape[:-2], bool)
+    for x in (q, *(x[..., None] for x in sums)):
+        for extreme in (x.min((-2, -1)), x.max((-2, -1))):  # where there is a NaN, both are NaN
+            found |= ~np.isfinite(extreme)
+    return found
+
+
+def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> None:
+    """Adds a dataset to a netCDF file, as a group. Where there is no file it is made, with attributes."""
+    import xarray as xr
+
+    if not file.exists():
+        xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
+    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in ds.items() if x.ndim}
+    ds.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
 
 
 def label(value: Any) -> Any:

@@ -1,20 +1,22 @@
 """A grid of hyperparameters times seeds, in one call."""
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from jaxrl_tab import batch, planning
+from jaxrl_tab.axes import DRAW, spread, swept_names
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.results import SweepResult, label, parameters
-from jaxrl_tab.train import Record, check_budget, default_log_every
+from jaxrl_tab.train import Log, Record, check_budget, default_log_every
 from jaxrl_tab.types import (
     Algorithm,
     Environment,
@@ -28,12 +30,63 @@ from jaxrl_tab.types import (
 )
 
 
+class Computed(NamedTuple):
+    """What some runs gave.
+
+    Attributes:
+        q: their final tables, float [n, S, A].
+        log: what happened, [n, rows] each; see `train.Log`.
+        seconds: how long it took.
+    """
+
+    q: np.ndarray
+    log: Log
+    seconds: batch.Seconds
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Part:
+    """One method in one environment, with every combination of hyperparameters and every seed: to be run.
+
+    Its runs have numbers, 0 to `runs` - 1: the number of the configuration times `num_seeds` plus the place
+    of the seed. A run with the seed at place i has the key `fold_in(key(seed), first_seed + i)`.
+
+    Attributes:
+        env: the environment.
+        algorithm: the class of the method.
+        axes: the swept hyperparameters in the order of the axes, each with its values.
+        configs: an instance of the method for every point of the axes, in C order.
+        num_seeds, first_seed: how many seeds there are, and the first of them.
+        seed: the root seed.
+        budget: how long each run is and what it records.
+    """
+
+    env: Environment
+    algorithm: type[Algorithm]
+    axes: dict[str, tuple]
+    configs: list[Algorithm]
+    num_seeds: int
+    first_seed: int
+    seed: int
+    budget: batch.Budget
+
+    @property
+    def runs(self) -> int:
+        return len(self.configs) * self.num_seeds
+
+    @functools.cached_property
+    def programs(self) -> list[np.ndarray]:
+        """The numbers of the configurations that run as one program, int [configs] ascending, for each."""
+        return [np.array(members) for members in _same_program(self.configs)]
+
+
 def sweep(
     env: Environment,
     algorithm: type[Algorithm] | str,
     grid: Mapping[str, Any] | None = None,
     *,
     num_seeds: int,
+    num_draws: int | None = None,
     num_steps: int | None = None,
     num_episodes: int | None = None,
     log_every: int | None = None,
@@ -52,8 +105,11 @@ def sweep(
         env: the environment.
         algorithm: a class such as `Sarsa`, or its name in `ALGORITHMS` or `PREDICTION`.
         grid: for each hyperparameter a list of values (an axis of the result) or a single value. A value
-            is a number, a schedule or a policy. What is not named keeps its default.
+            is a number, a schedule or a policy. Besides lists there are grids in steps and random draws,
+            such as `LogGrid(0.01, 1, 5)` and `LogUniform(0.01, 1)`: see `axes`. What is not named keeps its
+            default.
         num_seeds: how many seeds, at least 1.
+        num_draws: how many trials of what is drawn at random; they are the axis `draw` of the result.
         num_steps, num_episodes, log_every, exact, record: as in `train`.
         seed: which sequence of seeds, a whole number >= 0.
         memory: how many bytes it may take, at least 1: results and what is being computed. By default half
@@ -64,14 +120,55 @@ def sweep(
     Raises:
         InputError: something given is wrong; nothing was compiled.
     """
+    if memory is not None and (not isinstance(memory, Integral) or memory < 1):
+        raise InputError(f"memory must be a number of bytes, at least 1, not {shown(memory)}")
+    part = prepare(
+        env,
+        algorithm,
+        grid,
+        num_seeds=num_seeds,
+        num_draws=num_draws,
+        num_steps=num_steps,
+        num_episodes=num_episodes,
+        log_every=log_every,
+        seed=seed,
+        exact=exact,
+        record=record,
+    )
+    return result(part, compute(part, memory=memory, progress=lambda done: progress(done, part.runs)))
+
+
+def prepare(
+    env: Environment,
+    algorithm: type[Algorithm] | str,
+    grid: Mapping[str, Any] | None = None,
+    *,
+    num_seeds: int,
+    num_draws: int | None = None,
+    num_steps: int | None = None,
+    num_episodes: int | None = None,
+    log_every: int | None = None,
+    seed: int = 0,
+    first_seed: int = 0,
+    exact: bool = False,
+    record: Record | None = None,
+) -> Part:
+    """All checks of a sweep; nothing is compiled.
+
+    Args:
+        first_seed: the first of the `num_seeds` seeds, which follow each other: 100 where fresh seeds are
+            wanted after a sweep over 100.
+        Others: as in `sweep`.
+
+    Raises:
+        InputError: something given is wrong.
+    """
     check_budget(num_steps, num_episodes, log_every)
-    for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0)):
+    for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0), ("first_seed", first_seed, 0)):
         if not is_whole(value, least):
             raise InputError(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
-    if memory is not None and (not isinstance(memory, Integral) or memory < 1):
-        raise InputError(f"memory must be a number of bytes, at least 1, not {shown(memory)}")
     if not isinstance(env, Environment):
         raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     check_pytree("env", env)
@@ -80,45 +177,74 @@ def sweep(
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
-    axes, configs = configurations(cls, grid or {})
-
+    axes, configs = configurations(cls, grid or {}, num_draws, seed)
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
-    total = len(configs) * num_seeds
-    root = jax.random.key(seed)
-    programs = _same_program(configs)
-    instances = [_leaves_as_arrays(config) for config in configs]
-    results, room = batch.plan(env, [instances[i] for i, *_ in programs], root, total, budget, memory)
-    done, seconds = 0, np.zeros(2)
-    for members in programs:
-        stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *(instances[i] for i in members))
-        seeds = np.broadcast_to(np.arange(num_seeds, dtype=np.uint32), (len(members), num_seeds))
+    return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
-        def keep(runs, given, members=members):
-            results.write(np.take(members, runs // num_seeds) * num_seeds + runs % num_seeds, given)
 
-        report = lambda n, done=done: progress(done + n, total)
-        seconds += batch.run(env, stacked, root, seeds, budget, keep, report, room)
-        done += seeds.size
+def compute(
+    part: Part,
+    runs: np.ndarray | None = None,
+    *,
+    memory: int | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Computed:
+    """What some runs of a part give, in the order of `runs`; bitwise what they are among all runs.
 
+    Args:
+        runs: their numbers, int [n]; all by default.
+        memory: as in `sweep`.
+        progress: is called with the number of runs finished, as blocks of them finish.
+
+    Raises:
+        InputError: there is not enough memory; nothing was compiled.
+    """
+    root = jax.random.key(part.seed)
+    instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
+    total = part.runs if runs is None else len(runs)
+    results, room = batch.plan(part.env, instances, root, total, part.budget, memory)
+    config, place = np.divmod(np.arange(total) if runs is None else runs, part.num_seeds)
+    done, running, compiling = 0, 0.0, 0.0
+    for members in part.programs:
+        at = np.flatnonzero(np.isin(config, members))
+        if not len(at):
+            continue
+        leaves = (leaves_as_arrays(part.configs[i]) for i in members)
+        stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *leaves)
+        seeds = part.first_seed + np.arange(part.num_seeds, dtype=np.uint32)
+        seeds = np.broadcast_to(seeds, (len(members), part.num_seeds))
+        within = np.searchsorted(members, config[at]) * part.num_seeds + place[at]
+        keep = lambda finished, given, at=at: results.write(at[finished], given)
+        report = lambda n, done=done: progress(done + n)
+        seconds = batch.run(part.env, stacked, root, seeds, part.budget, keep, report, room, runs=within)
+        done, running, compiling = done + len(at), running + seconds.running, compiling + seconds.compiling
+    q, log = results.arrays
+    return Computed(q, log, batch.Seconds(running, compiling))
+
+
+def result(part: Part, computed: Computed) -> SweepResult:
+    """The result of a sweep from what all runs of it gave, in the order of their numbers."""
+    axes, first = part.axes, part.configs[0]
     # Where a behaviour policy is given epsilon is not looked at, and it would mislead to show it.
-    unused = {"epsilon"} if getattr(configs[0], "behaviour", None) is not None else set()
-    shape = tuple(len(values) for values in axes.values())
-    q, log = jax.tree.map(lambda x: x.reshape(*shape, num_seeds, *x.shape[1:]), results.arrays)
+    unused = {"epsilon"} if getattr(first, "behaviour", None) is not None else set()
+    shape = (*(len(values) for values in axes.values()), part.num_seeds)
+    q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(
-        environment=_name_in(ENVS, type(env)),
-        algorithm=_name_in(METHODS, cls),
-        env=env,
+        environment=_name_in(ENVS, type(part.env)),
+        algorithm=_name_in(METHODS, part.algorithm),
+        env=part.env,
         grid=axes,
-        fixed={k: value for k, value in parameters(configs[0]).items() if k not in axes and k not in unused},
+        fixed={k: value for k, value in parameters(first).items() if k not in {*swept_names(axes), *unused}},
         log=log,
         q=q,
-        optimal_value=_exact_value(env, axes, configs),
-        root_seed=int(seed),
-        num_steps=num_steps,
-        num_episodes=num_episodes,
-        log_every=log_every or default_log_every(num_steps),
-        seconds=seconds[0],
-        compile_seconds=seconds[1],
+        optimal_value=_exact_value(part.env, axes, part.configs),
+        root_seed=part.seed,
+        first_seed=part.first_seed,
+        num_steps=part.budget.num_steps,
+        num_episodes=part.budget.num_episodes,
+        log_every=part.budget.log_every or default_log_every(part.budget.num_steps),
+        seconds=computed.seconds.running,
+        compile_seconds=computed.seconds.compiling,
     )
 
 
@@ -135,13 +261,18 @@ def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
     return algorithm
 
 
-def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[str, tuple], list[Algorithm]]:
-    """The axes (name -> values), and an instance for every point of the grid, in C order."""
+def configurations(
+    cls: type[Algorithm], grid: Mapping[str, Any], num_draws: int | None = None, seed: int = 0
+) -> tuple[dict[str, tuple], list[Algorithm]]:
+    """The axes (name -> values), and an instance for every point of the grid, in C order.
+
+    What is drawn at random is the last axis, `draw`, each of whose values is a dict of hyperparameters.
+    """
     name = _name_in(METHODS, cls)
     if not isinstance(grid, Mapping):
         raise InputError(f"grid must be a dict from hyperparameters to values, not {shown(grid)}")
     axes, single = {}, {}
-    for parameter, values in grid.items():
+    for parameter, values in spread(grid, num_draws, seed, name).items():
         if isinstance(values, Sequence | np.ndarray | jax.Array) and np.ndim(values) > 0:
             if np.ndim(values) > 1:
                 raise InputError(
@@ -156,10 +287,15 @@ def configurations(cls: type[Algorithm], grid: Mapping[str, Any]) -> tuple[dict[
         repeated = [v for i, v in enumerate(labels) if v in labels[:i]]
         if not values:
             raise InputError(f"the grid of {parameter} is empty")
-        if repeated:
+        if repeated and parameter != DRAW:
             raise InputError(f"the grid of {parameter} holds {repeated[0]} more than once")
-    points = itertools.product(*axes.values())
-    return axes, [build(cls, name, single | dict(zip(axes, point, strict=True))) for point in points]
+    names = [name for name in axes if name != DRAW]
+
+    def instance(point: tuple) -> Algorithm:
+        *values, trial = point if DRAW in axes else (*point, {})
+        return build(cls, name, single | dict(zip(names, values, strict=True)) | trial)
+
+    return axes, [instance(point) for point in itertools.product(*axes.values())]
 
 
 def _plain(value: Any) -> Any:
@@ -167,7 +303,7 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) else value
 
 
-def _leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
+def leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
     """Numbers in JAX's own float type: a Python float and an array would be two programs."""
     dtype = jax.dtypes.canonicalize_dtype(float)
     return jax.tree.map(lambda x: np.asarray(x, dtype), algorithm)
@@ -197,6 +333,8 @@ def _exact_value(
 
     if "gamma" in axes:
         return np.array([value(gamma) for gamma in axes["gamma"]])
+    if "gamma" in swept_names(axes):
+        return np.array([value(trial["gamma"]) for trial in axes[DRAW]])
     return np.array(value(configs[0].gamma))
 
 

@@ -108,65 +108,40 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
 
 
 @pytest.fixture
-def swept(monkeypatch):
-    """Replaces `sweep` by one that computes nothing and notes how it was called."""
-    calls = []
-
-    def note(env, algorithm, grid, **budget):
-        calls.append((env, algorithm, grid, budget))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(figure, "sweep", note)
-    return calls
+def asked(monkeypatch):
+    """The data of the experiments that were asked for, none of which is run."""
+    experiments = []
+    monkeypatch.setattr(cli, "_conduct", lambda experiment, *_: experiments.append(experiment.data()))
+    return experiments
 
 
-def test_sweep_without_options_has_sensible_ones(swept):
+def test_sweep_without_options_has_sensible_ones(asked):
     main(["sweep", "windy-gridworld", "sarsa"])
-    ((env, algorithm, grid, budget),) = swept
-    assert isinstance(env, rl.WindyGridworld)
-    assert (algorithm, grid) == ("sarsa", {"alpha": [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0]})
-    budget.pop("progress")
-    assert budget == {
-        "num_seeds": 100,
-        "num_steps": 8000,
-        "num_episodes": None,
-        "log_every": None,
-        "seed": 0,
-        "memory": None,
-        "exact": False,
-    }
+    ((data,), (environment,), (method,)) = asked, asked[0].pop("environment"), asked[0].pop("method")
+    assert environment["name"] == environment["label"] == "windy-gridworld"
+    assert (method["name"], method["alpha"]) == ("sarsa", [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0])
+    assert data == {"seeds": 100, "steps": 8000, "log_every": 100, "seed": 0, "exact": False}
 
 
-def test_sweep_hands_every_option_on(swept):
+def test_sweep_hands_every_option_on(asked):
     argv = (
         "sweep windy-gridworld q-learning --moves king --stochastic --wind 0 0 0 1 1 -1 2 2 1 0 --start 2 0"
     )
     argv += " --epsilon 0 0.1 --alpha sample-average --q0 -1 --episodes 7 --log-every 2 --seed 5 --exact"
-    argv += " --memory 1.5GB"
     main(argv.split())
-    ((env, algorithm, grid, budget),) = swept
-    assert (env.moves, env.stochastic, env.start) == ("king", True, (2, 0))
-    assert list(env.wind) == [0, 0, 0, 1, 1, -1, 2, 2, 1, 0]
-    assert algorithm == "q-learning"
-    assert repr(grid.pop("alpha")) == repr(rl.schedules.sample_average())
-    assert grid == {"epsilon": [0.0, 0.1], "q0": -1.0}
-    budget.pop("progress")
-    assert budget == {
-        "num_seeds": 100,
-        "num_steps": None,
-        "num_episodes": 7,
-        "log_every": 2,
-        "seed": 5,
-        "memory": 1_500_000_000,
-        "exact": True,
-    }
+    ((data,), (environment,), (method,)) = asked, asked[0].pop("environment"), asked[0].pop("method")
+    given = {"moves": "king", "stochastic": True, "start": [2, 0], "wind": [0, 0, 0, 1, 1, -1, 2, 2, 1, 0]}
+    assert given.items() <= environment.items()
+    given = {"alpha": "sample-average", "epsilon": [0.0, 0.1], "gamma": 1.0, "q0": -1.0}
+    assert method == {"name": "q-learning", "label": "q-learning", **given}
+    assert data == {"seeds": 100, "episodes": 7, "log_every": 2, "seed": 5, "exact": True}
 
 
-def test_glie_is_one_over_the_number_of_the_episode(swept):
+def test_glie_is_one_over_the_number_of_the_episode(asked):
     call("sweep windy-gridworld sarsa --epsilon glie")
-    ((_, _, grid, _),) = swept
-    assert grid["epsilon"].clock == "episode"
-    assert float(grid["epsilon"](4)) == 0.25
+    epsilon = rl.schedules.parse(asked[0]["method"][0]["epsilon"])
+    assert epsilon.clock == "episode"
+    assert float(epsilon(4)) == 0.25
 
 
 def test_sweep_records_exact_values_and_schedules(tmp_path):
@@ -219,27 +194,25 @@ def test_policies_and_mixed_rates_make_grids_beside_the_mean_optimum_over_proble
     assert "epsilon" not in summary[0]  # it is not looked at where the behaviour is given
 
 
-def test_options_of_some_methods_go_to_those(swept):
+def test_options_of_some_methods_go_to_those(asked):
     call("sweep random-walk td n-step-td --n 1 4 --alpha 0.5")
-    ((_, algorithm, grid, budget),) = swept
-    assert (algorithm, grid) == ("td", {"alpha": 0.5})
-    assert budget["exact"]  # nothing else tells methods of prediction apart
-    call("sweep random-walk n-step-td --n 1 4 --alpha 0.5")
-    assert swept[1][1:3] == ("n-step-td", {"alpha": 0.5, "n": [1, 4]})
+    td, n_step = asked[0]["method"]
+    assert (td["alpha"], n_step["alpha"], n_step["n"], "n" in td) == (0.5, 0.5, [1, 4], False)
+    assert asked[0]["exact"]  # nothing else tells methods of prediction apart
 
 
 # --- nothing computed is lost ------------------------------------------------------------------------
 
 
 def test_ctrl_c_keeps_the_methods_that_are_done(monkeypatch, tmp_path, capsys):
-    real = figure.sweep
+    real = cli.compute
 
-    def interrupted(env, algorithm, *args, **kwargs):
-        if algorithm == "q-learning":
+    def interrupted(part, **kwargs):
+        if part.algorithm is rl.QLearning:
             raise KeyboardInterrupt
-        return real(env, algorithm, *args, **kwargs)
+        return real(part, **kwargs)
 
-    monkeypatch.setattr(figure, "sweep", interrupted)
+    monkeypatch.setattr(cli, "compute", interrupted)
     out = tmp_path / "windy"
     assert main(["sweep", "windy-gridworld", "sarsa", "q-learning", *TINY, "--out", str(out)]) == 130
     (kept,) = tmp_path.iterdir()
@@ -248,7 +221,11 @@ def test_ctrl_c_keeps_the_methods_that_are_done(monkeypatch, tmp_path, capsys):
     assert xr.open_datatree(kept / "results.nc")["sarsa"].sizes["seed"] == 3
 
 
-def test_ctrl_c_before_anything_is_done_leaves_nothing(swept, tmp_path, capsys):
+def test_ctrl_c_before_anything_is_done_leaves_nothing(monkeypatch, tmp_path, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "compute", interrupted)
     assert main(["sweep", "windy-gridworld", "sarsa", "--out", str(tmp_path / "windy")]) == 130
     assert capsys.readouterr().err == "jaxrl-tab: interrupted\n"
     assert list(tmp_path.iterdir()) == []
@@ -394,13 +371,11 @@ class Eager(rl.Sarsa):
     patience: int = static(10)
 
 
-def test_a_new_method_brings_its_options(monkeypatch, swept, capsys):
+def test_a_new_method_brings_its_options(monkeypatch, asked, capsys):
     monkeypatch.setitem(ALGORITHMS, "eager", Eager)
     call("sweep windy-gridworld eager --recall 0 0.5 --traces accumulating --no-cut --patience 3")
-    _, algorithm, grid, _ = swept[0]
-    assert algorithm == "eager"
-    del grid["alpha"]
-    assert grid == {"recall": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
+    given = {"recall": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
+    assert ({"name": "eager"} | given).items() <= asked[0]["method"][0].items()
     capsys.readouterr()
 
     error = refused(capsys, "sweep windy-gridworld sarsa --recall 0.5")

@@ -19,7 +19,7 @@ def test_local_gives_what_work_gives_one_at_a_time(tmp_path):
 
 
 def test_local_lets_errors_through(tmp_path):
-    with pytest.raises(ValueError, match="no such thing"):
+    with pytest.raises(ValueError, match=r"no such thing"):
         dict(executors.Local().run(functools.partial(shards.fails, folder=tmp_path), [0, 1]))
 
 

@@ -5,51 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 import xarray as xr
+from made_up import ALPHAS, make_result
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 import jaxrl_tab as rl
 from jaxrl_tab import plot, stats
-from jaxrl_tab.train import Log
 
 pytestmark = pytest.mark.filterwarnings("error")
-
-ALPHAS = (0.05, 0.2, 0.9)
-
-
-def make_result(env, q, *, seeds=5, rows=20, best=-17.0, budget=None):
-    """A sweep as real ones look: hugely negative returns first, `best` in the end, worse at small alpha."""
-    rng = np.random.default_rng(0)
-    shape = (len(ALPHAS), seeds, rows)
-    progress = np.linspace(0, 1, rows)
-    pace = np.array([20.0, 4.0, 1.0])[:, None, None]
-    mean = best * (1 + (pace - 1) + 30 * np.exp(-6 * progress)) * rng.uniform(0.95, 1.05, shape)
-    budget = budget or {"num_steps": 200 * rows, "num_episodes": None, "log_every": 200}
-    if budget["num_steps"]:
-        steps, episodes = np.full(shape, 200), np.floor(200 / -mean + 0.5)
-    else:
-        steps, episodes = -mean, np.ones(shape)
-    log = Log(
-        steps=steps.astype(np.int32),
-        episodes=episodes.astype(np.int32),
-        returns=(episodes * mean).astype(np.float32),
-        lengths=steps.astype(np.int32),
-        rewards=-steps.astype(np.float32),
-    )
-    return rl.SweepResult(
-        environment="windy-gridworld",
-        algorithm="sarsa",
-        env=env,
-        grid={"alpha": ALPHAS},
-        fixed={"epsilon": 0.1, "gamma": 1.0},
-        log=log,
-        q=np.broadcast_to(np.asarray(q, np.float32), (*shape[:2], *q.shape)),
-        optimal_value=np.array(-15.0),
-        root_seed=0,
-        seconds=1.0,
-        compile_seconds=1.0,
-        **budget,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +93,7 @@ def test_learning_curves(ax, datasets):
     assert enough.any()
     assert not enough.all()
     np.testing.assert_array_equal(np.isfinite(sarsa.get_ydata()), enough)
-    np.testing.assert_allclose(sarsa.get_ydata()[enough], interval.mean.values[enough])
+    np.testing.assert_allclose(sarsa.get_ydata()[enough], interval.estimate.values[enough])
     np.testing.assert_array_equal(sarsa.get_xdata(), 200 * np.arange(1, 21))
     assert set(optimum.get_ydata()) == {-15}
     assert "exact optimum −15" in texts(ax)

@@ -66,7 +66,7 @@ def test_a_worker_is_killed(cluster, tmp_path):
 
 def test_a_worker_that_always_dies_is_given_up(cluster, tmp_path):
     work = functools.partial(shards.dies, folder=tmp_path, deaths=9)
-    with pytest.raises(RunError, match="shard 1 was lost 2 times"):
+    with pytest.raises(RunError, match=r"shard 1 was lost 2 times"):
         list(executors.Ray(cluster.address, max_retries=1).run(work, [1]))
     assert shards.times(1, tmp_path) == 2
 
@@ -115,7 +115,7 @@ def test_addresses_where_nothing_answers_are_refused_at_once():
         port = free.getsockname()[1]
     with pytest.raises(RunError, match=f"no Ray cluster at 127.0.0.1:{port}: Connection refused"):
         executors.get("ray", address=f"127.0.0.1:{port}")
-    with pytest.raises(InputError, match="HOST:PORT or ray://HOST:PORT, not 'somewhere'"):
+    with pytest.raises(InputError, match=r"HOST:PORT or ray://HOST:PORT, not 'somewhere'"):
         executors.get("ray", address="somewhere")
-    with pytest.raises(InputError, match="num_cpus"):
+    with pytest.raises(InputError, match=r"num_cpus"):
         executors.get("ray", num_cpus=0)

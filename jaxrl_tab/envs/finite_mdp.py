@@ -1,6 +1,8 @@
 """Any finite MDP, from arrays (book, section 3.1)."""
 
-from typing import Any
+import itertools
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +13,9 @@ from jaxrl_tab.envs.base import MAX_STEPS, Finite, assign, numbers
 from jaxrl_tab.types import TOLERANCE, InputError, Outcome, first, pytree, static, whole
 
 NAME = "FiniteMDP"
+
+# of each state and action the outcomes (probability, s', reward)
+Listed: TypeAlias = Sequence[Sequence[Sequence[tuple[float, int, float]]]]
 
 
 @pytree
@@ -61,23 +66,63 @@ class FiniteMDP(Finite):
         _check_rows(p, r)
         start_prob = _start(start, is_terminal)
         possible = p > 0
-        _check_reachable(possible.max(axis=1), is_terminal, start_prob)
 
         k = np.arange(possible.sum(axis=-1).max())
         successors = np.argsort(~possible, axis=-1, kind="stable")[:, :, k]
-        prob = np.take_along_axis(p / p.sum(axis=-1, keepdims=True), successors, axis=-1)
+        prob = np.take_along_axis(p, successors, axis=-1)
         reward = np.take_along_axis(np.broadcast_to(r, p.shape), successors, axis=-1)
-        start_states = np.flatnonzero(start_prob)
-        assign(
-            self,
-            successors=successors.astype(np.int32),
-            prob=prob,
-            reward=np.where(prob > 0, reward, 0),
-            is_terminal=is_terminal,
-            start_states=start_states.astype(np.int32),
-            start_prob=start_prob[start_states],
-            max_steps=whole(NAME, "max_steps", max_steps),
-        )
+        _fill(self, successors, prob, reward, is_terminal, start_prob, max_steps)
+
+    @classmethod
+    def from_outcomes(
+        cls, outcomes: Listed, terminal: Any = (), start: Any = 0, max_steps: int = MAX_STEPS
+    ) -> "FiniteMDP":
+        """Any finite MDP, from the outcomes of each action, `outcomes[s][a] = [(p, s', reward), ...]`.
+
+        No array [S, A, S'] is made, and a state s' may be entered with different rewards: they are kept
+        apart. Outcomes of one s' and reward are added up.
+
+        Args:
+            outcomes: a list [S] of lists [A] of the outcomes, in any order; their probabilities add up to 1.
+            terminal, start, max_steps: as of the class.
+
+        Raises:
+            InputError: something given is wrong; the message names the first wrong (s, a) or state.
+        """
+        num_states, num_actions = len(outcomes), len(outcomes[0]) if outcomes else 0
+        is_terminal = _terminal(terminal, num_states)
+        merged = np.empty((num_states, num_actions), object)
+        for s, actions in enumerate(outcomes):
+            if len(actions) != num_actions:
+                raise InputError(
+                    f"{NAME}: s = {s} has {len(actions)} actions, and s = 0 has {num_actions}; "
+                    "all states must have the same number"
+                )
+            for a, listed in enumerate(actions):
+                merged[s, a] = {(s, 0.0): 1.0} if is_terminal[s] else _added_up(listed)
+        most = max(map(len, merged.flat), default=0)
+        if not most:
+            raise InputError(
+                f"{NAME}: outcomes must be a list of states, each a list of actions with outcomes"
+            )
+
+        prob, reward = np.zeros((2, num_states, num_actions, most))
+        successors = np.zeros((num_states, num_actions, most), int)
+        for (s, a), found in np.ndenumerate(merged):
+            entered = {s_next for s_next, _ in found}
+            others = itertools.chain((x for x in range(num_states) if x not in entered), itertools.repeat(s))
+            filled = itertools.chain(found.items(), (((x, 0.0), 0.0) for x in others))
+            for k, ((s_next, r), p) in enumerate(itertools.islice(filled, most)):
+                successors[s, a, k], reward[s, a, k], prob[s, a, k] = s_next, r, p
+        if (i := first((successors < 0) | (successors >= num_states))) is not None:
+            raise InputError(
+                f"{NAME}: there is no state {successors[i]}, an outcome {_after(i)}; "
+                f"states are 0 to {num_states - 1}"
+            )
+        _check_rows(prob, reward, successors)
+        mdp = object.__new__(cls)
+        _fill(mdp, successors, prob, reward, is_terminal, _start(start, is_terminal), max_steps)
+        return mdp
 
     @property
     def num_states(self) -> int:
@@ -99,6 +144,31 @@ class FiniteMDP(Finite):
         s_next = jnp.asarray(self.successors)[s, a]
         prob, reward = (jnp.asarray(x, float)[s, a] for x in (self.prob, self.reward))
         return prob, Outcome(s_next, reward, jnp.asarray(self.is_terminal)[s_next])
+
+
+def _fill(mdp, successors, prob, reward, is_terminal, start_prob, max_steps) -> None:
+    """Sets the fields of `mdp`, from checked arrays [S, A, K] and [S]."""
+    _check_reachable(successors, prob, is_terminal, start_prob)
+    start_states = np.flatnonzero(start_prob)
+    assign(
+        mdp,
+        successors=successors.astype(np.int32),
+        prob=prob / prob.sum(axis=-1, keepdims=True),
+        reward=np.where(prob > 0, reward, 0),
+        is_terminal=is_terminal,
+        start_states=start_states.astype(np.int32),
+        start_prob=start_prob[start_states],
+        max_steps=whole(NAME, "max_steps", max_steps),
+    )
+
+
+def _added_up(listed: Sequence[tuple[float, int, float]]) -> dict[tuple[int, float], float]:
+    """(s', reward) -> probability."""
+    total: dict[tuple[int, float], float] = {}
+    for p, s_next, r in listed:
+        outcome = int(s_next), float(r)
+        total[outcome] = total.get(outcome, 0.0) + float(p)
+    return total
 
 
 # --- checks: each returns a fresh array that the constructor may write to ----------------------------
@@ -164,10 +234,14 @@ def _start(start: Any, is_terminal: np.ndarray) -> np.ndarray:
     return prob / prob.sum()
 
 
-def _check_rows(p: np.ndarray, r: np.ndarray) -> None:
-    """Raises InputError unless `p` [S, A, S'] are distributions and `r` [S, A, 1 or S'] finite if p > 0."""
+def _check_rows(p: np.ndarray, r: np.ndarray, successors: np.ndarray | None = None) -> None:
+    """Raises InputError unless `p` [S, A, S'] are distributions and `r` [S, A, 1 or S'] finite if p > 0.
+
+    With `successors` [S, A, K] given, `p` and `r` are of these, [S, A, K].
+    """
     if (i := first(~((p >= 0) & np.isfinite(p)))) is not None:
-        raise InputError(f"{NAME}: the probability of s' = {i[2]} {_after(i)} is {p[i]}, not from 0 to 1")
+        s_next = i[2] if successors is None else successors[i]
+        raise InputError(f"{NAME}: the probability of s' = {s_next} {_after(i)} is {p[i]}, not from 0 to 1")
     total = p.sum(axis=-1)
     if (i := first(abs(total - 1) > TOLERANCE)) is not None:
         raise InputError(f"{NAME}: the probabilities {_after(i)} add up to {total[i]:.6g}, not to 1")
@@ -176,13 +250,12 @@ def _check_rows(p: np.ndarray, r: np.ndarray) -> None:
         raise InputError(f"{NAME}: the reward {_after(i)} is {one}, not a finite number")
 
 
-def _check_reachable(leads: np.ndarray, is_terminal: np.ndarray, start_prob: np.ndarray) -> None:
-    """Raises InputError where a terminal state exists and some start state cannot reach any.
-
-    `leads` [S, S'] tells which states an action can lead to, in one step.
-    """
+def _check_reachable(
+    successors: np.ndarray, prob: np.ndarray, is_terminal: np.ndarray, start_prob: np.ndarray
+) -> None:
+    """Raises InputError where a terminal state exists and some start state cannot reach any."""
     ends = is_terminal
-    while (more := ends | leads[:, ends].any(axis=1)).sum() > ends.sum():
+    while (more := ends | ((prob > 0) & ends[successors]).any(axis=(1, 2))).sum() > ends.sum():
         ends = more
     if is_terminal.any() and (s := first((start_prob > 0) & ~ends)) is not None:
         raise InputError(

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from jaxrl_tab.figures.figure import EXACT, Check, Figure
+from jaxrl_tab.html import render
 
 
 def page(checked: Mapping[str, tuple[Figure, Sequence[Check]]], version: str) -> str:
@@ -10,12 +11,7 @@ def page(checked: Mapping[str, tuple[Figure, Sequence[Check]]], version: str) ->
 
     The page needs nothing else: no script, no font, no style sheet.
     """
-    from jinja2 import Environment, PackageLoader
-
-    loader = PackageLoader("jaxrl_tab.figures", ".")
-    templates = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    templates.globals["cells"] = cells
-    return templates.get_template("page.html").render(figures=checked, version=version)
+    return render("figures.html", figures=checked, version=version, cells=cells)
 
 
 def cells(check: Check) -> tuple[str, ...]:

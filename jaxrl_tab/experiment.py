@@ -1,0 +1,753 @@
+"""An experiment as data: environments x methods x hyperparameters x seeds, in a file or in Python.
+
+A file is TOML, and its keys are the keyword arguments of `Experiment`:
+
+    seeds = 100                                    rl.Experiment(
+    steps = 8000                                       seeds=100,
+                                                       steps=8000,
+    [[environment]]                                    environment=[
+    name = "windy-gridworld"                               {"name": "windy-gridworld", "moves": "king"},
+    moves = "king"                                     ],
+                                                       method=[
+    [[method]]                                             {
+    name = "sarsa"                                             "name": "sarsa",
+    alpha = [0.1, 0.5]                                         "alpha": [0.1, 0.5],
+    epsilon = {log = [0.01, 0.5], points = 5}                  "epsilon": rl.LogGrid(0.01, 0.5, 5),
+                                                           },
+                                                       ],
+                                                   )
+
+Either becomes the same plain data, with all defaults filled in and all draws drawn: what is computed depends
+on them alone, and `fingerprint` is their checksum. `template()` is a file that explains all of it.
+"""
+
+import contextlib
+import dataclasses
+import hashlib
+import itertools
+import json
+import re
+import tomllib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import jax
+import numpy as np
+
+from jaxrl_tab import axes, batch, describe, memory, policies, schedules
+from jaxrl_tab.axes import DRAW
+from jaxrl_tab.envs import ENVS
+from jaxrl_tab.prediction import METHODS, PREDICTION
+from jaxrl_tab.sweep import Part, configurations, leaves_as_arrays, prepare
+from jaxrl_tab.train import default_log_every
+from jaxrl_tab.types import InputError, build, init_learner, is_whole, nearest, shown
+
+LABEL = r"\w[^/\x00-\x1f\x7f]*"  # it names groups and files
+TEMPLATE = Path(__file__).with_name("template.toml")
+
+
+class Source(NamedTuple):
+    """Where an experiment was read from.
+
+    Attributes:
+        path: the file.
+        text: what stood in it.
+    """
+
+    path: Path
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Experiment:
+    """Methods in environments, with every combination of hyperparameters, each over the same seeds.
+
+    What is given is checked and resolved: after that the attributes are plain data, as JSON has it, from
+    which `Experiment(**data)` makes the same one again.
+
+    Attributes:
+        environment: one or several, each a name, or a dict of `name`, parameters, and a `label` where it is
+            not called by its name. Where a parameter is given as a list (of lists, where it is a list
+            itself), each combination is an environment of its own.
+        method: one or several, each a name, or a dict of `name`, hyperparameters, `label`, and `draws`: how
+            many trials of what is random. A hyperparameter is a value, a list, or, as in `axes`, a grid in
+            steps or a distribution: {"log": [0.01, 1], "points": 5} or LogGrid(0.01, 1, 5). A schedule or a
+            policy is as it is typed: "glie", "softmax:0.5". A policy can also be probabilities [S][A].
+        seeds: how many seeds.
+        steps, episodes: how long each run is; one of the two.
+        log_every: how many steps, or episodes, are summed up in a row of the log.
+        seed: the root seed, of runs and of draws.
+        exact: whether exact values are recorded at every row; prediction always records its error.
+        select: whether the best setting of each method is run again on fresh seeds, and by what it is chosen:
+            a dict as `Selection` has it; None: not.
+        source: the file that it was read from; not part of the data.
+    """
+
+    environment: Any
+    method: Any
+    seeds: int = 100
+    steps: int | None = None
+    episodes: int | None = None
+    log_every: int | None = None
+    seed: int = 0
+    exact: bool = False
+    select: Any = None
+    source: Source | None = dataclasses.field(default=None, repr=False, compare=False)
+
+    def __post_init__(self):
+        with _located(self.source):
+            for name, least in (("seeds", 1), ("steps", 1), ("episodes", 1), ("log_every", 1), ("seed", 0)):
+                with _at(name):
+                    if name in ("seeds", "seed") or getattr(self, name) is not None:
+                        self._set(name, _whole(name, getattr(self, name), least))
+            if (self.steps is None) == (self.episodes is None):
+                with _at("episodes"):
+                    raise InputError("give either steps or episodes: how long a run is")
+            with _at("exact"):
+                if not isinstance(self.exact, bool | np.bool_):
+                    raise InputError(f"exact must be true or false, not {shown(self.exact)}")
+            self._set("environment", _environments(self.environment))
+            self._set("method", _methods(self.method, self.seed))
+            prediction = all(method["name"] in PREDICTION for method in self.method)
+            self._set("exact", bool(self.exact) or prediction)
+            self._set("log_every", self.log_every or default_log_every(self.steps))
+            with _at("select"):
+                self._set("select", None if self.select is None else _selection(self.select, self.seeds))
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """The experiment in a TOML file.
+
+        Raises:
+            InputError: the file cannot be read, or something in it is wrong; with its name and the line.
+        """
+        path = Path(path)
+        try:
+            text = path.read_bytes().decode("utf-8-sig")
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror}") from None
+        except UnicodeDecodeError:
+            raise InputError(f"{path} is no text in UTF-8") from None
+        source = Source(path, text.replace("\r\n", "\n"))
+        try:
+            data = tomllib.loads(source.text)
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(_syntax_error(source, str(error))) from None
+        return cls.from_data(data, source)
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any], source: Source | None = None) -> Self:
+        """The experiment that `data` is, or what stands in a file; see `load` for what is raised."""
+        with _located(source):
+            for key in data:
+                with _at(key):
+                    if key not in _keys(cls):
+                        raise InputError(
+                            f"an experiment has no {key!r}; {_belongs(key) or nearest(key, _keys(cls))}"
+                        )
+            for key, registry in (("environment", ENVS), ("method", METHODS)):
+                if key not in data:
+                    raise _Wrong(f"there is no [[{key}]]: name one or more of {', '.join(registry)}", ())
+        return cls(**data, source=source)
+
+    def data(self) -> dict[str, Any]:
+        """All that decides what is computed, as JSON has it: with defaults filled in, and draws drawn."""
+        return {name: value for name in _keys(type(self)) if (value := getattr(self, name)) is not None}
+
+    @property
+    def fingerprint(self) -> str:
+        """The sha256 of the data, in hexadecimal digits."""
+        return hashlib.sha256(_canonical(self.data()).encode()).hexdigest()
+
+    def parts(self) -> dict[str, Part]:
+        """What is to be run, by the labels "ENVIRONMENT/METHOD"; nothing is compiled.
+
+        Raises:
+            InputError: a method does not fit an environment.
+        """
+        found = {}
+        with _located(self.source):
+            for environment in self.environment:
+                values = {key: x for key, x in environment.items() if key not in ("name", "label")}
+                env = build(ENVS[environment["name"]], environment["label"], values)
+                for i, method in enumerate(self.method):
+                    with _at("method", i):
+                        part = prepare(
+                            env,
+                            method["name"],
+                            _grid(method, self.seed),
+                            num_seeds=self.seeds,
+                            num_steps=self.steps,
+                            num_episodes=self.episodes,
+                            log_every=self.log_every,
+                            seed=self.seed,
+                            exact=self.exact,
+                        )
+                        for config, *_ in part.programs:  # policies in tables must be of the task's size
+                            jax.eval_shape(partial(init_learner, part.configs[config], env))
+                    found[f"{environment['label']}/{method['label']}"] = part
+        return found
+
+    def to_toml(self) -> str:
+        """The data as a file, which `load` reads as the same experiment."""
+        lines, tables = [], []
+        for key, value in self.data().items():
+            if key in ("environment", "method"):
+                for table in value:
+                    tables += ["", f"[[{key}]]", *_toml_lines(table)]
+            elif isinstance(value, Mapping):
+                tables += ["", f"[{key}]", *_toml_lines(value)]
+            else:
+                lines += _toml_lines({key: value})
+        return "\n".join([*lines, *tables]) + "\n"
+
+
+@dataclasses.dataclass(frozen=True)
+class Selection:
+    """How the best setting of each method is chosen, to be run again on seeds that had no part in the choice.
+
+    Attributes:
+        by: "score": the mean return of the last tenth, of prediction the error (see `stats.score`).
+        fresh_seeds: how many seeds it is then run on.
+    """
+
+    by: str = "score"
+    fresh_seeds: int = 100
+
+    def __post_init__(self):
+        with _at("by"):
+            if self.by not in CRITERIA:
+                raise InputError(f"by: there is no {shown(self.by)}; {nearest(str(self.by), CRITERIA)}")
+        with _at("fresh_seeds"):
+            _whole("fresh_seeds", self.fresh_seeds, 1)
+
+
+CRITERIA = ("score",)
+
+
+def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """What is not the same in the data of two experiments, a line for each."""
+    lines = []
+    for key in _keys(Experiment):
+        before, after = old.get(key), new.get(key)
+        if key not in ("environment", "method"):
+            lines += _change(key, before, after)
+            continue
+        before, after = ({table["label"]: table for table in data[key]} for data in (old, new))
+        lines += [f"{key} {label} is gone" for label in before if label not in after]
+        lines += [f"{key} {label} is new" for label in after if label not in before]
+        both = [label for label in after if label in before]
+        if both != [label for label in before if label in after]:
+            lines.append(f"{key}: the order is another one")
+        for label in both:
+            for name in before[label] | after[label]:
+                lines += _change(f"{key} {label}: {name}", before[label].get(name), after[label].get(name))
+    return lines
+
+
+def _change(what: str, before: Any, after: Any) -> list[str]:
+    if before == after:
+        return []
+    texts = ["not given" if x is None else _toml(x) for x in (before, after)]
+    if max(map(len, texts)) > 200:  # such as many draws
+        sizes = [len(x) if isinstance(x, list) else 1 for x in (before, after)]
+        if sizes[0] == sizes[1]:
+            return [f"{what} has other values"]
+        texts = [f"{n} values" if n > 1 else text for n, text in zip(sizes, texts, strict=True)]
+    return [f"{what} was {texts[0]}, and is {texts[1]}"]
+
+
+def template() -> str:
+    """A file that explains itself: what can be in one, with comments. It can be run as it is."""
+    return TEMPLATE.read_text(encoding="utf-8")
+
+
+# --- what it will take -------------------------------------------------------------------------------
+
+
+class PartPlan(NamedTuple):
+    """What a part will take.
+
+    Attributes:
+        programs: how many programs are compiled for it: what shapes the program, such as the n of n-step
+            methods, makes one of its own.
+        runs: how many runs there are, of all programs.
+        blocks: in how many blocks they go.
+        work: how many steps, or episodes, they are in all.
+        results: the bytes of what they give.
+        working: the bytes that are needed beside, at most, while they are computed.
+    """
+
+    programs: int
+    runs: int
+    blocks: int
+    work: int
+    results: int
+    working: int
+
+
+class Plan(NamedTuple):
+    """What an experiment will take: what is known before anything is compiled.
+
+    Attributes:
+        parts: what each of its parts will take, by their labels.
+        unit: "steps" or "episodes": what their work is counted in.
+        devices: on what it is computed, in words.
+    """
+
+    parts: dict[str, PartPlan]
+    unit: str
+    devices: str
+
+    def text(self) -> str:
+        """The plan for people: a line for each part, and the sums."""
+        parts = list(self.parts.values())
+        total = PartPlan(*map(sum, zip(*parts, strict=True)))._replace(working=max(x.working for x in parts))
+        rows = [["", "programs", "runs", "blocks", self.unit, "results", "working memory"]]
+        for name, x in [*self.parts.items(), *([("all together", total)] if len(parts) > 1 else [])]:
+            counts = [f"{n:,}" for n in x[:4]]
+            rows.append([name, *counts, memory.words(x.results), memory.words(x.working)])
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip()
+            for row in rows
+        ]
+        return "\n".join([*lines, f"on {self.devices}"])
+
+    def seconds_left(self, done: Mapping[str, tuple[int, float]]) -> float | None:
+        """How much longer it will take, as far as its parts so far tell; None before there is any.
+
+        A part goes on as fast as it went; one that has not begun as fast as the others on average, per step.
+
+        Args:
+            done: for each part that has begun, how many of its runs are finished, and in how many seconds.
+        """
+        each = {name: x.work / x.runs for name, x in self.parts.items()}
+        begun = {name: (each[name] * runs, seconds) for name, (runs, seconds) in done.items() if runs}
+        if not begun:
+            return None
+        work, seconds = map(sum, zip(*begun.values(), strict=True))
+        left = 0.0
+        for name, x in self.parts.items():
+            own_work, own_seconds = begun.get(name, (0, 0.0))
+            pace = own_seconds / own_work if own_work else seconds / work
+            left += pace * (x.work - own_work)
+        return left
+
+
+def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[Any] | None = None) -> Plan:
+    """What these parts of an experiment will take; nothing is compiled.
+
+    Args:
+        parts: as `Experiment.parts` gives them.
+        limit: how many bytes may be taken; by default half of what is free.
+        devices: the JAX devices to use; all by default.
+    """
+    devices = tuple(devices or jax.devices())
+    kind = "core" if devices[0].platform == "cpu" else devices[0].device_kind
+    found = {}
+    for name, part in parts.items():
+        root = jax.random.key(part.seed)
+        each = [
+            batch.forecast(
+                part.env,
+                leaves_as_arrays(part.configs[members[0]]),
+                root,
+                len(members) * part.num_seeds,
+                part.budget,
+                limit,
+                devices,
+            )
+            for members in part.programs
+        ]
+        found[name] = PartPlan(
+            programs=len(each),
+            runs=part.runs,
+            blocks=sum(x.blocks for x in each),
+            work=part.runs * (part.budget.num_steps or part.budget.num_episodes or 0),
+            results=sum(x.results for x in each),
+            working=max(x.working for x in each),
+        )
+    unit = "steps" if next(iter(parts.values())).budget.num_steps else "episodes"
+    return Plan(found, unit, f"{len(devices)} {kind}{'s' if len(devices) > 1 else ''}")
+
+
+# --- from what was given to plain data ---------------------------------------------------------------
+
+
+def _environments(given: Any) -> list[dict[str, Any]]:
+    """The plain data of each environment: one for each combination of what is listed."""
+    found, places = [], []
+    for i, table in enumerate(_tables("environment", given, ENVS)):
+        with _at("environment", i):
+            made = _environment(table)
+            found += made
+            places += [i] * len(made)
+    _check_labels("environment", found, places)
+    return found
+
+
+def _environment(table: Mapping[str, Any]) -> list[dict[str, Any]]:
+    cls, label = ENVS[table["name"]], table["label"]
+    wanted = {p.name: p for p in describe.parameters(cls)}
+    tried = {}
+    for key, given in _own(table, wanted).items():
+        with _at(key):
+            tried[key] = _values_of_environment(key, given, wanted[key])
+    found = []
+    for point in itertools.product(*tried.values()):
+        values = dict(zip(tried, point, strict=True))
+        with _blame(values):
+            build(cls, label, values)
+        own = [f"{key}={_short(value)}" for key, value in values.items() if len(tried[key]) > 1]
+        data = {key: values.get(key, _listed(p.default)) for key, p in wanted.items()}
+        found.append({"name": table["name"], "label": ",".join([label, *own])} | data)
+    return found
+
+
+def _short(value: Any) -> str:
+    """A value as it can stand in the name of a folder."""
+    return re.sub(r'[" ]', "", json.dumps(value))
+
+
+def _values_of_environment(key: str, given: Any, parameter: describe.Parameter) -> list[Any]:
+    """What is to be tried of a parameter of an environment."""
+    given = _axis(key, given)
+    if isinstance(given, axes.Random):
+        raise InputError(f"{key}: an environment can have grids, but nothing random")
+    given = _listed(given.values() if isinstance(given, axes.Grid) else given)
+    depth = 1 if isinstance(parameter.default, tuple) else 0
+    tried = given if _depth(given) == depth + 1 else [given]
+    if any(_depth(x) != depth for x in tried):
+        what = "a list, or a list of lists" if depth else "a value, or a list"
+        raise InputError(f"{key} takes {what} to be tried one by one, not {shown(given)}")
+    one = lambda x: describe.value(key, x, parameter)
+    values = [[one(entry) for entry in x] if depth else one(x) for x in tried]
+    if not values:
+        raise InputError(f"the grid of {key} is empty")
+    if repeated := [x for i, x in enumerate(values) if x in values[:i]]:
+        raise InputError(f"the grid of {key} holds {shown(repeated[0])} more than once")
+    return values
+
+
+def _methods(given: Any, seed: int) -> list[dict[str, Any]]:
+    """The plain data of each method."""
+    tables = _tables("method", given, METHODS)
+    first = tables[0]["name"]
+    for i, table in enumerate(tables):
+        with _at("method", i):
+            prediction, control = sorted([first, table["name"]], key=lambda name: name not in PREDICTION)
+            if prediction in PREDICTION and control not in PREDICTION:
+                raise InputError(
+                    f"{prediction} learns the values of a policy, and {control} a policy, which cannot be "
+                    "compared; sweep methods of prediction and of control apart"
+                )
+    found = []
+    for i, table in enumerate(tables):
+        with _at("method", i):
+            found.append(_method(table, seed))
+    _check_labels("method", found, range(len(found)))
+    return found
+
+
+def _method(table: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    cls = METHODS[table["name"]]
+    grid = _grid(table, seed)
+    with _blame(table):
+        _, configs = configurations(cls, grid)
+    data = {"name": table["name"], "label": table["label"]}
+    together = [name for trial in grid.get(DRAW, [])[:1] for name in trial]
+    for key in [*(key for key in _keys(cls) if key not in together), *([DRAW] if together else [])]:
+        with _at(key):
+            value = grid[key] if key in grid else getattr(configs[0], key)
+            data |= {} if value is None else {key: _plain(key, value)}
+    return data
+
+
+def _grid(table: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """The grid of a method, as `sweep` takes it, in the order of the class; what is random is drawn."""
+    wanted = {p.name: p for p in describe.parameters(METHODS[table["name"]])}
+    own = _own(table, wanted, "draws", DRAW)
+    given = {}
+    for key, x in own.items():
+        with _at(key):
+            given[key] = _axis(key, x)
+    with _at("draws"):
+        grid = axes.spread(given, given.pop("draws", None), seed, table["label"])
+    trials = grid.pop(DRAW, [])
+    with _at(DRAW):
+        drawn = {name: [trial[name] for trial in trials] for name in (trials[0] if trials else {})}
+        drawn = _own({"label": table["label"], **drawn}, wanted)
+    for key, x in grid.items():
+        with _at(key):
+            several = _depth(x) > 0 and not (_takes_table(wanted[key]) and _depth(x) == 2)
+            grid[key] = [_value(key, y, wanted[key]) for y in x] if several else _value(key, x, wanted[key])
+    for key, x in drawn.items():
+        with _at(key if key in own else DRAW):
+            drawn[key] = [_value(key, y, wanted[key]) for y in x]
+    if drawn:
+        grid[DRAW] = [dict(zip(drawn, values, strict=True)) for values in zip(*drawn.values(), strict=True)]
+    return grid
+
+
+def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[str, Any]]:
+    """What is given for the key `kind`, as tables with a name that is known and a label."""
+    several = isinstance(given, Sequence) and not isinstance(given, str)
+    found = []
+    for i, table in enumerate(given if several else [given]):
+        with _at(kind, i):
+            table = {"name": table} if isinstance(table, str) else table
+            if not isinstance(table, Mapping):
+                raise InputError(f"{kind} must be a name, or tables with a name each, not {shown(table)}")
+            if "name" not in table:
+                raise InputError(f"the {kind} has no name: one of {', '.join(registry)}")
+            with _at("name"):
+                name = table["name"]
+                if not isinstance(name, str) or name not in registry:
+                    one = "an environment" if kind == "environment" else "a method"
+                    raise InputError(f"{shown(name)} is not {one}; {nearest(str(name), registry)}")
+            with _at("label"):
+                label = table.get("label", name)
+                if not isinstance(label, str) or not re.fullmatch(LABEL, label):
+                    raise InputError(
+                        "a label must be a text without '/' that begins with a letter or a digit, "
+                        f"not {shown(label)}"
+                    )
+            found.append({**table, "name": name, "label": label})
+    if not found:
+        with _at(kind):
+            raise InputError(f"there is no {kind}: name one or more of {', '.join(registry)}")
+    return found
+
+
+def _check_labels(kind: str, tables: Sequence[Mapping[str, Any]], places: Sequence[int]) -> None:
+    labels = [table["label"] for table in tables]
+    for i, label in zip(places, labels, strict=True):
+        with _at(kind, i):
+            if label in labels[: places.index(i)]:
+                raise InputError(f"the {kind} {label} is named more than once: give each a label of its own")
+
+
+def _belongs(key: str) -> str | None:
+    """Below what a parameter belongs that was not written in a table."""
+    for kind, registry in (("method", METHODS), ("environment", ENVS)):
+        if any(key in _keys(cls) for cls in registry.values()):
+            return f"write it below a [[{kind}]] that has it"
+    return None
+
+
+def _own(table: Mapping[str, Any], wanted: Mapping[str, describe.Parameter], *more: str) -> dict[str, Any]:
+    """The parameters of a table, and keys that may be there besides, in the order of the class."""
+    known = [*wanted, *more]
+    for key in table:
+        if key not in ("name", "label", *known):
+            with _at(key):
+                hint = nearest(key, wanted)
+                if key in _keys(Experiment):
+                    hint = "it is of the whole experiment: write it above the first table"
+                raise InputError(f"{table['label']} has no parameter {key!r}; {hint}")
+    return {key: table[key] for key in known if key in table}
+
+
+def _axis(key: str, given: Any) -> Any:
+    """`given`; as a grid in steps or a distribution where it is a dict, {"log": [0.01, 1], "points": 5}."""
+    if not isinstance(given, Mapping):
+        return given
+    kinds = [name for name in given if name in axes.WRITTEN]
+    if len(kinds) != 1:
+        known = ", ".join(axes.WRITTEN)
+        hint = nearest(next(iter(given)), axes.WRITTEN) if given and not kinds else f"one of {known}"
+        raise InputError(f"{key}: {shown(dict(given))} is no way to try values; {hint}")
+    (kind,) = kinds
+    cls, ends = axes.WRITTEN[kind], given[kind]
+    more = {name: x for name, x in given.items() if name != kind}
+    allowed = {"points"} if issubclass(cls, axes.Grid) else set()
+    if wrong := [name for name in more if name not in allowed]:
+        takes = nearest(wrong[0], allowed) if allowed else f"{kind} takes nothing else"
+        raise InputError(f"{key}: {kind} has no {wrong[0]!r}; {takes}")
+    if allowed - set(more):
+        raise InputError(f"{key}: say how many points, {{{kind} = [0.1, 1], points = 5}}")
+    if cls is not axes.Choice and (not isinstance(ends, Sequence) or isinstance(ends, str) or len(ends) != 2):
+        raise InputError(f"{key}: {kind} must be the two ends, such as [0.1, 1], not {shown(ends)}")
+    try:
+        return cls(ends) if cls is axes.Choice else cls(*ends, **more)
+    except InputError as error:
+        raise InputError(f"{key}: {error}") from None
+
+
+def _value(key: str, given: Any, parameter: describe.Parameter) -> Any:
+    """`given` as a value of a hyperparameter."""
+    if _takes_table(parameter) and _depth(given) == 2:
+        return policies.Table(_listed(given))
+    if _only_table(parameter):
+        if isinstance(given, policies.Table):
+            return given
+        raise InputError(f"{key} takes probabilities, a list for each state, not {shown(given)}")
+    return describe.value(key, given, parameter)
+
+
+def _takes_table(parameter: describe.Parameter) -> bool:
+    return describe.takes_policy(parameter) or _only_table(parameter)
+
+
+def _only_table(parameter: describe.Parameter) -> bool:
+    return parameter.default is None and not describe.takes_policy(parameter)
+
+
+def _plain(key: str, value: Any) -> Any:
+    """A hyperparameter as JSON has it, and as it can be given again."""
+    if isinstance(value, Mapping):
+        return {name: _plain(name, x) for name, x in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(key, x) for x in value]
+    if isinstance(value, policies.Table):
+        return np.asarray(value.probabilities).tolist()
+    if not isinstance(value, schedules.Schedule | policies.Policy):
+        return value
+    parse = schedules.parse if isinstance(value, schedules.Schedule) else policies.parse
+    with contextlib.suppress(InputError):
+        if repr(parse(str(value))) == repr(value):
+            return str(value)
+    raise InputError(f"{key}: {shown(value)} cannot be written in a file; sweep(...) takes it")
+
+
+def _listed(value: Any) -> Any:
+    """Lists in place of tuples and arrays."""
+    value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return [_listed(x) for x in value] if isinstance(value, list | tuple) else value
+
+
+def _depth(value: Any) -> int:
+    """How deep lists are in one another; of lists of unlike entries the deepest."""
+    value = _listed(value)
+    return 1 + max(map(_depth, value), default=0) if isinstance(value, list) else 0
+
+
+def _whole(name: str, value: Any, least: int) -> int:
+    if not is_whole(value, least):
+        raise InputError(
+            f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
+        )
+    return int(value)
+
+
+def _selection(given: Any, seeds: int) -> dict[str, Any]:
+    if isinstance(given, Selection):
+        return dataclasses.asdict(given)
+    if not isinstance(given, Mapping):
+        raise InputError(f"select must be a table of {', '.join(_keys(Selection))}, not {shown(given)}")
+    for key in given:
+        with _at(key):
+            if key not in _keys(Selection):
+                raise InputError(f"select has no {key!r}; {nearest(key, _keys(Selection))}")
+    return dataclasses.asdict(Selection(**{"fresh_seeds": seeds, **given}))
+
+
+def _keys(cls: type) -> list[str]:
+    return [field.name for field in dataclasses.fields(cls) if field.name != "source"]
+
+
+def _canonical(data: Any) -> str:
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _toml_lines(table: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {_toml(value)}" for key, value in table.items()]
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(_toml_lines(value)) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)  # of these TOML's form is JSON's
+
+
+# --- what is wrong, and where ------------------------------------------------------------------------
+
+
+class _Wrong(InputError):
+    """Something is wrong at `path`: the keys, and places in lists, that lead there."""
+
+    def __init__(self, message: str, path: tuple[str | int, ...]):
+        super().__init__(message)
+        self.path = path
+
+
+@contextlib.contextmanager
+def _at(*path: str | int) -> Iterator[None]:
+    """What is refused inside is at `path`."""
+    try:
+        yield
+    except InputError as error:
+        raise _Wrong(str(error), (*path, *getattr(error, "path", ()))) from None
+
+
+@contextlib.contextmanager
+def _blame(names: Collection[str]) -> Iterator[None]:
+    """What is refused inside is at the first of `names` that the message has in it."""
+    try:
+        yield
+    except InputError as error:
+        said = re.findall(r"\w+", str(error))
+        path = min(((name,) for name in names if name in said), key=lambda x: said.index(x[0]), default=())
+        raise _Wrong(str(error), path) from None
+
+
+@contextlib.contextmanager
+def _located(source: Source | None) -> Iterator[None]:
+    """What is refused inside says where in the file it is, if there is a file."""
+    try:
+        yield
+    except _Wrong as error:
+        where = ""
+        if source:
+            line = _line(source.text, error.path)
+            where = f"{source.path}, line {line}: " if line else f"{source.path}: "
+        raise InputError(f"{where}{error}") from None
+
+
+def _statements(text: str) -> Iterator[tuple[int, int, dict[str, Any]]]:
+    """The lines of each statement, the first and the last, and all that the file says up to its end.
+
+    tomllib tells no lines. But the first lines of a file are TOML themselves wherever nothing is left open.
+    """
+    lines, first = text.split("\n"), 1
+    for last in range(1, len(lines) + 1):
+        with contextlib.suppress(tomllib.TOMLDecodeError):
+            data = tomllib.loads("\n".join(lines[:last]))
+            yield first, last, data
+            first = last + 1
+
+
+def _line(text: str, path: Sequence[str | int]) -> int | None:
+    """The line on which what is at `path` begins, or as much of the way there as there is."""
+    for length in range(len(path), 0, -1):
+        for line, _, data in _statements(text):
+            if _is_there(data, path[:length]):
+                return line
+    return None
+
+
+def _is_there(data: Any, path: Sequence[Any]) -> bool:
+    for key in path:
+        if isinstance(key, int) and not isinstance(data, list):
+            continue  # a table alone is the first of one
+        try:
+            data = data[key]
+        except (LookupError, TypeError):
+            return False
+    return True
+
+
+def _syntax_error(source: Source, said: str) -> str:
+    """One line for what tomllib says, "Invalid value (at line 3, column 9)"."""
+    what, _, place = said.partition(" (at ")
+    found = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
+    line = found[1] if found else max((last for _, last, _ in _statements(source.text)), default=0) + 1
+    return f"{source.path}, line {line}: {what[0].lower()}{what[1:]}"

@@ -1,0 +1,50 @@
+"""Environments of other libraries here, and ours there: gymnax and Gymnasium, both ways.
+
+    rl.interop.from_gymnax("FrozenLake-misc")       rl.interop.to_gymnax(env)
+    rl.interop.from_gymnasium("Taxi-v4")            rl.interop.to_gymnasium(env)
+    rl.interop.make("gymnasium:FrozenLake-v1")      either, by a name with a prefix
+
+Each library is imported when it is asked for: `import gymnax` takes seconds and starts JAX.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from jaxrl_tab.types import InputError, shown
+
+if TYPE_CHECKING:
+    from jaxrl_tab.interop.gymnasium import from_gymnasium, to_gymnasium
+    from jaxrl_tab.interop.gymnax import from_gymnax, to_gymnax
+
+__all__ = ["from_gymnasium", "from_gymnax", "make", "to_gymnasium", "to_gymnax"]
+
+LIBRARIES = ("gymnasium", "gymnax")
+
+
+def make(name: str, **parameters: Any) -> Any:
+    """An environment of another library, by a name that says which: "gymnasium:Taxi-v4".
+
+    Args:
+        name: the library, a colon, and the environment's name there.
+        parameters: what the library's own `make` takes.
+
+    Raises:
+        InputError: the name is of no such form, the library is not installed, or it is as `from_gymnax` and
+            `from_gymnasium` say.
+    """
+    library, _, there = str(name).partition(":")
+    if library not in LIBRARIES or not there:
+        raise InputError(f"{shown(name)} is not of the form gymnasium:NAME or gymnax:NAME")
+    return __getattr__(f"from_{library}")(there, **parameters)
+
+
+def __getattr__(name: str) -> Any:
+    library = name.partition("_")[2]
+    if name not in __all__ or library not in LIBRARIES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        return getattr(importlib.import_module(f"{__name__}.{library}"), name)
+    except ModuleNotFoundError as error:
+        if error.name != library:
+            raise
+        raise InputError(f"{library} is not installed; python -m pip install {library}") from None

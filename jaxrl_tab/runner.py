@@ -1,0 +1,634 @@
+"""An experiment in a folder: computed shard by shard, so that no more than one is ever lost.
+
+The folder holds `experiment.toml` as it was given, `resolved.json` with all defaults and draws filled in,
+`provenance.json`, the shards with their manifest (see `storage`), and, when all are there, `results.nc`,
+`summary.csv`, pictures and `report.html`. Which runs are in a shard depends on the experiment alone, and what
+a run gives on its seed and hyperparameters alone: so the results are the same to the last bit, however often
+it was interrupted.
+"""
+
+import contextlib
+import dataclasses
+import datetime
+import functools
+import importlib.util
+import json
+import logging
+import os
+import platform
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import numpy as np
+
+import jaxrl_tab
+from jaxrl_tab import batch, storage
+from jaxrl_tab.executors import Executor, Local
+from jaxrl_tab.experiment import Experiment, PartPlan, Plan, difference
+from jaxrl_tab.memory import Results, free, size, words
+from jaxrl_tab.results import is_diverged, save
+from jaxrl_tab.storage import Store
+from jaxrl_tab.sweep import Computed, Part, compute, leaves_as_arrays, result
+from jaxrl_tab.train import Log
+from jaxrl_tab.types import Environment, InputError, RunError
+
+if TYPE_CHECKING:  # these take their time to import
+    import pandas as pd
+    import xarray as xr
+
+GIVEN, RESOLVED, PROVENANCE = "experiment.toml", "resolved.json", "provenance.json"
+DATA, FRESH_DATA, SUMMARY, SELECTION = "results.nc", "fresh.nc", "summary.csv", "selection.csv"
+SHARD_STEPS = 2**27  # of the runs in a shard, about: a few seconds on two cores
+SHARD_BYTES = 2**26  # that its runs give, at most, unless one block of lanes gives more
+EPISODE_STEPS = 100  # so long an episode is taken to be, where episodes are the budget
+FRESH = "fresh seeds/"  # before the name of a part that runs a chosen setting again
+
+Report = Callable[["Progress"], None]
+
+
+class Shard(NamedTuple):
+    """Some runs of a part that go together: `first` to `last` - 1 of those of one of its programs."""
+
+    part: str
+    program: int
+    first: int
+    last: int
+
+    @property
+    def runs(self) -> int:
+        return self.last - self.first
+
+
+class Progress(NamedTuple):
+    """How far an experiment is.
+
+    Attributes:
+        label: what is under way: a part of the experiment, or what is written.
+        done, total: runs.
+        steps: steps taken since it began, or was resumed.
+        seconds: the time since then.
+        left: how many more seconds it will take, about; None where nothing can be said yet.
+        diverged: runs in which a number has become infinite or NaN.
+    """
+
+    label: str
+    done: int
+    total: int
+    steps: int
+    seconds: float
+    left: float | None
+    diverged: int
+
+
+class Outcome(NamedTuple):
+    """What an experiment gave.
+
+    Attributes:
+        datasets: `SweepResult.to_xarray` of each part, by its name "ENVIRONMENT/METHOD".
+        fresh: the same of the setting chosen for each part, on fresh seeds; empty without selection.
+        envs: the environments by their names.
+    """
+
+    datasets: "dict[str, xr.Dataset]"
+    fresh: "dict[str, xr.Dataset]"
+    envs: dict[str, Environment]
+
+    def of(self, label: str) -> "dict[str, xr.Dataset]":
+        """The datasets of one environment, by the names of the methods."""
+        own = {name.partition("/"): ds for name, ds in self.datasets.items()}
+        return {method: ds for (environment, _, method), ds in own.items() if environment == label}
+
+
+def run(
+    experiment: Experiment,
+    folder: str | Path | None = None,
+    *,
+    executor: Executor | None = None,
+    memory: int | None = None,
+    progress: Report = lambda state: None,
+    command: str | None = None,
+) -> Outcome:
+    """Runs an experiment, and leaves everything in a new folder. Where it is interrupted, `resume` goes on.
+
+    Args:
+        experiment: what to run.
+        folder: a new folder. Without one nothing is left but the outcome.
+        executor: where it is computed, see `executors`; by default in this process.
+        memory: how many bytes it may take, as in `sweep`; of each worker, where there are several.
+        progress: is called as shards are finished.
+        command: what was typed, for the records; by default what started this process.
+
+    Raises:
+        InputError: something given is wrong; nothing was computed.
+        RunError: there was not enough memory, or room on the disk. What is finished is kept.
+    """
+    path = Path(os.path.normpath(folder)) if folder is not None else None
+    _check_room(experiment.parts(), memory, path or Path(tempfile.gettempdir()))
+    command = shlex.join(sys.argv) if command is None else command
+    if path is None:
+        with tempfile.TemporaryDirectory() as scratch:
+            path = Path(scratch) / "experiment"
+            _begin(path, experiment)
+            return _go_on(path, experiment, executor, memory, progress, command, keep=False)
+    _begin(path, experiment)
+    with storage.lock(path):
+        return _go_on(path, experiment, executor, memory, progress, command)
+
+
+def resume(
+    folder: str | Path,
+    *,
+    executor: Executor | None = None,
+    memory: int | None = None,
+    progress: Report = lambda state: None,
+    command: str | None = None,
+) -> Outcome:
+    """Goes on with what `run` left: computes the shards that are missing or damaged, and no others.
+
+    What is damaged is named in a warning of the logger `jaxrl_tab.runner`, and set aside.
+
+    Args:
+        folder: the folder.
+        executor, memory, progress, command: as in `run`.
+
+    Raises:
+        InputError: there is no experiment in the folder, or another process is at work in it, or the
+            experiment was changed: the message says in what.
+        RunError: as in `run`.
+    """
+    path = Path(os.path.normpath(folder))
+    if not path.is_dir():
+        raise InputError(f"{path} is no folder" if path.exists() else f"there is no folder {path}")
+    if not (path / GIVEN).exists() and not (path / RESOLVED).exists():
+        raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
+    command = shlex.join(sys.argv) if command is None else command
+    with storage.lock(path):
+        return _go_on(path, _experiment_in(path), executor, memory, progress, command)
+
+
+def _go_on(
+    path: Path,
+    experiment: Experiment,
+    executor: Executor | None,
+    limit: int | None,
+    report: Report,
+    command: str,
+    keep: bool = True,
+) -> Outcome:
+    """All that is still to be done in a folder."""
+    store = Store(path, experiment.fingerprint)
+    for line in store.found:
+        _warn(line)
+    with _session(store, command) as records:
+        job, meter, select = Job(json.dumps(experiment.data()), limit), _Meter(report), experiment.select
+        later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
+        executor = executor or Local()
+        new = _compute(store, job, executor, meter, later)
+        datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
+        envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
+        fresh = {}
+        if select:
+            job = job._replace(chosen=json.dumps({name: _chosen(ds) for name, ds in datasets.items()}))
+            new |= _compute(store, job, executor, meter, {})
+            fresh, _ = _collect(store, job, list(later), room)
+            fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
+        outcome = Outcome(datasets, fresh, envs)
+        if keep and (new or not store.files):
+            meter.show("tables, pictures, report")
+            _write_files(store, outcome, records)
+    return outcome
+
+
+# --- shards ------------------------------------------------------------------------------------------
+
+
+class Job(NamedTuple):
+    """What is to be computed, as data that any process can do its share of: called with a shard's number.
+
+    Attributes:
+        experiment: the data of the experiment, as JSON.
+        memory: how many bytes may be taken; None: half of what is free.
+        chosen: for each part the number of the configuration that is run again on fresh seeds, as JSON; None
+            where nothing is.
+    """
+
+    experiment: str
+    memory: int | None
+    chosen: str | None = None
+
+    @property
+    def parts(self) -> dict[str, Part]:
+        return _parts(self.experiment, self.chosen)
+
+    @property
+    def shards(self) -> list[Shard]:
+        """In the order of their numbers. Those of fresh seeds come last."""
+        return _shards(self.experiment, self.chosen)
+
+    def setting(self, shard: Shard) -> int | None:
+        """The chosen configuration, of a shard of fresh seeds."""
+        if self.chosen is None or not shard.part.startswith(FRESH):
+            return None
+        return json.loads(self.chosen)[shard.part.removeprefix(FRESH)]
+
+    def __call__(self, number: int) -> dict[str, np.ndarray]:
+        """What the runs of a shard give: `q`, the fields of the log, and the `seconds` it took."""
+        shard = self.shards[number]
+        part = self.parts[shard.part]
+        computed = compute(part, _runs(part, shard), memory=self.memory)
+        log = {name: x for name, x in computed.log._asdict().items() if x is not None}
+        return {"q": computed.q, **log, "seconds": np.array(computed.seconds)}
+
+
+@functools.lru_cache(maxsize=4)
+def _parts(experiment: str, chosen: str | None) -> dict[str, Part]:
+    if chosen is None:
+        return Experiment.from_data(json.loads(experiment)).parts()
+    parts, seeds = _parts(experiment, None), json.loads(experiment)["select"]["fresh_seeds"]
+    again = {FRESH + name: _again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
+    return parts | again
+
+
+@functools.lru_cache(maxsize=4)
+def _shards(experiment: str, chosen: str | None) -> list[Shard]:
+    return [shard for name, part in _parts(experiment, chosen).items() for shard in _split(name, part)]
+
+
+def _again(part: Part, config: int, seeds: int) -> Part:
+    """One configuration of a part on fresh seeds: those that follow."""
+    one = [part.configs[config]]
+    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=part.num_seeds)
+
+
+def _split(name: str, part: Part) -> Iterator[Shard]:
+    """The shards of a part. They depend on nothing but the part: neither on the machine nor on the time."""
+    most = _shard_runs(part)
+    for program, members in enumerate(part.programs):
+        total = len(members) * part.num_seeds
+        for first in range(0, total, most):
+            yield Shard(name, program, first, min(first + most, total))
+
+
+def _shard_runs(part: Part) -> int:
+    """How many runs make a shard: whole blocks of lanes."""
+    budget, states = part.budget, part.env.num_states
+    length = budget.num_steps or budget.num_episodes or 0
+    rows = -(-length // (budget.log_every or 1))
+    steps = budget.num_steps or length * EPISODE_STEPS
+    if (
+        budget.exact
+    ):  # solves a system of equations in each row, about a hundred multiply-adds in a step's time
+        steps += rows * states**3 // 300
+    given = 4 * (states * part.env.num_actions + 7 * rows)  # a table, and at most 7 numbers in a row
+    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // given) // batch.LANES) * batch.LANES
+
+
+def _runs(part: Part, shard: Shard) -> np.ndarray:
+    """The numbers of the runs of a shard, in the part, int [runs]."""
+    config, place = np.divmod(np.arange(shard.first, shard.last), part.num_seeds)
+    return part.programs[shard.program][config] * part.num_seeds + place
+
+
+def _compute(store: Store, job: Job, executor: Executor, meter: "_Meter", later: Mapping[str, int]) -> bool:
+    """Computes the shards that are not there; whether there were any. `later`: see `_Meter.begin`."""
+    missing = [number for number, shard in enumerate(job.shards) if not _is_there(store, job, number, shard)]
+    meter.begin(store, job, missing, later)
+    with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
+        for number, arrays in finished:
+            diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
+            store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
+            meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
+    return bool(missing)
+
+
+def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
+    return number in store.shards and store.shards[number]["setting"] == job.setting(shard)
+
+
+def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[dict[str, xr.Dataset], int]":
+    """The results of some parts from their shards, which are all there; and how much of `room` is left.
+
+    What does not fit in `room`, in bytes, is in temporary files; see `memory.Results`.
+    """
+    datasets = {}
+    for name in names:
+        part, results, seconds = job.parts[name], None, np.zeros(2)
+        for number, shard in enumerate(job.shards):
+            if shard.part != name:
+                continue
+            arrays = store.read(number)
+            seconds += arrays.pop("seconds")
+            if results is None:
+                like = {key: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for key, x in arrays.items()}
+                needed = size(like) * part.runs
+                results = Results(like, part.runs, on_disk=needed > room)
+                room -= needed if needed <= room else 0
+            results.write(_runs(part, shard), arrays)
+        assert results is not None
+        log = {key: x for key, x in results.arrays.items() if key != "q"}
+        computed = Computed(results.arrays["q"], Log(**log), batch.Seconds(*seconds.tolist()))
+        datasets[name] = result(part, computed).to_xarray()
+    return datasets, room
+
+
+def _chosen(ds: "xr.Dataset") -> int:
+    """The number of the configuration that did best."""
+    from jaxrl_tab import stats
+
+    best = stats.best(ds)
+    axes = [str(dim) for dim in ds.diverged.dims if dim != "seed"]
+    place = [ds[axis].values.tolist().index(best[axis]) for axis in axes]
+    return int(np.ravel_multi_index(place, [ds.sizes[axis] for axis in axes])) if axes else 0
+
+
+class _Meter:
+    """Counts what is finished, and reports it."""
+
+    def __init__(self, report: Report):
+        self._report, self._begun = report, time.perf_counter()
+        self._last = self._begun
+        self._state = Progress("", 0, 0, 0, 0.0, None, 0)
+        self._todo: dict[str, int] = {}  # runs of each part
+        self._took: dict[str, tuple[int, float]] = {}  # how many of them are done, and in how many seconds
+        self._missing: dict[int, Shard] = {}
+
+    def begin(self, store: Store, job: Job, missing: Sequence[int], later: Mapping[str, int]) -> None:
+        """Counts what is there already, what is missing, and runs of parts that come later."""
+        self._missing = {number: job.shards[number] for number in missing}
+        self._todo |= later
+        self._todo |= {shard.part: 0 for shard in self._missing.values()}
+        for shard in self._missing.values():
+            self._todo[shard.part] += shard.runs
+        there = [number for number in range(len(job.shards)) if number not in self._missing]
+        self._state = self._state._replace(
+            done=sum(job.shards[number].runs for number in there),
+            total=sum(shard.runs for shard in job.shards) + sum(later.values()),
+            diverged=sum(store.shards[number]["diverged"] for number in there),
+        )
+        self._last = time.perf_counter()
+        self.show()
+
+    def finished(self, number: int, steps: int, diverged: int) -> None:
+        shard, now = self._missing.pop(number), time.perf_counter()
+        runs, seconds = self._took.get(shard.part, (0, 0.0))
+        self._took[shard.part] = runs + shard.runs, seconds + now - self._last
+        self._last = now
+        self._state = self._state._replace(
+            done=self._state.done + shard.runs,
+            steps=self._state.steps + steps,
+            diverged=self._state.diverged + diverged,
+        )
+        self.show()
+
+    def show(self, label: str | None = None) -> None:
+        """Reports; `label` says what is under way where it is not a shard."""
+        if label is None:
+            label = next((shard.part for shard in self._missing.values()), self._state.label)
+        runs = {name: PartPlan(1, n, 1, n, 0, 0) for name, n in self._todo.items() if n}
+        left = Plan(runs, "runs", "").seconds_left(self._took)
+        self._state = self._state._replace(label=label, seconds=time.perf_counter() - self._begun, left=left)
+        self._report(self._state)
+
+
+# --- the files ---------------------------------------------------------------------------------------
+
+
+def _begin(path: Path, experiment: Experiment) -> None:
+    """A new folder with the experiment in it, and no shards."""
+    source = experiment.source
+    with storage.new_folder(path) as new:
+        storage.write(new / GIVEN, source.text if source else experiment.to_toml())
+        storage.write_json(new / RESOLVED, experiment.data())
+        records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
+        storage.write_json(new / PROVENANCE, records)
+        Store.begin(new, experiment.fingerprint)
+
+
+def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> None:
+    """Raises InputError where there is not enough memory for a shard, or disk for all."""
+    needed = 0
+    for part in parts.values():
+        instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
+        runs = min(part.runs, _shard_runs(part))
+        planned = batch.plan(part.env, instances, jax.random.key(part.seed), runs, part.budget, limit)
+        needed += size(planned.results.arrays) // runs * part.runs
+    there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
+    if 2 * needed > (room := shutil.disk_usage(there).free):  # shards, and the whole
+        raise InputError(
+            f"the results need {words(2 * needed)} on the disk, and there is room for {words(room)} in "
+            f"{there}: take fewer seeds, or a larger log_every"
+        )
+
+
+def _experiment_in(path: Path) -> Experiment:
+    """The experiment that a folder was made for.
+
+    Raises:
+        InputError: what the folder says of it, or the file that it was read from, is not what it was.
+    """
+    manifest = storage.read_manifest(path)
+    data = _read_json(path / RESOLVED)
+    given = Experiment.load(path / GIVEN) if (path / GIVEN).exists() else None
+    if data is None:
+        if given is None or (manifest and manifest["fingerprint"] != given.fingerprint):
+            raise InputError(f"{path / RESOLVED} is missing or damaged, and {GIVEN} is another experiment")
+        storage.write_json(path / RESOLVED, given.data())
+        _warn(f"{RESOLVED} was missing or damaged: it is made again, of {GIVEN}")
+        return given
+    experiment = Experiment.from_data(data)
+    if given is None:
+        storage.write(path / GIVEN, experiment.to_toml())
+        _warn(f"{GIVEN} was missing: it is made again, of {RESOLVED}")
+    elif changed := difference(data, given.data()):
+        raise InputError(f"{path / GIVEN} was changed since: {'; '.join(changed)}; put it back to go on")
+    if manifest and manifest["fingerprint"] != experiment.fingerprint:
+        raise InputError(
+            f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed since"
+        )
+    source = (_read_json(path / PROVENANCE) or {}).get("file")
+    if source and Path(source).is_file() and (changed := difference(data, Experiment.load(source).data())):
+        raise InputError(
+            f"{source} was changed since: {'; '.join(changed)}; put it back, or rename it to go on with what "
+            "it was"
+        )
+    return experiment
+
+
+@contextlib.contextmanager
+def _session(store: Store, command: str) -> Iterator[dict[str, Any]]:
+    """Keeps records of one process that computes, which it is given."""
+    file = store.path / PROVENANCE
+    records = _read_json(file)
+    if records is None:
+        _warn(f"{PROVENANCE} is missing or damaged: a new one is begun")
+        records = {"file": None, "sessions": []}
+    session = {"command": command, "started": _now(), "ended": None, **_surroundings()}
+    for name, version in records["sessions"][-1]["versions"].items() if records["sessions"] else ():
+        if version != session["versions"][name]:
+            _warn(
+                f"this was begun with {name} {version} and goes on with {session['versions'][name]}: what is "
+                "computed now may differ from what it would have been"
+            )
+    records["sessions"].append(session)
+    storage.write_json(file, records)
+    try:
+        yield records
+    finally:
+        session["ended"] = _now()
+        with contextlib.suppress(RunError):  # the disk may be full, which somebody else says
+            storage.write_json(file, records)
+
+
+def _surroundings() -> dict[str, Any]:
+    """What a result may depend on beside the experiment: versions, flags, devices."""
+    devices = jax.devices()
+    git = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    commit = None
+    with contextlib.suppress(OSError):
+        done = subprocess.run(git, capture_output=True, text=True, check=False)
+        commit = done.stdout.strip() or None
+    packages = {name: metadata.version(name) for name in ("jax", "jaxlib", "numpy")}
+    return {
+        "versions": {"jaxrl_tab": jaxrl_tab.__version__, "python": platform.python_version(), **packages},
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "x64": bool(jax.config.jax_enable_x64),  # pyright: ignore[reportAttributeAccessIssue]
+        "device": devices[0].device_kind if devices[0].platform != "cpu" else _processor(),
+        "devices": len(devices),
+        "platform": platform.platform(),
+        "git_commit": commit,
+    }
+
+
+def _processor() -> str:
+    """The model of the CPU."""
+    with contextlib.suppress(OSError):  # Linux alone has it
+        if found := re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text()):
+            return found[1]
+    return platform.processor() or platform.machine()
+
+
+def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:
+    """Tables, pictures and the report, each a whole file or none."""
+    from jaxrl_tab import plot
+
+    folder = store.path
+    about = {"command": records["sessions"][0]["command"], "version": jaxrl_tab.__version__}
+    files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
+    files.append(_write_table(folder / SUMMARY, summary(outcome)))
+    if outcome.fresh:
+        files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
+        files.append(_write_table(folder / SELECTION, selection(outcome)))
+    scratch = folder / f"pictures{storage.UNFINISHED}"
+    with storage.said(folder):
+        for label, env in outcome.envs.items():
+            place = scratch / "pictures" / label if len(outcome.envs) > 1 else scratch
+            plot.save_all(outcome.of(label), env, place)
+        if importlib.util.find_spec("jaxrl_tab.report"):
+            from jaxrl_tab import report
+
+            report.write(scratch, outcome.datasets, outcome.envs, _about(store, records), outcome.fresh)
+        for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
+            goal = folder / file.relative_to(scratch)
+            goal.parent.mkdir(parents=True, exist_ok=True)
+            with storage.writing(goal) as unfinished:
+                file.replace(unfinished)
+            files.append(goal)
+        shutil.rmtree(scratch)
+    store.keep_files(str(file.relative_to(folder)) for file in files)
+
+
+def _write_data(file: Path, datasets: "Mapping[str, xr.Dataset]", outcome: Outcome, about: Any) -> Path:
+    """A netCDF file with a group for each part: ENVIRONMENT/METHOD; METHOD where there is one environment."""
+    with storage.writing(file) as unfinished:
+        for name, ds in datasets.items():
+            save(ds, name if len(outcome.envs) > 1 else name.partition("/")[2], unfinished, about)
+    return file
+
+
+def _write_table(file: Path, table: "pd.DataFrame") -> Path:
+    with storage.writing(file) as unfinished:
+        table.to_csv(unfinished, index=False)
+    return file
+
+
+def summary(outcome: Outcome) -> "pd.DataFrame":
+    """`stats.summary` of all environments; their names are a column where there are several."""
+    import pandas as pd
+
+    from jaxrl_tab import stats
+
+    tables = {label: stats.summary(outcome.of(label)) for label in outcome.envs}
+    if len(tables) > 1:
+        for label, table in tables.items():
+            table.insert(0, "environment", label)
+    return pd.concat(tables.values(), ignore_index=True)
+
+
+def selection(outcome: Outcome) -> "pd.DataFrame":
+    """The setting chosen for each part: its score on the seeds that it was chosen on, and on fresh ones.
+
+    Returns:
+        A frame with the columns `environment`, `method`, the hyperparameters of the setting, `chosen_score`
+        with `chosen_low` and `chosen_high`, which flatter it, and `fresh_score` with `fresh_low` and
+        `fresh_high`, which do not; the intervals are of the mean, 95%.
+    """
+    import pandas as pd
+
+    from jaxrl_tab import stats
+
+    rows = []
+    for name, fresh in outcome.fresh.items():
+        environment, _, method = name.partition("/")
+        ds = outcome.datasets[name]
+        row = {"environment": environment, "method": method, **stats.fixed(fresh)}
+        _, chosen, again, _ = stats.selection(ds, fresh)
+        for kind, found in (("chosen", chosen), ("fresh", again)):
+            row |= {f"{kind}_score": float(found.estimate)}
+            row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}
+        rows.append(row)
+    names = dict.fromkeys(name for row in rows for name in row)  # not all methods have all hyperparameters
+    scores = [name for name in names if name.startswith(("chosen_", "fresh_"))]
+    return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
+
+
+def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
+    """How the results came about, for the report."""
+    first, *_, last = [*records["sessions"], records["sessions"][-1]]
+    sessions = len(records["sessions"])
+    return {
+        "command": first["command"],
+        "experiment": (store.path / GIVEN).read_text(encoding="utf-8"),
+        "fingerprint": store.fingerprint,
+        "started": first["started"],
+        "finished": _now(),
+        **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
+        "versions": last["versions"],
+        "XLA flags": last["xla_flags"],
+        "computed on": f"{last['device']}, {last['devices']} devices, {last['platform']}",
+        **({"git commit": last["git_commit"]} if last["git_commit"] else {}),
+    }
+
+
+def _read_json(file: Path) -> Any:
+    """What is in the file; None where it is missing or damaged."""
+    with contextlib.suppress(OSError, ValueError):
+        return json.loads(file.read_bytes())
+    return None
+
+
+def _warn(line: str) -> None:
+    logging.getLogger(__name__).warning("%s", line)
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

@@ -1,0 +1,305 @@
+"""The report: what it tells, that it needs nothing beside it, and that a browser shows it."""
+
+import dataclasses
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from made_up import ALPHAS, make_result
+
+import jaxrl_tab as rl
+from jaxrl_tab import plot, report, stats
+
+pytestmark = pytest.mark.filterwarnings("error")
+ABOUT = {
+    "experiment": 'seeds = 5\n[[environment]]\nname = "<windy>"\n',
+    "command": "jaxrl-tab sweep windy.toml --out runs/windy",
+    "root_seed": 7,
+    "git_commit": None,
+    "versions": {"jax": "0.10.2", "numpy": "2.4.6"},
+    "machine": {"devices": ["cpu:0", "cpu:1"]},
+}
+
+
+class Page(HTMLParser):
+    """What a page is made of.
+
+    Attributes:
+        images: (src, alt) of each; links, ids: of the page; tags: all there are.
+        tables: rows of cells, as text; text: all that can be read.
+    """
+
+    def __init__(self, html):
+        super().__init__()
+        self.images, self.links, self.ids, self.tags, self.tables = [], [], [], set(), []
+        self.text = ""
+        self.feed(html)
+        self.text = " ".join(self.text.split())
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.tags.add(tag)
+        self.ids += [found["id"]] if "id" in found else []
+        self.images += [(found["src"], found["alt"])] if tag == "img" else []
+        self.links += [found["href"]] if tag == "a" else []
+        self.tables += [[]] if tag == "table" else []
+        if tag == "tr":
+            self.tables[-1].append([])
+        self.cell = tag in ("td", "th")
+        if self.cell:
+            self.tables[-1][-1].append("")
+
+    def handle_endtag(self, tag):
+        self.cell = False
+
+    def handle_data(self, data):
+        data = data.replace("\xa0", " ")
+        self.text += " " + data
+        if getattr(self, "cell", False):
+            self.tables[-1][-1][-1] += data
+
+
+@pytest.fixture(scope="module")
+def windy_sets(windy):
+    q = rl.planning.value_iteration(windy)[1]
+    methods = {"sarsa": -17.0, "q-learning": -16.0}
+    return {f"windy/{name}": make_result(windy, q, best=best).to_xarray() for name, best in methods.items()}
+
+
+@pytest.fixture(scope="module")
+def made(windy, windy_sets, tmp_path_factory):
+    """The file of a report of two methods, one of them run again on fresh seeds."""
+    chosen = windy_sets["windy/sarsa"].sel(alpha=0.9)
+    fresh = {"windy/sarsa": chosen.assign(returns=chosen.returns * 1.01)}
+    return report.write(tmp_path_factory.mktemp("report"), windy_sets, {"windy": windy}, ABOUT, fresh)
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """No picture is rendered, which takes no time."""
+    monkeypatch.setattr(report, "embedded", lambda figure, kind: f"data:image/{kind},")
+
+
+def read(file):
+    return Page(file.read_text(encoding="utf-8"))
+
+
+def numbers(text):
+    """Those in a cell."""
+    return [float(x.replace("−", "-")) for x in re.findall(r"−?[\d.]+", text)]
+
+
+def number(text):
+    (found,) = numbers(text)
+    return found
+
+
+def test_it_needs_nothing_beside_it(made):
+    page = read(made)
+    html = made.read_text(encoding="utf-8")
+    assert [file.name for file in made.parent.iterdir()] == ["report.html"]
+    assert not re.search(r"https?://|//cdn|@import|url\(", html)
+    assert not page.tags & {"script", "link", "iframe", "object"}
+    assert len(page.images) == 5  # episodes, curves, sensitivity, path, values
+    assert all(re.match(r"data:image/(svg\+xml|png);base64,[\w+/]{1000,}=*$", src) for src, _ in page.images)
+    assert all(alt for _, alt in page.images)
+    assert len(page.ids) == len(set(page.ids))
+    assert {link.removeprefix("#") for link in page.links} <= set(page.ids)
+
+
+def test_the_table_of_methods_has_both_numbers_of_what_was_chosen(made, windy_sets):
+    head, first, second = read(made).tables[0]
+    assert head == [
+        *("method", "setting", "mean return (95% interval), seeds of the choice"),
+        *("mean return (95% interval), 5 fresh seeds", "difference from the first", "p", "9 of 10 runs"),
+        "exact optimum",
+    ]
+    assert [first[0], second[0]] == ["q-learning", "sarsa"]
+    assert second[1] == "α = 0.9"
+    scores = stats.score(windy_sets["windy/sarsa"]).sel(alpha=0.9)
+    interval = [float(x) for x in stats.mean_interval(scores)[:3]]
+    assert numbers(second[2]) == pytest.approx(interval, abs=0.006)
+    assert numbers(second[3]) == pytest.approx([1.01 * x for x in interval], abs=0.006)
+    assert first[3:6] == ["–", "–", "–"]  # was not run again, and is the first
+    better = stats.score(windy_sets["windy/q-learning"]).sel(alpha=0.9)
+    difference = stats.paired_difference(scores, better)
+    assert numbers(second[4]) == pytest.approx([float(x) for x in difference.interval[:3]], abs=0.006)
+    assert numbers(second[5]) == pytest.approx([float(difference.p)], abs=0.001)
+    runs = stats.tolerance_interval(1.01 * scores)
+    assert numbers(second[6]) == pytest.approx([float(runs.low), float(runs.high)], abs=0.006)
+    assert second[-1] == "−15"
+
+
+def test_all_settings_stand_with_the_best_first(made, windy_sets):
+    head, *rows = read(made).tables[1]
+    assert head == ["method", "α", "mean return", "95% interval", "9 of 10 runs", "episodes"]
+    table = stats.summary(windy_sets).sort_values("last_tenth_return", ascending=False)
+    assert [row[0].removesuffix(" ★").removesuffix("windy/") for row in rows] == [
+        name.removeprefix("windy/") for name in table.method
+    ]
+    assert [number(row[2]) for row in rows] == pytest.approx([*table.last_tenth_return], abs=0.006)
+    assert [row[1] for row in rows if row[0].endswith("★")] == ["0.9", "0.9"]
+
+
+def test_it_says_how_it_was_made_and_escapes_it(made):
+    page = read(made)
+    assert 'name = "<windy>"' in page.text
+    assert "<windy>" not in made.read_text(encoding="utf-8")
+    for said in ("root seed 7", "git commit –", "jax 0.10.2", "cpu:1", ABOUT["command"]):
+        assert said in page.text
+    assert "Seeds counted" not in page.text  # explains only what is there
+    assert "on fresh seeds does not: quote that" in page.text
+
+
+def test_what_it_says_first_is_the_best_method(made):
+    assert re.search(
+        r"windy : best: q-learning, α = 0.9, with a mean return of −1\d\.\d+ on fresh seeds", read(made).text
+    )
+
+
+def test_many_settings_are_folded_away(windy, windy_sets, undrawn, tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "AT_MOST", 50)
+    sarsa = windy_sets["windy/sarsa"]
+    epsilons = np.linspace(0, 1, 21)
+    many = sarsa.expand_dims(epsilon=epsilons).assign_attrs(fixed='{"gamma": 1.0}')
+    many["returns"] = many.returns * (1 + many.epsilon)
+    file = report.write(tmp_path, {"windy/sarsa": many}, {"windy": windy}, {})
+    page = read(file)
+    assert [len(table) - 1 for table in page.tables[1:3]] == [12, 38]
+    assert "38 more settings, of 51; all are in summary.csv" in page.text
+    assert page.tables[1][1][:3] == ["sarsa ★", "0", "0.9"]
+
+
+def test_diverged_runs_are_counted_and_left_out(windy, windy_sets, undrawn, tmp_path):
+    """Broken once: the infinite returns in the mean -> fails."""
+    broken = windy_sets["windy/sarsa"].copy(deep=True)
+    broken["q"][2, 0] = np.nan
+    broken["returns"][2, 0] = -np.inf
+    broken["q"][1] = np.inf
+    broken["diverged"][2, 0] = broken["diverged"][1] = True
+    page = read(report.write(tmp_path, {"windy/sarsa": broken}, {"windy": windy}, {}))
+    assert "6 runs diverged" in page.text
+    assert "sarsa, α = 0.9: 1 of 5" in page.text
+    assert "sarsa, α = 0.2: 5 of 5" in page.text
+    head, *rows = page.tables[1]
+    by_alpha = {row[1]: row for row in rows}
+    at = head.index("diverged")
+    assert {alpha: row[at] for alpha, row in by_alpha.items()} == {"0.05": "0", "0.2": "5", "0.9": "1"}
+    score = stats.score(windy_sets["windy/sarsa"]).sel(alpha=0.9).isel(seed=slice(1, None))
+    assert number(by_alpha["0.9"][2]) == pytest.approx(float(score.mean()), abs=0.6)  # of some whole number
+    assert by_alpha["0.2"][2:5] == ["–", "–", "–"]
+
+
+def test_draws_are_known_by_what_was_drawn(windy, windy_sets, undrawn, tmp_path):
+    ds = windy_sets["windy/sarsa"].rename(alpha="draw").drop_vars("draw")
+    ds = ds.assign_coords(draw=[0, 1, 2], alpha=("draw", [*ALPHAS]), q0=("draw", [0.0, -1.0, -2.0]))
+    file = report.write(tmp_path, {"windy/sarsa": ds}, {"windy": windy}, {})
+    page = read(file)
+    assert page.tables[0][1][:2] == ["sarsa", "α = 0.9, q0 = −2"]
+    assert [row[:3] for row in page.tables[1]] == [
+        ["method", "α", "q0"],
+        ["sarsa ★", "0.9", "−2"],
+        ["sarsa", "0.2", "−1"],
+        ["sarsa", "0.05", "0"],
+    ]
+    alts = [alt for _, alt in page.images]
+    assert [alt.partition(" in ")[0] for alt in alts if alt.startswith("sens")] == [
+        "sensitivity to α (alpha)",
+        "sensitivity to q0",
+    ]
+    assert {"alpha", "q0"} <= set(stats.summary({"sarsa": ds}).columns)
+
+
+def test_sensitivity_to_what_was_drawn_is_a_point_for_each_draw(windy_sets):
+    ds = windy_sets["windy/sarsa"].rename(alpha="draw").drop_vars("draw")
+    ds = ds.assign_coords(draw=[0, 1, 2], alpha=("draw", [*ALPHAS]), q0=("draw", [0.0, -1.0, -2.0]))
+    ax = plot.canvas(4, 3).subplots()
+    plot.sensitivity(ax, {"sarsa": ds}, "q0")
+    line = next(line for line in ax.get_lines() if line.get_label() == "sarsa")
+    np.testing.assert_array_equal(line.get_xdata(), [0, -1, -2])
+    np.testing.assert_allclose(line.get_ydata(), stats.score(ds).mean("seed"))
+    assert line.get_linestyle() == "None"
+
+
+def test_prediction_and_an_environment_without_exact_values(windy_sets, undrawn, tmp_path):
+    """Two chapters, each with its own words."""
+    control = windy_sets["windy/sarsa"].assign_attrs(optimal_value=np.nan, environment="sampled")
+    error = np.random.default_rng(1).uniform(0.1, 0.2, (3, 5, 20))
+    predicted = control.drop_vars("q").assign(
+        v_error=(("alpha", "seed", "row"), error),
+        q=(("alpha", "seed", "state", "action"), np.zeros((3, 5, 21, 1))),
+    )
+    predicted = predicted.assign_attrs(environment="random-walk", optimal_value=0.0)
+
+    @dataclasses.dataclass(frozen=True)
+    class Sampled:
+        """Nobody knows how it works."""
+
+        num_states, num_actions, max_steps = 70, 4, 100
+
+        def reset(self, key): ...
+        def step(self, key, s, a): ...
+
+    envs = {"sampled": Sampled(), "walk": rl.RandomWalk()}
+    page = read(report.write(tmp_path, {"sampled/sarsa": control, "walk/td": predicted}, envs, {}))
+    assert "Nobody knows how it works." in page.text
+    assert page.tables[0][0][-1] == "exact optimum"
+    assert page.tables[0][1][-1] == "–"
+    ends = ["error at the end", "exact value"]
+    assert page.tables[2][0][2:] == ["mean error (95% interval)", "9 of 10 runs", *ends]
+    best = float(stats.mean_interval(stats.score(predicted))[0].min())
+    assert numbers(page.tables[2][1][2])[0] == pytest.approx(best, abs=6e-4)
+    means = [number(row[2]) for row in page.tables[3][1:]]
+    assert means == sorted(means)  # of errors the lowest is the best
+    assert "The lower the better." in page.text
+
+
+def test_what_cannot_be_told_is_refused(windy, windy_sets, tmp_path):
+    with pytest.raises(rl.InputError, match="at least one dataset"):
+        report.write(tmp_path, {}, {}, {})
+    with pytest.raises(rl.InputError, match="no environment 'windy'; there are cliff"):
+        report.write(tmp_path, windy_sets, {"cliff": windy}, {})
+    with pytest.raises(rl.InputError, match="must be one setting, but windy/sarsa is a sweep"):
+        report.write(tmp_path, windy_sets, {"windy": windy}, {}, windy_sets)
+    assert not [*tmp_path.iterdir()]
+
+
+# --- in a browser ------------------------------------------------------------------------------------
+
+# What the page itself cannot say: what the browser loaded, which pictures it could not show, and whether
+# anything is wider than the window.
+PROBE = """<script>addEventListener("load", () => { document.body.textContent = JSON.stringify({
+  loaded: performance.getEntriesByType("resource").map(entry => entry.name.slice(0, 11)),
+  pictures: [...document.images].map(image => [image.complete, image.naturalWidth, image.width]),
+  overflow: document.documentElement.scrollWidth - innerWidth,
+  height: document.documentElement.scrollHeight,
+}) })</script>"""
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="there is no chromium")
+@pytest.mark.parametrize("width", [500, 1200])
+def test_a_browser_shows_it(made, tmp_path, width):
+    """Broken once: a picture cut short; a table without its `wide` box; a style sheet beside it -> fails."""
+    probed = tmp_path / "probed.html"
+    probed.write_text(made.read_text(encoding="utf-8") + PROBE, encoding="utf-8")
+    chromium = [
+        *("chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+        *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+        *("--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}", f"--window-size={width},900"),
+    ]
+    done = subprocess.run(
+        [*chromium, "--dump-dom", probed], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert "CONSOLE" not in done.stderr
+    found = json.loads(re.search(r"<body>(\{.*\})", done.stdout)[1])
+    assert set(found["loaded"]) <= {"data:image/"}
+    assert len(found["pictures"]) == 5
+    assert all(
+        complete and natural > 0 and 200 < shown < width for complete, natural, shown in found["pictures"]
+    )
+    assert found["overflow"] <= 0
+    assert found["height"] > 2000

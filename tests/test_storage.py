@@ -1,0 +1,218 @@
+"""Shards and their manifest: whole or not there, and every damage found."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from jaxrl_tab import storage
+from jaxrl_tab.storage import Store
+from jaxrl_tab.types import InputError, RunError
+
+ARRAYS = {"q": np.arange(6, dtype=np.float32).reshape(1, 2, 3), "seconds": np.array([0.5, 0.25])}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with three shards, and a file made of them."""
+    with storage.new_folder(tmp_path / "run") as new:
+        Store.begin(new, "abc")
+    store = Store(tmp_path / "run", "abc")
+    for number in range(3):
+        store.write(number, ARRAYS, diverged=number)
+    (store.path / "results.nc").write_bytes(b"results")
+    store.keep_files(["results.nc"])
+    return store.path
+
+
+def names(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+WHOLE = ["manifest.json", "results.nc", *(f"shards/00000{i}.npz" for i in range(3))]
+
+
+def test_what_is_kept_is_there_again(folder):
+    store = Store(folder, "abc")
+    assert store.found == [] and names(folder) == WHOLE
+    assert {number: facts["diverged"] for number, facts in store.shards.items()} == {0: 0, 1: 1, 2: 2}
+    read = store.read(1)
+    assert list(read) == list(ARRAYS)
+    for name, x in read.items():
+        np.testing.assert_array_equal(x, ARRAYS[name])
+        assert x.dtype == ARRAYS[name].dtype
+    assert store.files == ["results.nc"]
+
+
+def truncated(file):
+    os.truncate(file, file.stat().st_size * 2 // 3)
+
+
+def empty(file):
+    os.truncate(file, 0)
+
+
+def flipped(bit):
+    """Flips one bit, so far from the beginning (as a share of the whole)."""
+
+    def damage(file):
+        data = bytearray(file.read_bytes())
+        data[int(bit * (len(data) - 1))] ^= 16
+        file.write_bytes(data)
+
+    return damage
+
+
+DAMAGES = [truncated, empty, *map(flipped, (0, 0.1, 0.3, 0.5, 0.7, 0.9, 1))]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_shard_is_named_and_set_aside(folder, damage):
+    """Broken once: its checksum not looked at -> fails."""
+    damage(folder / "shards" / "000001.npz")
+    store = Store(folder, "abc")
+    (line,) = store.found
+    assert line == "shards/000001.npz is damaged: it is now set-aside/0-000001.npz, and is computed again"
+    assert sorted(store.shards) == [0, 2]
+    assert names(folder) == [WHOLE[0], WHOLE[1], "set-aside/0-000001.npz", WHOLE[2], WHOLE[4]]
+    store.write(1, ARRAYS)
+    assert Store(folder, "abc").found == []
+
+
+def test_a_missing_shard_and_a_damaged_result_are_named(folder):
+    (folder / "shards" / "000002.npz").unlink()
+    (folder / "results.nc").write_bytes(b"resultz")
+    store = Store(folder, "abc")
+    assert store.found == [
+        "shards/000002.npz is missing: it is computed again",
+        "results.nc is damaged: it is now set-aside/0-results.nc, and is made again",
+    ]
+    assert sorted(store.shards) == [0, 1] and store.files == []
+
+
+@pytest.mark.parametrize("damage", [*DAMAGES, lambda file: file.unlink()])
+def test_a_damaged_manifest_is_made_again_of_the_shards(folder, damage):
+    """No shard is computed again that is whole. Broken once: no checksum of the manifest itself -> fails."""
+    before = Store(folder, "abc").shards
+    damage(folder / "manifest.json")
+    store = Store(folder, "abc")
+    assert len(store.found) == 1 and store.found[0].startswith("manifest.json is ")
+    assert store.shards == before and store.files == []
+    assert Store(folder, "abc").found == []
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_without_a_manifest_damaged_shards_are_still_found(folder, damage):
+    """By the checksums in the file. A bit that belongs to none may be another, if all arrays are the same."""
+    (folder / "manifest.json").unlink()
+    damage(folder / "shards" / "000001.npz")
+    store = Store(folder, "abc")
+    if 1 in store.shards:
+        assert all((store.read(1)[name] == x).all() for name, x in ARRAYS.items())
+    else:
+        assert any(line.startswith("shards/000001.npz is damaged") for line in store.found)
+    assert {0, 2} <= set(store.shards)
+
+
+def test_a_shard_whose_place_in_the_manifest_was_not_written_is_there(folder):
+    """As where the process is killed between the two."""
+    manifest = (folder / "manifest.json").read_bytes()
+    Store(folder, "abc").write(3, ARRAYS, diverged=7)
+    (folder / "manifest.json").write_bytes(manifest)
+    store = Store(folder, "abc")
+    assert store.found == [] and store.shards[3]["diverged"] == 7
+
+
+def test_shards_of_another_experiment_are_set_aside(folder):
+    """Even under the right name. Broken once: the fingerprint not looked at -> fails."""
+    other = folder.parent / "other"
+    other.mkdir()
+    Store(other, "xyz").write(3, ARRAYS)
+    (other / "shards" / "000003.npz").rename(folder / "shards" / "000003.npz")
+    (folder / "shards" / "000000.npz").rename(folder / "shards" / "000004.npz")
+    store = Store(folder, "abc")
+    assert sorted(store.shards) == [1, 2]
+    assert len(store.found) == 3
+    assert Store(other, "abc").found[0].startswith("manifest.json is of another experiment")
+
+
+def test_what_was_being_written_is_gone(folder):
+    (folder / "shards" / f"000003.npz{storage.UNFINISHED}").write_bytes(b"half")
+    (folder / f"pictures{storage.UNFINISHED}").mkdir()
+    (folder / f"pictures{storage.UNFINISHED}" / "x.png").write_bytes(b"half")
+    assert Store(folder, "abc").found == [] and names(folder) == WHOLE
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_where_the_disk_is_full_nothing_is_half_there(folder, monkeypatch, call):
+    """One line, no file under the final name, no rest; and what was there before is still."""
+    store, before = Store(folder, "abc"), (folder / "manifest.json").read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, call, full)
+        with pytest.raises(RunError) as error:
+            store.write(3, ARRAYS)
+    assert str(error.value) == f"{folder}/shards/000003.npz could not be written: No space left on device"
+    assert names(folder) == WHOLE and (folder / "manifest.json").read_bytes() == before
+    store.write(3, ARRAYS)
+    assert sorted(Store(folder, "abc").shards) == [0, 1, 2, 3]
+
+
+def test_a_new_folder_is_there_with_all_its_files_or_not_at_all(tmp_path):
+    path = tmp_path / "a" / "run"
+
+    def make(then=lambda: None):
+        with storage.new_folder(path) as new:
+            (new / "file").write_text("x")
+            assert not path.exists()
+            then()
+
+    def stop():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make(stop)
+    assert names(tmp_path) == []
+    make()
+    assert names(tmp_path) == ["a/run/file"]
+    with pytest.raises(InputError, match="exists already; name a new folder"):
+        make()
+    path /= "file/x"
+    with pytest.raises(InputError, match="cannot be made: Not a directory"):
+        make()
+
+
+def test_of_two_who_make_the_same_folder_one_does(tmp_path):
+    """Broken once: what is there replaced -> fails."""
+
+    def slow(path):
+        with storage.new_folder(path) as new:
+            (new / "file").write_text("slow")
+            path.mkdir()
+            (path / "file").write_text("quick")
+
+    with pytest.raises(InputError, match="exists already"):
+        slow(tmp_path / "run")
+    assert (tmp_path / "run" / "file").read_text() == "quick" and names(tmp_path) == ["run/file"]
+
+
+def test_a_locked_folder_is_refused(tmp_path):
+    def enter(path):
+        with storage.lock(path):
+            pass
+
+    with storage.lock(tmp_path), pytest.raises(InputError, match="another process is at work in"):
+        enter(tmp_path)
+    enter(tmp_path)
+    with pytest.raises(InputError, match="cannot be written: Not a directory"):
+        enter(tmp_path / ".lock")
+
+
+def test_the_manifest_is_plain_json(folder):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert list(manifest) == ["fingerprint", "shards", "files", "sha256"]
+    assert list(manifest["shards"]["000002.npz"]) == ["sha256", "diverged"]
