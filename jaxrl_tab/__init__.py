@@ -58,9 +58,10 @@ from jaxrl_tab.experiment import Experiment
 from jaxrl_tab.offline import Experience, collect, learn, replay
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import SweepResult
+from jaxrl_tab.runner import resume, run
 from jaxrl_tab.sweep import sweep
 from jaxrl_tab.train import Log, train
-from jaxrl_tab.types import InputError, Outcome, Transition
+from jaxrl_tab.types import InputError, Outcome, RunError, Transition
 
 __version__ = "0.1.0"
 
@@ -94,6 +95,7 @@ __all__ = [
     "QLambda",
     "QLearning",
     "RandomWalk",
+    "RunError",
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",
@@ -118,6 +120,8 @@ __all__ = [
     "policies",
     "prediction",
     "replay",
+    "resume",
+    "run",
     "schedules",
     "sweep",
     "train",

@@ -13,8 +13,9 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
+
+import numpy as np
 
 from jaxrl_tab.types import InputError, is_whole, shown
 
@@ -207,7 +208,7 @@ def _check_grid(grid: Any, positive: bool = False) -> None:
 def _check_ends(spec: Any, positive: bool = False) -> None:
     ends = (spec.low, spec.high)
     for end in ends:
-        if not isinstance(end, Real) or isinstance(end, bool) or not -MOST <= float(end) <= MOST:
+        if not isinstance(end, int | float | np.number) or isinstance(end, bool) or not abs(end) <= MOST:
             raise InputError(f"the ends must be numbers, {MOST:g} at most, not {shown(end)}")
     if positive and spec.low < 1 / MOST:
         raise InputError(f"the ends must be above 0 on a logarithmic scale, not {shown(spec.low)}")

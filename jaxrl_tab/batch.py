@@ -187,7 +187,7 @@ def forecast(
 ) -> Forecast:
     """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
     devices = tuple(devices or jax.devices())
-    one = _traced(budget, *_signature((root, np.uint32(0), algorithm, env)))
+    one = _needs(budget, *_signature((root, np.uint32(0), algorithm, env)))
     room = memory.free(devices) // 2 if limit is None else limit
     lanes, most = _width(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
     blocks = -(-runs // lanes)

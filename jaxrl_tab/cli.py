@@ -32,10 +32,11 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, planning, programs, runner
+from jaxrl_tab import batch, describe, executors, planning, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite, Grid, Panel
+from jaxrl_tab.executors import Executor
 from jaxrl_tab.experiment import Experiment, plan, template
 from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
@@ -341,7 +342,59 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
 
 
 @dataclasses.dataclass
-class Sweep:
+class Where:
+    """Where a sweep is computed."""
+
+    executor: Annotated[str, arg(metavar="NAME")] = "local"
+    """local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see docs/scaling.md."""
+    address: Annotated[str | None, arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    """Of the Ray cluster, or of process 0 of a distributed job."""
+    processes: Annotated[int | None, whole(1), arg(help_behavior_hint="")] = None
+    """How many processes a distributed job has."""
+    process: Annotated[int | None, whole(0), arg(help_behavior_hint="")] = None
+    """Which of them this one is, from 0."""
+    slurm: Annotated[tuple[str, ...], arg(metavar="KEY=VALUE ...", help_behavior_hint="")] = ()
+    """What SLURM is asked for, in the words of submitit: timeout_min=30 slurm_partition=short."""
+
+
+@contextlib.contextmanager
+def _executor(options: Any) -> Iterator[Executor]:
+    """The executor that was asked for, with the options that are its own."""
+    own = {
+        "local": (),
+        "ray": ("address",),
+        "slurm": ("slurm",),
+        "distributed": ("address", "processes", "process"),
+    }
+    name = _known("an executor", options.executor, own)
+    given = {option: getattr(options, option) for option in ("address", "processes", "process", "slurm")}
+    given = {option: value for option, value in given.items() if value not in (None, ())}
+    for option in given:
+        if option not in own[name]:
+            owners = ", ".join(other for other, names in own.items() if option in names)
+            raise InputError(f"--{option} is of --executor {owners}, and this one is {name}")
+    if name == "slurm":
+        if options.out is None:
+            raise InputError("--executor slurm needs --out: a folder that all machines see")
+        asked = dict(_key_and_value(word) for word in options.slurm)
+        given = {"folder": options.out / "jobs", "parameters": asked}
+    if name == "distributed":
+        names = {"processes": "num_processes", "process": "process_id"}
+        given = {names.get(option, option): value for option, value in given.items()}
+    executor = executors.get(name, **given)
+    with executor if isinstance(executor, executors.Distributed) else contextlib.nullcontext():
+        yield executor
+
+
+def _key_and_value(word: str) -> tuple[str, Any]:
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise InputError(f"--slurm takes KEY=VALUE, not {word!r}")
+    return key, int(value) if value.isdecimal() else value
+
+
+@dataclasses.dataclass
+class Sweep(Where):
     """Every method with every combination of hyperparameters, each over the same seeds.
 
     What is run is said by options; or by a file, which can say more: several environments, random draws, and
@@ -400,7 +453,14 @@ def _sweep(argv: list[str]) -> int:
     options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
     if options.write_template:
         return _write_template(options.env)
-    experiment = _experiment(options)
+    with _executor(options) as executor:
+        if isinstance(executor, executors.Distributed) and executor.serve():
+            return 0
+        return _conduct(_experiment(options), executor, options, ["sweep", *argv])
+
+
+def _conduct(experiment: Experiment, executor: Executor, options: Any, command: Sequence[str]) -> int:
+    """Runs the experiment, prints what came out, and leaves it in the folder; or says what it would do."""
     if options.dry_run:
         found = plan(experiment.parts(), options.memory)
         if options.json:
@@ -409,7 +469,10 @@ def _sweep(argv: list[str]) -> int:
         else:
             print(found.text())
         return 0
-    return _conduct(experiment, options, ["sweep", *argv])
+    given = {"memory": options.memory, "command": shlex.join([PROG, *command])}
+    with _watched(options, experiment) as progress:
+        outcome = runner.run(experiment, options.out, executor=executor, progress=progress, **given)
+    return _show(outcome, options.out, options)
 
 
 def _experiment(options: Any) -> Experiment:
@@ -450,16 +513,8 @@ def _write_template(file: str) -> int:
     return 0
 
 
-def _conduct(experiment: Experiment, options: Any, command: Sequence[str]) -> int:
-    """Runs the experiment, prints what came out, and leaves it in the folder."""
-    given = {"memory": options.memory, "command": shlex.join([PROG, *command])}
-    with _watched(options, experiment) as progress:
-        outcome = runner.run(experiment, options.out, progress=progress, **given)
-    return _show(outcome, options.out, options)
-
-
 @dataclasses.dataclass
-class Resume:
+class Resume(Where):
     """Goes on with a sweep that was interrupted: computes what is missing or damaged, and nothing else.
 
     The results are the same, to the last bit, as if nothing had happened.
@@ -485,9 +540,13 @@ def _resume(argv: list[str]) -> int:
         raise InputError("name the folder of a sweep")
     options.out = options.folder
     command = shlex.join([PROG, "resume", *argv])
-    with _watched(options) as progress:
-        outcome = runner.resume(options.out, progress=progress, memory=options.memory, command=command)
-    return _show(outcome, options.out, options)
+    with _executor(options) as executor:
+        if isinstance(executor, executors.Distributed) and executor.serve():
+            return 0
+        given = {"executor": executor, "memory": options.memory, "command": command}
+        with _watched(options) as progress:
+            outcome = runner.resume(options.out, progress=progress, **given)
+        return _show(outcome, options.out, options)
 
 
 @contextlib.contextmanager

@@ -33,6 +33,7 @@ import numpy as np
 
 import jaxrl_tab
 from jaxrl_tab import batch, storage
+from jaxrl_tab.executors import Executor, Local
 from jaxrl_tab.experiment import Experiment, PartPlan, Plan, difference
 from jaxrl_tab.memory import Results, free, size, words
 from jaxrl_tab.results import is_diverged, save
@@ -112,6 +113,7 @@ def run(
     experiment: Experiment,
     folder: str | Path | None = None,
     *,
+    executor: Executor | None = None,
     memory: int | None = None,
     progress: Report = lambda state: None,
     command: str | None = None,
@@ -121,7 +123,8 @@ def run(
     Args:
         experiment: what to run.
         folder: a new folder. Without one nothing is left but the outcome.
-        memory: how many bytes it may take, as in `sweep`.
+        executor: where it is computed, see `executors`; by default in this process.
+        memory: how many bytes it may take, as in `sweep`; of each worker, where there are several.
         progress: is called as shards are finished.
         command: what was typed, for the records; by default what started this process.
 
@@ -136,15 +139,16 @@ def run(
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
             _begin(path, experiment)
-            return _go_on(path, experiment, memory, progress, command, keep=False)
+            return _go_on(path, experiment, executor, memory, progress, command, keep=False)
     _begin(path, experiment)
     with storage.lock(path):
-        return _go_on(path, experiment, memory, progress, command)
+        return _go_on(path, experiment, executor, memory, progress, command)
 
 
 def resume(
     folder: str | Path,
     *,
+    executor: Executor | None = None,
     memory: int | None = None,
     progress: Report = lambda state: None,
     command: str | None = None,
@@ -155,7 +159,7 @@ def resume(
 
     Args:
         folder: the folder.
-        memory, progress, command: as in `run`.
+        executor, memory, progress, command: as in `run`.
 
     Raises:
         InputError: there is no experiment in the folder, or another process is at work in it, or the
@@ -169,11 +173,17 @@ def resume(
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
     command = shlex.join(sys.argv) if command is None else command
     with storage.lock(path):
-        return _go_on(path, _experiment_in(path), memory, progress, command)
+        return _go_on(path, _experiment_in(path), executor, memory, progress, command)
 
 
 def _go_on(
-    path: Path, experiment: Experiment, limit: int | None, report: Report, command: str, keep: bool = True
+    path: Path,
+    experiment: Experiment,
+    executor: Executor | None,
+    limit: int | None,
+    report: Report,
+    command: str,
+    keep: bool = True,
 ) -> Outcome:
     """All that is still to be done in a folder."""
     store = Store(path, experiment.fingerprint)
@@ -182,13 +192,14 @@ def _go_on(
     with _session(store, command) as records:
         job, meter, select = Job(json.dumps(experiment.data()), limit), _Meter(report), experiment.select
         later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
-        new = _compute(store, job, meter, later)
+        executor = executor or Local()
+        new = _compute(store, job, executor, meter, later)
         datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
         envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
         fresh = {}
         if select:
             job = job._replace(chosen=json.dumps({name: _chosen(ds) for name, ds in datasets.items()}))
-            new |= _compute(store, job, meter, {})
+            new |= _compute(store, job, executor, meter, {})
             fresh, _ = _collect(store, job, list(later), room)
             fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
         outcome = Outcome(datasets, fresh, envs)
@@ -288,25 +299,20 @@ def _runs(part: Part, shard: Shard) -> np.ndarray:
     return part.programs[shard.program][config] * part.num_seeds + place
 
 
-def _compute(store: Store, job: Job, meter: "_Meter", later: Mapping[str, int]) -> bool:
+def _compute(store: Store, job: Job, executor: Executor, meter: "_Meter", later: Mapping[str, int]) -> bool:
     """Computes the shards that are not there; whether there were any. `later`: see `_Meter.begin`."""
     missing = [number for number, shard in enumerate(job.shards) if not _is_there(store, job, number, shard)]
     meter.begin(store, job, missing, later)
-    for number, arrays in _here(job, missing):
-        diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
-        store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
-        meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
+    with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
+        for number, arrays in finished:
+            diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
+            store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
+            meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)
 
 
 def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
     return number in store.shards and store.shards[number]["setting"] == job.setting(shard)
-
-
-def _here(work: Job, tasks: Sequence[int]) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-    """(task, work(task)) for one task after another, in this process."""
-    for task in tasks:
-        yield task, work(task)
 
 
 def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[dict[str, xr.Dataset], int]":

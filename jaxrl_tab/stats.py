@@ -152,11 +152,11 @@ def _hall(z: np.ndarray, confidence: float) -> np.ndarray:
 def _p_value(z: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Two-sided p of "the mean is 0", [c]: it is under 5% where Hall's 95% interval does not hold 0."""
     error, a = _standard_error(z), _skew(z)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # no spread
         t = np.where(mean == 0, 0, mean / error)
-    with np.errstate(invalid="ignore"):
         u = np.where(np.isfinite(t), t + a * t**2 / 3 + a**2 * t**3 / 27 + a / 6, t)
-    return 2 * stats.t.sf(np.minimum(abs(t), abs(u)), z.shape[-1] - 1)
+    nearer = np.where(t * u > 0, np.minimum(abs(t), abs(u)), 0)
+    return 2 * stats.t.sf(nearer, z.shape[-1] - 1)
 
 
 def _percentile(z: np.ndarray, confidence: float) -> np.ndarray:
@@ -478,9 +478,7 @@ def performance_profile(
     tau = np.asarray(thresholds, float)
     if tau.ndim != 1 or not tau.size or np.isnan(tau).any():
         raise InputError(f"thresholds must be a flat list of numbers, not {shown(thresholds)}")
-    tau = xr.DataArray(tau, dims="threshold", coords={"threshold": tau})
-    share = xr.concat([(x > t).mean(dims) for t in tau], tau)
-    share = share.transpose(..., "threshold")
+    share = (x > xr.DataArray(tau, dims="threshold", coords={"threshold": tau})).mean(dims)
     runs = int(np.prod([x.sizes[d] for d in dims]))
     half = stats.kstwo.ppf(confidence, runs)
     n = xr.full_like(share.isel(threshold=0, drop=True), runs, dtype=int)

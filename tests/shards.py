@@ -69,7 +69,11 @@ def fails(task, folder):
 def settings(task):
     """What a result may depend on: the float type, XLA's flags; and how many devices there are."""
     flags = os.environ.get("XLA_FLAGS", "")
-    return {"zero": np.asarray(jnp.zeros(())), "flags": np.array(flags), "devices": np.array(jax.device_count())}
+    return {
+        "zero": np.asarray(jnp.zeros(())),
+        "flags": np.array(flags),
+        "devices": np.array(jax.device_count()),
+    }
 
 
 def same(given, tasks):

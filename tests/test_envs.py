@@ -328,6 +328,29 @@ def test_mdp_copies_another_environment():
         np.testing.assert_allclose(mine, original, rtol=1e-6)
 
 
+# of each state and action, as P and R above say it; two ways into s' = 1 are written one by one
+OUTCOMES = [
+    [[(1, 1, 1)], [(0.25, 0, 4), (0.75, 3, 7)]],
+    [[(1, 2, 10)], [(0.25, 0, 12), (0.125, 1, 13), (0.25, 0, 12), (0.3, 3, 15), (0.075, 1, 13)]],
+    [[(1, 0, 16)], [(1, 0, 20)]],
+    [[], []],
+]
+
+
+def test_mdp_from_a_list_of_outcomes():
+    env = FiniteMDP.from_outcomes(OUTCOMES, terminal=[3], start=START)
+    expected = ENVIRONMENTS["finite mdp"]
+    for mine, original in zip(merged(*enumerated(env)), merged(*table("finite mdp")), strict=True):
+        np.testing.assert_allclose(mine, original, rtol=1e-6)
+    np.testing.assert_array_equal(env.initial(), expected.initial())
+    assert env.successors.shape == (4, 2, 3)
+
+
+def test_mdp_from_outcomes_keeps_rewards_of_one_successor_apart():
+    env = FiniteMDP.from_outcomes([[[(0.25, 1, 1), (0.5, 1, 2), (0.25, 1, 1)]], [[]]], terminal=[1])
+    assert (env.prob[0, 0].tolist(), env.reward[0, 0].tolist()) == ([0.5, 0.5], [1, 2])
+
+
 def test_mdp_stacks():
     other = FiniteMDP(P, -R, terminal=[3], start=START)
     stack = jax.tree.map(lambda *leaves: np.stack(leaves), ENVIRONMENTS["finite mdp"], other)
@@ -499,6 +522,14 @@ def mdp(change=None, rewards=None, terminal=(3,), start=0, **parameters):
     return lambda: FiniteMDP(p, R if rewards is None else rewards, terminal, start, **parameters)
 
 
+def listed(s, a, outcomes, **parameters):
+    """A FiniteMDP from OUTCOMES, of which those of (s, a) are others."""
+    changed = [
+        [outcomes if (s, a) == (i, j) else x for j, x in enumerate(row)] for i, row in enumerate(OUTCOMES)
+    ]
+    return lambda: FiniteMDP.from_outcomes(changed, **{"terminal": [3], **parameters})
+
+
 def reward_with(index, value, rewards=R):
     rewards = rewards.copy()
     rewards[index] = value
@@ -563,6 +594,38 @@ def reward_with(index, value, rewards=R):
         ),
         (random_walk(states=0), "random-walk: states must be a whole number of at least 1, not 0"),
         (random_walk(left_reward=np.nan), "random-walk: left_reward must be a finite number, not nan"),
+        (
+            listed(1, 0, [(0.5, 2, 0)]),
+            "FiniteMDP: the probabilities after (s, a) = (1, 0) add up to 0.5, not to 1",
+        ),
+        (
+            listed(1, 0, [(1.5, 2, 0), (-0.5, 1, 0)]),
+            "FiniteMDP: the probability of s' = 1 after (s, a) = (1, 0) is -0.5, not from 0 to 1",
+        ),
+        (
+            listed(1, 0, [(1, 2, np.nan)]),
+            "FiniteMDP: the reward after (s, a) = (1, 0) is nan, not a finite number",
+        ),
+        (
+            listed(1, 0, [(1, 4, 0)]),
+            "FiniteMDP: there is no state 4, an outcome after (s, a) = (1, 0); states are 0 to 3",
+        ),
+        (
+            listed(0, 0, [], terminal=[]),
+            "FiniteMDP: the probabilities after (s, a) = (0, 0) add up to 0, not to 1",
+        ),
+        (
+            listed(0, 1, [(1, 0, 0)], terminal=[4]),
+            "FiniteMDP: there is no terminal state 4; states are 0 to 3",
+        ),
+        (
+            lambda: FiniteMDP.from_outcomes([*OUTCOMES[:3], [[]]], terminal=[3]),
+            "FiniteMDP: s = 3 has 1 actions, and s = 0 has 2; all states must have the same number",
+        ),
+        (
+            lambda: FiniteMDP.from_outcomes([]),
+            "FiniteMDP: outcomes must be a list of states, each a list of actions with outcomes",
+        ),
         (
             lambda: FiniteMDP(P[0], R),
             "FiniteMDP: probabilities must have shape [S, A, S'], not (2, 4)",

@@ -19,7 +19,7 @@ def test_local_gives_what_work_gives_one_at_a_time(tmp_path):
 
 
 def test_local_lets_errors_through(tmp_path):
-    with pytest.raises(ValueError, match="no such thing"):
+    with pytest.raises(ValueError, match=r"no such thing"):
         dict(executors.Local().run(functools.partial(shards.fails, folder=tmp_path), [0, 1]))
 
 
@@ -36,7 +36,9 @@ def test_what_is_not_there_is_refused(name, options, said):
         executors.get(name, **options)
 
 
-@pytest.mark.parametrize(("name", "package", "options"), [("ray", "ray", {}), ("slurm", "submitit", {"folder": "x"})])
+@pytest.mark.parametrize(
+    ("name", "package", "options"), [("ray", "ray", {}), ("slurm", "submitit", {"folder": "x"})]
+)
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, name, package, options):
     monkeypatch.setattr(base.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(InputError, match=rf"{package} is not installed: pip install 'jaxrl-tab\[{name}\]'"):
@@ -46,7 +48,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, name, package, o
 def test_a_job_does_the_work_and_returns_its_errors(tmp_path):
     job = base.Job.of(functools.partial(shards.fails, folder=tmp_path))
     assert base.given(3, job(3)) == (3, {"square": np.array(9)})
-    with pytest.raises(RunError, match="(?m)^shard 1 failed: ValueError: no such thing$") as raised:
+    with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$") as raised:
         base.given(1, job(1))
     assert "in fails" in raised.value.__notes__[0]  # where it happened
 

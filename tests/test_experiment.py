@@ -304,6 +304,7 @@ def test_what_is_wrong_is_named_with_its_line(load, monkeypatch, there, instead,
         ({"method": "sara"}, "'sara' is not a method; did you mean 'sarsa'?"),
         ({"environment": "windy"}, "'windy' is not an environment"),
         ({"seeds": None}, "seeds must be a whole number"),
+        ({"method": {"name": "sarsa", "q0": 10**400}}, "q0 takes a number, not 1000"),
         ({"select": 3}, "select must be a table of by, fresh_seeds, not 3"),
         (
             {"method": {"name": "sarsa", "alpha": rl.schedules.Optax(abs)}},

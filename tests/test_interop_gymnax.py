@@ -1,5 +1,8 @@
 """gymnax both ways: against tables worked out by hand or by Gymnasium, and against gymnax's own steps."""
 
+import runpy
+from pathlib import Path
+
 import gymnax
 import jax
 import jax.numpy as jnp
@@ -435,3 +438,15 @@ def test_round_trip():
     np.testing.assert_allclose(v[:5], planning.value_iteration(cliff)[0][:5])
     with pytest.raises(rl.InputError, match="env must be an instance, such as CliffWalking"):
         to_gymnax("cliff-walking")  # pyright: ignore[reportArgumentType]
+
+
+def test_the_example(capsys):
+    """Within four standard errors, and what 100 steps cost: that can only be less."""
+    names = runpy.run_path(str(Path(__file__).parent.parent / "examples" / "imported_environments.py"))
+    best, exact, played = names["lake_success"].values()
+    assert best == pytest.approx(14 / 17)
+    assert best - 0.01 < exact <= best + 1e-9
+    assert exact - 0.1 < played < exact + 4 * 0.4 / 1000**0.5
+    assert names["catch_value"]["at best"] == pytest.approx(1)
+    assert names["catch_value"]["as learned"] > 0.99
+    assert capsys.readouterr().out.count("reward -100.0, and again in state 36") == 2

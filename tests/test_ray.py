@@ -26,7 +26,9 @@ def cluster():
         # What workers compile is found in the cache of the tests, too.
         patch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
         patch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
-        one = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+        one = cluster_utils.Cluster(
+            initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+        )
         try:
             one.add_node(num_cpus=1)
             yield one
@@ -63,14 +65,14 @@ def test_a_worker_is_killed(cluster, tmp_path):
 
 def test_a_worker_that_always_dies_is_given_up(cluster, tmp_path):
     work = functools.partial(shards.dies, folder=tmp_path, deaths=9)
-    with pytest.raises(RunError, match="shard 1 was lost 2 times"):
+    with pytest.raises(RunError, match=r"shard 1 was lost 2 times"):
         list(executors.Ray(cluster.address, max_retries=1).run(work, [1]))
     assert shards.times(1, tmp_path) == 2
 
 
 def test_an_error_is_raised_and_not_tried_again(cluster, tmp_path):
     work = functools.partial(shards.fails, folder=tmp_path)
-    with pytest.raises(RunError, match="(?m)^shard 1 failed: ValueError: no such thing$"):
+    with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$"):
         list(executors.Ray(cluster.address).run(work, [0, 1]))
     assert shards.times(1, tmp_path) == 1
     assert not ray.is_initialized()
@@ -115,7 +117,7 @@ def test_addresses_where_nothing_answers_are_refused_at_once():
         port = free.getsockname()[1]
     with pytest.raises(RunError, match=f"no Ray cluster at 127.0.0.1:{port}: Connection refused"):
         executors.get("ray", address=f"127.0.0.1:{port}")
-    with pytest.raises(InputError, match="HOST:PORT or ray://HOST:PORT, not 'somewhere'"):
+    with pytest.raises(InputError, match=r"HOST:PORT or ray://HOST:PORT, not 'somewhere'"):
         executors.get("ray", address="somewhere")
-    with pytest.raises(InputError, match="num_cpus"):
+    with pytest.raises(InputError, match=r"num_cpus"):
         executors.get("ray", num_cpus=0)

@@ -117,7 +117,7 @@ EVERYTHING = {
 
 @pytest.mark.parametrize("of", EVERYTHING.values(), ids=EVERYTHING)
 def test_an_axis_in_the_wrong_place_is_an_error(of):
-    with pytest.raises(rl.InputError, match="no dimension 'seed' .* there are alpha, run, row"):
+    with pytest.raises(rl.InputError, match=r"no dimension 'seed' .* there are alpha, run, row"):
         of(TIMES.rename(seed="run"))
     with pytest.raises(rl.InputError, match=r"no dimension 1 to take"):
         of(TIMES, 1)
@@ -139,11 +139,11 @@ def test_the_order_of_the_axes_does_not_matter(of):
 
 
 def test_nothing_to_take_a_statistic_of():
-    with pytest.raises(rl.InputError, match="nothing lies along the dimension 'seed'"):
+    with pytest.raises(rl.InputError, match=r"nothing lies along the dimension 'seed'"):
         stats.mean_interval(TIMES[:, :0])
-    with pytest.raises(rl.InputError, match="the dimensions seed, seed must be different"):
+    with pytest.raises(rl.InputError, match=r"the dimensions seed, seed must be different"):
         stats.iqm_interval(TIMES, within="seed")
-    with pytest.raises(rl.InputError, match="no dimension 'environment'"):
+    with pytest.raises(rl.InputError, match=r"no dimension 'environment'"):
         stats.iqm_interval(TIMES, within="environment")
 
 
@@ -308,7 +308,7 @@ def test_tolerance_of_few_values_is_the_normal_one():
         mean, s = float(x.mean()), float(x.std(ddof=1))
         np.testing.assert_allclose([interval.low, interval.high], [mean - k * s, mean + k * s], rtol=5e-3)
     assert np.isnan(stats.tolerance_interval(x[:1]).low)
-    with pytest.raises(rl.InputError, match="content must be between 0 and 1, not 90"):
+    with pytest.raises(rl.InputError, match=r"content must be between 0 and 1, not 90"):
         stats.tolerance_interval(x, content=90)
 
 
@@ -317,5 +317,5 @@ def test_proportion_is_wilsons(k):
     x = xr.DataArray(np.arange(10) < k, dims="seed")
     expected = oracle.binomtest(k, 10).proportion_ci(method="wilson")
     np.testing.assert_allclose(stats.proportion_interval(x)[:3], [k / 10, *expected], atol=1e-12)
-    with pytest.raises(rl.InputError, match="True or False"):
+    with pytest.raises(rl.InputError, match=r"True or False"):
         stats.proportion_interval(TIMES)

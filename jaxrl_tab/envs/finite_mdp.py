@@ -1,5 +1,6 @@
 """Any finite MDP, from arrays (book, section 3.1)."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
@@ -106,9 +107,12 @@ class FiniteMDP(Finite):
             )
 
         prob, reward = np.zeros((2, num_states, num_actions, most))
-        successors = np.tile(np.arange(num_states)[:, None, None], (1, num_actions, most))
+        successors = np.zeros((num_states, num_actions, most), int)
         for (s, a), found in np.ndenumerate(merged):
-            for k, ((s_next, r), p) in enumerate(found.items()):
+            entered = {s_next for s_next, _ in found}
+            others = itertools.chain((x for x in range(num_states) if x not in entered), itertools.repeat(s))
+            filled = itertools.chain(found.items(), (((x, 0.0), 0.0) for x in others))
+            for k, ((s_next, r), p) in enumerate(itertools.islice(filled, most)):
                 successors[s, a, k], reward[s, a, k], prob[s, a, k] = s_next, r, p
         if (i := first((successors < 0) | (successors >= num_states))) is not None:
             raise InputError(

@@ -4,7 +4,7 @@ A shard is a function of the experiment and of its number, so the results are bi
 shard that is lost is computed again. Workers only compute: one process hands out the shards, and writes them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from jaxrl_tab.types import InputError, build, nearest
 class Local:
     """In this process, one after another, each on all JAX devices: see `use_all_cores`."""
 
-    def run(self, work: Work, tasks: Sequence[int]) -> Iterator[tuple[int, Arrays]]:
+    def run(self, work: Work, tasks: Sequence[int]) -> Generator[tuple[int, Arrays]]:
         """As `Executor.run`."""
         for task in tasks:
             yield task, work(task)

@@ -9,12 +9,12 @@ import importlib.util
 import os
 import platform
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
+from importlib import metadata
 from typing import Any, NamedTuple, Protocol
 
 import jax
-import jaxlib
 import numpy as np
 
 import jaxrl_tab
@@ -36,7 +36,7 @@ _SETTINGS = (
 class Executor(Protocol):
     """Does the tasks of a piece of work, somewhere."""
 
-    def run(self, work: Work, tasks: Sequence[int]) -> Iterator[tuple[int, Arrays]]:
+    def run(self, work: Work, tasks: Sequence[int]) -> Generator[tuple[int, Arrays]]:
         """Gives (task, work(task)) as they finish, in any order, and keeps none of them.
 
         Nothing is begun before the first is asked for. What is under way is given up where the iterator is
@@ -116,7 +116,9 @@ def given(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
 
 def environment() -> dict[str, str]:
     """The variables that say how XLA and JAX work, for processes that do not inherit them."""
-    return {name: value for name, value in os.environ.items() if name.startswith(("JAX_", "JAXRL_TAB_", "XLA_"))}
+    return {
+        name: value for name, value in os.environ.items() if name.startswith(("JAX_", "JAXRL_TAB_", "XLA_"))
+    }
 
 
 def need(package: str, extra: str) -> None:
@@ -125,4 +127,4 @@ def need(package: str, extra: str) -> None:
 
 
 def _versions() -> dict[str, str]:
-    return {"jaxrl_tab": jaxrl_tab.__version__, "jax": jax.__version__, "jaxlib": jaxlib.__version__}
+    return {"jaxrl_tab": jaxrl_tab.__version__, "jax": jax.__version__, "jaxlib": metadata.version("jaxlib")}

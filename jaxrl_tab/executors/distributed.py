@@ -1,7 +1,7 @@
 """Many machines as one `jax.distributed` job, as pods of accelerators are used: the same command on all of them."""
 
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
@@ -56,7 +56,7 @@ class Distributed:
         except RuntimeError as error:
             raise RunError(f"distributed: {str(error).splitlines()[0]}") from error
 
-    def run(self, work: Work, tasks: Sequence[int]) -> Iterator[tuple[int, Arrays]]:
+    def run(self, work: Work, tasks: Sequence[int]) -> Generator[tuple[int, Arrays]]:
         """As `Executor.run`; in process 0."""
         order = _Order(Job.of(work), list(tasks))
         _exchange(order)

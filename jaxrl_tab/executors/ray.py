@@ -5,7 +5,7 @@ import logging
 import os
 import socket
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,9 @@ from jaxrl_tab.executors.base import Arrays, Failed, Job, Work, environment, giv
 from jaxrl_tab.types import InputError, RunError, whole
 
 _SECONDS = 5  # in which the address of a cluster must answer
-_AHEAD = 2  # tasks handed out for each place where one can run: so none stands idle, and few results wait here
+_AHEAD = (
+    2  # tasks handed out for each place where one can run: so none stands idle, and few results wait here
+)
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Ray:
         whole("max_retries", "number", self.max_retries, least=0)
         _check_answers(self._address)
 
-    def run(self, work: Work, tasks: Sequence[int]) -> Iterator[tuple[int, Arrays]]:
+    def run(self, work: Work, tasks: Sequence[int]) -> Generator[tuple[int, Arrays]]:
         """As `Executor.run`."""
         import ray
 
@@ -70,6 +72,7 @@ class Ray:
     def _fetch(self, under_way: dict[Any, int], reference: Any) -> tuple[int, Arrays | Failed]:
         """The result of a task, which is then no longer under way: Ray lets go of it once nobody looks at it."""
         import ray
+        import ray.exceptions
 
         task = under_way.pop(reference)
         try:
@@ -91,7 +94,7 @@ class Ray:
         return max(1, int(ray.cluster_resources().get("CPU", 0) // self.num_cpus))
 
     @contextlib.contextmanager
-    def _connection(self) -> Iterator[None]:
+    def _connection(self) -> Generator[None]:
         import ray
 
         if ray.is_initialized():
@@ -104,10 +107,14 @@ class Ray:
         except (ConnectionError, ValueError) as error:
             raise RunError(f"no Ray cluster at {self._address}: {str(error).splitlines()[0]}") from error
         try:
-            largest = max((node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"]), default=0)
+            largest = max(
+                (node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"]), default=0
+            )
             if largest < self.num_cpus:
                 logging.getLogger(__name__).warning(
-                    "no node of the Ray cluster has %d cores, only %d: waiting for one", self.num_cpus, largest
+                    "no node of the Ray cluster has %d cores, only %d: waiting for one",
+                    self.num_cpus,
+                    largest,
                 )
             yield
         finally:

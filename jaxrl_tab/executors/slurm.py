@@ -4,7 +4,7 @@ import contextlib
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,7 @@ class Slurm:
         with tempfile.TemporaryDirectory() as folder:
             self._executor(folder)
 
-    def run(self, work: Work, tasks: Sequence[int]) -> Iterator[tuple[int, Arrays]]:
+    def run(self, work: Work, tasks: Sequence[int]) -> Generator[tuple[int, Arrays]]:
         """As `Executor.run`."""
         Path(self.folder).mkdir(parents=True, exist_ok=True)
         folder = Path(tempfile.mkdtemp(prefix="jobs-", dir=self.folder)).resolve()

@@ -53,23 +53,21 @@ class SampledGymnax:
     A step to a state that was not met when the states were looked for gives the reward NaN.
 
     Attributes:
-        states: of the state of gymnax the leaves that matter, arrays [S, ...] each.
+        states: the fields of the state of gymnax that matter, by name, arrays [S, ...].
         is_terminal: bool [S].
         is_state: False for numbers that no state has, bool [S].
         observations: as in `EnumeratedGymnax`.
         params: of gymnax.
         env: of gymnax.
-        leaves: which leaves of the state of gymnax `states` are.
         max_steps: time limit of an episode, in steps.
     """
 
-    states: list[Any]
+    states: dict[str, Any]
     is_terminal: Bool[Array | np.ndarray, " S"]
     is_state: Bool[Array | np.ndarray, " S"]
     observations: Any
     params: Any
     env: Any = static()
-    leaves: tuple[int, ...] = static()
     max_steps: int = static()
 
     @property
@@ -86,11 +84,9 @@ class SampledGymnax:
 
     def step(self, key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
         _, example = jax.eval_shape(self.env.reset_env, key, self.params)
-        leaves, treedef = jax.tree.flatten(example)
-        leaves = [jnp.zeros(x.shape, x.dtype) for x in leaves]  # of no consequence, but for these:
-        for i, x in zip(self.leaves, self.states, strict=True):
-            leaves[i] = jnp.asarray(x)[s]
-        state = jax.tree.unflatten(treedef, leaves)
+        leaves = {name: jnp.zeros(x.shape, x.dtype) for name, x in _named(example).items()}
+        leaves |= {name: jnp.asarray(x)[s] for name, x in self.states.items()}  # the others do not matter
+        state = jax.tree.unflatten(jax.tree.structure(example), list(leaves.values()))
         _, state, reward, terminal, _ = self.env.step_env(key, state, a, self.params)
         terminal = jnp.asarray(terminal, bool)
         s_next, found = self._find(state, terminal)
@@ -98,12 +94,17 @@ class SampledGymnax:
 
     def _find(self, state: Any, terminal: Any) -> tuple[Int[Array, ""], Bool[Array, ""]]:
         """The number of a state of gymnax, and whether it has one."""
-        leaves = jax.tree.leaves(state)
+        leaves = _named(state)
         same = jnp.asarray(self.is_state) & (jnp.asarray(self.is_terminal) == terminal)
-        for i, x in zip(self.leaves, self.states, strict=True):
-            equal = jnp.asarray(x) == jnp.asarray(leaves[i], x.dtype)[None]
+        for name, x in self.states.items():
+            equal = jnp.asarray(x) == jnp.asarray(leaves[name], x.dtype)[None]
             same &= equal.reshape(len(same), -1).all(1)
         return jnp.argmax(same).astype(jnp.int32), same.any()
+
+
+def _named(state: Any) -> dict[str, Any]:
+    """The leaves of a state of gymnax, in their order."""
+    return {jax.tree_util.keystr(path)[1:]: x for path, x in jax.tree.leaves_with_path(state)}
 
 
 def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGymnax | SampledGymnax:
@@ -140,10 +141,9 @@ def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGy
     is_terminal = rows(found.is_terminal)
     is_state = np.isin(np.arange(num_states), number)
     if not task.is_exact:
-        states = list(map(rows, zip(*found.states, strict=True)))
-        return SampledGymnax(
-            states, is_terminal, is_state, observations, params, env, tuple(task.leaves), task.max_steps
-        )
+        names = [task.names[i] for i in task.leaves]
+        states = dict(zip(names, map(rows, zip(*found.states, strict=True)), strict=True))
+        return SampledGymnax(states, is_terminal, is_state, observations, params, env, task.max_steps)
     renamed: list[list[list[tuple[float, int, float]]]] = [[[] for _ in range(task.num_actions)]] * num_states
     for s, actions in enumerate(outcomes):
         renamed[number[s]] = [[(p, int(number[s_next]), r) for p, s_next, r in listed] for listed in actions]
@@ -222,7 +222,7 @@ class _Task:
             return state, reward, jnp.asarray(terminal, bool), observation
 
         first, observation = jax.tree.map(jnp.asarray, reset(jax.random.key(0)))
-        self.names = [jax.tree_util.keystr(path)[1:] for path, _ in jax.tree.leaves_with_path(first)]
+        self.names = list(_named(first))
         if "time" not in self.names:
             raise InputError(f"{self.name}: its state has no field `time`, which counts the steps")
         self.first, self.state_def = jax.tree.flatten(first)
