@@ -1,7 +1,7 @@
 """An environment of your own: say where episodes start and what an action may lead to; the rest follows.
 
-A machine works worse from day to day until somebody repairs it. It earns 3, 2, 1 or 0 a day, a repair costs 4, and each
-day it gets one step worse with probability `wear`. The line closes down one day in twenty.
+A machine gets worse until somebody repairs it. It earns 3, 2, 1 or 0 a day, a repair costs 4, and each day it
+gets one step worse with probability `wear`. One day in ten the factory closes down for good.
 """
 
 import jax
@@ -18,7 +18,7 @@ class Machine(Finite):
     """Run a machine that wears out, or repair it."""
 
     wear: float = 0.4  # a leaf: vmap may batch it
-    closing: float = 0.05
+    closing: float = 0.1
     max_steps: int = static(default=1000)  # static: it shapes the program
     num_states, num_actions = 5, 2  # new, used, worn, broken; closed down
     action_names = ("run", "repair")
@@ -40,7 +40,7 @@ class Machine(Finite):
 env = Machine()
 v, q = rl.planning.value_iteration(env)  # exact, from `outcomes`
 keys = jax.random.split(jax.random.key(0), 20)
-method = rl.QLearning(alpha=rl.schedules.Power(0.7, clock="visit"), epsilon=0.2)
+method = rl.QLearning(alpha=rl.schedules.Power(0.6, clock="visit"), epsilon=0.2)
 state, _ = jax.vmap(lambda key: rl.train(key, method, env, num_steps=100_000))(keys)  # samples `outcomes`
 learned = np.asarray(state.q).mean(0)
 

@@ -42,16 +42,15 @@ for name, ds in datasets.items():
 difference = stats.paired_difference(y, x)
 by = difference.interval
 print(f"{second} against {first}, seed by seed")
-print(
-    f"  better by                {by.estimate:8.2f}   (95% interval {by.low:.2f} to {by.high:.2f}, p {difference.p:.2g})"
-)
-print(f"  same random numbers cut the variance of the difference by {float(difference.reduction):.0%}")
+print(f"  better by                {by.estimate:8.2f}   (95% interval {by.low:.2f} to {by.high:.2f})")
+print(f"  as great by luck with probability {difference.p:.2g}")
 better = stats.probability_of_improvement(y, x)
-print(
-    f"  a run of it is the better one with probability {better.estimate:.2f} ({better.low:.2f} to {better.high:.2f})"
-)
+bounds = f"{better.low:.2f} to {better.high:.2f}"
+print(f"  a run of it is the better one with probability {better.estimate:.2f} ({bounds})")
+needed = stats.seeds_needed(by.estimate.item() / 10, (y - x).std(ddof=1).item())
+print(f"  seeds that a tenth of this difference would need: {needed}")
 
-table = export.to_pandas(datasets, per="seed")  # a row for each seed: pandas, seaborn, R, a spreadsheet
+table = export.to_pandas(datasets, per="seed")  # a row for each run: pandas, seaborn, R, a spreadsheet
 print(
     f"\na table of {len(table)} rows, for other programs; export.save(datasets, 'results.csv') writes one\n"
 )

@@ -1,7 +1,7 @@
 """A sweep from Python: which step size is best, how sure is that, and how far is it from the optimum?
 
-One call runs every step size with every seed. Nothing is averaged in it: what comes back is an xarray dataset with
-a number for each seed, and `stats` makes means with intervals of them.
+One call runs every step size with every seed. Nothing is averaged in it: what comes back is an xarray
+dataset with a number for each seed, and `stats` makes means with intervals of them.
 """
 
 import jaxrl_tab as rl
@@ -9,25 +9,22 @@ from jaxrl_tab import stats
 
 rl.use_all_cores()  # one JAX device per core; before anything is computed
 env = rl.make("windy-gridworld")
-alphas = [0.1, 0.2, 0.4, 0.8]
+grid = {"alpha": [0.1, 0.2, 0.4, 0.8], "epsilon": 0.1}  # what is not named keeps its default
 
 datasets = {
-    method: rl.sweep(env, method, {"alpha": alphas, "epsilon": 0.1}, num_seeds=50, num_steps=8000).to_xarray()
-    for method in ("sarsa", "q-learning", "expected-sarsa")
+    method: rl.sweep(env, method, grid, num_seeds=50, num_steps=8000).to_xarray()
+    for method in ("sarsa", "expected-sarsa")
 }
-print(f"windy gridworld, 8000 steps, 50 seeds: mean return of an episode at the end; at best {-15}\n")
-print(f"{'':15}" + "".join(f"  alpha {alpha:<12g}" for alpha in alphas))
-for method, ds in datasets.items():
-    mean, low, high, _ = stats.mean_interval(stats.score(ds))
-    cells = [
-        f"{m:8.1f} ({a:.1f} to {b:.1f})" for m, a, b in zip(mean.values, low.values, high.values, strict=True)
-    ]
-    print(f"{method:15}" + "".join(f"{cell:20}" for cell in cells))
+scores = {method: stats.score(ds) for method, ds in datasets.items()}  # [alpha, seed]
+optimum = float(stats.optimum(datasets["sarsa"]))
+print(f"windy gridworld, 8000 steps, 50 seeds: mean return of an episode at the end; at best {optimum:g}\n")
+for method, score in scores.items():
+    mean, low, high, _ = stats.mean_interval(score)
+    for i, alpha in enumerate(grid["alpha"]):
+        print(f"  {method:15} alpha {alpha}: {mean[i]:8.2f}   ({low[i]:.2f} to {high[i]:.2f})")
 
 # Seed i has the same random numbers in every sweep, so methods are compared seed by seed.
-best = {method: stats.score(ds.sel(stats.best(ds))) for method, ds in datasets.items()}
-gain = stats.paired_difference(best["expected-sarsa"], best["sarsa"])
-print(
-    f"\nExpected Sarsa is better than Sarsa by {gain.interval.estimate:.2f} "
-    f"({gain.interval.low:.2f} to {gain.interval.high:.2f}), each at its best step size"
-)
+one, other = (score.sel(stats.best(datasets[method])) for method, score in scores.items())
+gain = stats.paired_difference(other, one).interval
+print(f"\nat its best step size Expected Sarsa is better than Sarsa by {gain.estimate:.2f}")
+print(f"(95% interval {gain.low:.2f} to {gain.high:.2f})")
