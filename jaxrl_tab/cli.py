@@ -563,13 +563,13 @@ def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[run
         TextColumn("runs{task.fields[more]}"),
     )
     quiet = options.quiet or not stderr.is_terminal
-    if experiment is not None and not quiet:
-        stderr.print(plan(experiment.parts(), options.memory).text(), markup=False, highlight=False)
     try:
         with interruptible(), Progress(*columns, console=stderr, disable=quiet) as bars:
             bar = bars.add_task("compiling", total=None, more="")
 
             def progress(state: runner.Progress) -> None:
+                if experiment is not None and not quiet and state.steps == 0 and state.done == 0:
+                    stderr.print(plan(experiment.parts(), options.memory).text(), highlight=False)
                 bars.update(
                     bar,
                     description=state.label,
@@ -579,11 +579,16 @@ def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[run
                 )
 
             yield progress
-    except (KeyboardInterrupt, RunError) as stop:
-        if options.out is None or not Path(options.out).is_dir():
+    except InputError:
+        raise
+    except BaseException as stop:
+        if options.out is None or not options.out.is_dir():
             raise
         kept = f"what is finished is kept, `{PROG} resume {shlex.quote(str(options.out))}` goes on"
-        raise type(stop)("; ".join([*map(str, stop.args), kept])) from None
+        if isinstance(stop, KeyboardInterrupt | RunError):
+            raise type(stop)("; ".join([*map(str, stop.args), kept])) from None
+        stop.add_note(kept)
+        raise
 
 
 def _more(state: runner.Progress) -> str:
@@ -631,19 +636,18 @@ def _print_selection(table: "pd.DataFrame") -> None:
     """The settings that were chosen, with what they gave on the seeds of the choice and on fresh ones."""
     columns = list(table.columns)
     hyperparameters = columns[2 : columns.index("chosen_score")]
-    view = Table("environment", "method", "chosen setting", "on the seeds\nof the choice", "± 95%")
-    view.add_column("on fresh\nseeds")
-    view.add_column("± 95%")
+    scores = ["on the seeds\nof the choice", "95% interval", "on fresh\nseeds", "95% interval"]
+    view = Table("environment", "method", "chosen setting", *scores)
     for column in view.columns[3:]:
         column.justify = "right"
     for row in table.to_dict("records"):
         setting = [f"{h} {words(row[h])}" for h in hyperparameters if row[h] == row[h]]
-        scores = []
+        cells = []
         for kind in ("chosen", "fresh"):
-            mean, half = row[f"{kind}_score"], row[f"{kind}_high"] - row[f"{kind}_score"]
-            digits = f"{{:.{_decimals(np.array([half]), 2)}f}}".format
-            scores += [_cell(mean, digits), _cell(half, digits)]
-        view.add_row(row["environment"], row["method"], ", ".join(setting), *scores)
+            mean, low, high = (row[f"{kind}_{what}"] for what in ("score", "low", "high"))
+            digits = f"{{:.{_decimals(np.array([(high - low) / 2]), 2)}f}}".format
+            cells += [_cell(mean, digits), _interval(low, high, digits)]
+        view.add_row(row["environment"], row["method"], ", ".join(setting), *cells)
     out = _console()
     out.print(view)
     out.print("the choice flatters the first number; report the second")
@@ -729,7 +733,7 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
                 *(_cell(row[h], words) for h in varied),
                 f"{row['episodes']:.1f}",
                 _cell(row[score], digits),
-                _cell(low, lambda low, high=high: f"{digits(low)} to {digits(high)}"),
+                _interval(low, high, digits),
                 *([str(row["seeds"])] if few else []),
                 *([_cell(row["final_v_error"], digits)] if prediction else []),
                 f"{row['steps_per_second'] / 1e6:.1f}",
@@ -755,6 +759,10 @@ def _decimals(x: np.ndarray, digits: int) -> int:
     """How many decimals show so many significant digits of the smallest of `x` above 0, from 2 to 5."""
     least = x[np.isfinite(x) & (x > 0)].min(initial=1)
     return int(np.clip(digits - 1 - np.floor(np.log10(least)), 2, 5))
+
+
+def _interval(low: float, high: float, digits: Any) -> str:
+    return _cell(low, lambda _: f"{digits(low)} to {digits(high)}")
 
 
 def _cell(value: Any, write: Any) -> str:

@@ -11,7 +11,6 @@ import contextlib
 import dataclasses
 import datetime
 import functools
-import importlib.util
 import json
 import logging
 import os
@@ -97,11 +96,13 @@ class Outcome(NamedTuple):
         datasets: `SweepResult.to_xarray` of each part, by its name "ENVIRONMENT/METHOD".
         fresh: the same of the setting chosen for each part, on fresh seeds; empty without selection.
         envs: the environments by their names.
+        by: the function of `stats` that the settings were chosen by, if they were.
     """
 
     datasets: "dict[str, xr.Dataset]"
     fresh: "dict[str, xr.Dataset]"
     envs: dict[str, Environment]
+    by: str | None = None
 
     def of(self, label: str) -> "dict[str, xr.Dataset]":
         """The datasets of one environment, by the names of the methods."""
@@ -132,15 +133,14 @@ def run(
         InputError: something given is wrong; nothing was computed.
         RunError: there was not enough memory, or room on the disk. What is finished is kept.
     """
-    path = Path(os.path.normpath(folder)) if folder is not None else None
-    _check_room(experiment.parts(), memory, path or Path(tempfile.gettempdir()))
     command = shlex.join(sys.argv) if command is None else command
-    if path is None:
+    if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
-            _begin(path, experiment)
+            _begin(path, experiment, memory)
             return _go_on(path, experiment, executor, memory, progress, command, keep=False)
-    _begin(path, experiment)
+    path = Path(os.path.normpath(folder))
+    _begin(path, experiment, memory)
     with storage.lock(path):
         return _go_on(path, experiment, executor, memory, progress, command)
 
@@ -198,11 +198,13 @@ def _go_on(
         envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
         fresh = {}
         if select:
-            job = job._replace(chosen=json.dumps({name: _chosen(ds) for name, ds in datasets.items()}))
+            job = job._replace(
+                chosen=json.dumps({name: _chosen(ds, select["by"]) for name, ds in datasets.items()})
+            )
             new |= _compute(store, job, executor, meter, {})
             fresh, _ = _collect(store, job, list(later), room)
             fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
-        outcome = Outcome(datasets, fresh, envs)
+        outcome = Outcome(datasets, fresh, envs, select["by"] if select else None)
         if keep and (new or not store.files):
             meter.show("tables, pictures, report")
             _write_files(store, outcome, records)
@@ -341,11 +343,11 @@ def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[
     return datasets, room
 
 
-def _chosen(ds: "xr.Dataset") -> int:
-    """The number of the configuration that did best."""
+def _chosen(ds: "xr.Dataset", by: str) -> int:
+    """The number of the configuration that did best, by a function of `stats`."""
     from jaxrl_tab import stats
 
-    best = stats.best(ds)
+    best = stats.best(ds, getattr(stats, by))
     axes = [str(dim) for dim in ds.diverged.dims if dim != "seed"]
     place = [ds[axis].values.tolist().index(best[axis]) for axis in axes]
     return int(np.ravel_multi_index(place, [ds.sizes[axis] for axis in axes])) if axes else 0
@@ -403,10 +405,11 @@ class _Meter:
 # --- the files ---------------------------------------------------------------------------------------
 
 
-def _begin(path: Path, experiment: Experiment) -> None:
-    """A new folder with the experiment in it, and no shards."""
+def _begin(path: Path, experiment: Experiment, limit: int | None) -> None:
+    """A new folder with the experiment in it, and no shards. Raises InputError where it cannot be run."""
     source = experiment.source
     with storage.new_folder(path) as new:
+        _check_room(experiment.parts(), limit, new)
         storage.write(new / GIVEN, source.text if source else experiment.to_toml())
         storage.write_json(new / RESOLVED, experiment.data())
         records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
@@ -422,11 +425,10 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
         runs = min(part.runs, _shard_runs(part))
         planned = batch.plan(part.env, instances, jax.random.key(part.seed), runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
-    there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
-    if 2 * needed > (room := shutil.disk_usage(there).free):  # shards, and the whole
+    if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
         raise InputError(
             f"the results need {words(2 * needed)} on the disk, and there is room for {words(room)} in "
-            f"{there}: take fewer seeds, or a larger log_every"
+            f"{folder.parent}: take fewer seeds, or a larger log_every"
         )
 
 
@@ -519,7 +521,7 @@ def _processor() -> str:
 
 def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:
     """Tables, pictures and the report, each a whole file or none."""
-    from jaxrl_tab import plot
+    from jaxrl_tab import plot, report
 
     folder = store.path
     about = {"command": records["sessions"][0]["command"], "version": jaxrl_tab.__version__}
@@ -529,13 +531,11 @@ def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> 
         files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
         files.append(_write_table(folder / SELECTION, selection(outcome)))
     scratch = folder / f"pictures{storage.UNFINISHED}"
-    with storage.said(folder):
-        for label, env in outcome.envs.items():
-            place = scratch / "pictures" / label if len(outcome.envs) > 1 else scratch
-            plot.save_all(outcome.of(label), env, place)
-        if importlib.util.find_spec("jaxrl_tab.report"):
-            from jaxrl_tab import report
-
+    try:
+        with storage.said(folder):
+            for label, env in outcome.envs.items():
+                place = scratch / "pictures" / label if len(outcome.envs) > 1 else scratch
+                plot.save_all(outcome.of(label), env, place)
             report.write(scratch, outcome.datasets, outcome.envs, _about(store, records), outcome.fresh)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
@@ -543,12 +543,19 @@ def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> 
             with storage.writing(goal) as unfinished:
                 file.replace(unfinished)
             files.append(goal)
-        shutil.rmtree(scratch)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
     store.keep_files(str(file.relative_to(folder)) for file in files)
 
 
 def _write_data(file: Path, datasets: "Mapping[str, xr.Dataset]", outcome: Outcome, about: Any) -> Path:
     """A netCDF file with a group for each part: ENVIRONMENT/METHOD; METHOD where there is one environment."""
+    needed = sum(ds.nbytes + 2**14 for ds in datasets.values())  # if it cannot be compressed
+    if needed > (room := shutil.disk_usage(file.parent).free):  # HDF5 may crash where the disk becomes full
+        raise RunError(
+            f"{file} could not be written: it may need {words(needed)} on the disk, and there is room for "
+            f"{words(room)}"
+        )
     with storage.writing(file) as unfinished:
         for name, ds in datasets.items():
             save(ds, name if len(outcome.envs) > 1 else name.partition("/")[2], unfinished, about)
@@ -591,7 +598,7 @@ def selection(outcome: Outcome) -> "pd.DataFrame":
         environment, _, method = name.partition("/")
         ds = outcome.datasets[name]
         row = {"environment": environment, "method": method, **stats.fixed(fresh)}
-        _, chosen, again, _ = stats.selection(ds, fresh)
+        _, chosen, again, _ = stats.selection(ds, fresh, getattr(stats, outcome.by or "score"))
         for kind, found in (("chosen", chosen), ("fresh", again)):
             row |= {f"{kind}_score": float(found.estimate)}
             row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}

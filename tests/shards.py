@@ -59,6 +59,11 @@ def dies(task, folder, deaths):
     return square(task)
 
 
+def dies_in(task, folder, doomed):
+    """Takes the process down in this task."""
+    return dies(task - doomed + 1, folder, deaths=9)
+
+
 def fails(task, folder):
     begun(task, folder)
     if task == 1:

@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import jaxrl_tab as rl
-from jaxrl_tab import cli, describe, options, planning, plot, stats
+from jaxrl_tab import cli, describe, options, planning, plot, runner, stats
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.cli import main
 from jaxrl_tab.envs import ENVS
@@ -22,6 +22,8 @@ from jaxrl_tab.sweep import METHODS
 from jaxrl_tab.types import InputError, pytree, static
 
 TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
+
+KEPT = {"experiment.toml", "resolved.json", "provenance.json", "manifest.json", "shards", ".lock"}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +55,7 @@ def refused(capsys, command, *more):
 def test_sweep_leaves_data_summary_and_pictures_and_nothing_else(run):
     names = {file.name for file in run.iterdir()}
     pictures = {"episodes.png", "learning_curves.png", "sensitivity.png", "greedy_path.png", "overview.png"}
-    assert names == {"results.nc", "summary.csv"} | pictures
+    assert names == {"results.nc", "summary.csv", "report.html"} | KEPT | pictures
     assert [file.name for file in run.parent.iterdir()] == ["windy"]
     assert all((run / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
 
@@ -180,7 +182,7 @@ def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_
     assert ds.attrs["optimal_value"] == pytest.approx(0.5)
     names = {file.name for file in out.iterdir()}
     pictures = {"learning_curves.png", "sensitivity.png", "values.png", "overview.png"}
-    assert names == {"results.nc", "summary.csv"} | pictures
+    assert names == {"results.nc", "summary.csv", "report.html"} | KEPT | pictures
 
 
 def test_policies_and_mixed_rates_make_grids_beside_the_mean_optimum_over_problems(capsys):
@@ -204,31 +206,37 @@ def test_options_of_some_methods_go_to_those(asked):
 # --- nothing computed is lost ------------------------------------------------------------------------
 
 
-def test_ctrl_c_keeps_the_methods_that_are_done(monkeypatch, tmp_path, capsys):
-    real = cli.compute
+@pytest.fixture
+def stopped(monkeypatch):
+    """Ctrl-C where Q-learning begins."""
+    real = runner.compute
 
-    def interrupted(part, **kwargs):
+    def compute(part, *args, **kwargs):
         if part.algorithm is rl.QLearning:
             raise KeyboardInterrupt
-        return real(part, **kwargs)
+        return real(part, *args, **kwargs)
 
-    monkeypatch.setattr(cli, "compute", interrupted)
+    monkeypatch.setattr(runner, "compute", compute)
+
+
+def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(run, stopped, monkeypatch, tmp_path, capsys):
     out = tmp_path / "windy"
     assert main(["sweep", "windy-gridworld", "sarsa", "q-learning", *TINY, "--out", str(out)]) == 130
-    (kept,) = tmp_path.iterdir()
-    assert capsys.readouterr().err == f"jaxrl-tab: interrupted; what was finished is in {kept}\n"
-    assert kept.name.startswith("windy.unfinished-")
-    assert xr.open_datatree(kept / "results.nc")["sarsa"].sizes["seed"] == 3
+    kept = f"what is finished is kept, `jaxrl-tab resume {out}` goes on"
+    assert capsys.readouterr() == ("", f"jaxrl-tab: interrupted; {kept}\n")
+    assert [file.name for file in out.glob("shards/*")] == ["000000.npz"]
+    monkeypatch.undo()
+    assert call("resume", str(out), "--quiet") == 0
+    assert capsys.readouterr() == ("", "")
+    assert {file.name for file in out.iterdir()} == {file.name for file in run.iterdir()}
+    for method in ("sarsa", "q-learning"):
+        ds, expected = (xr.open_datatree(x / "results.nc")[method].to_dataset() for x in (out, run))
+        xr.testing.assert_equal(ds, expected)
 
 
-def test_ctrl_c_before_anything_is_done_leaves_nothing(monkeypatch, tmp_path, capsys):
-    def interrupted(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(cli, "compute", interrupted)
-    assert main(["sweep", "windy-gridworld", "sarsa", "--out", str(tmp_path / "windy")]) == 130
-    assert capsys.readouterr().err == "jaxrl-tab: interrupted\n"
-    assert list(tmp_path.iterdir()) == []
+def test_without_a_folder_ctrl_c_leaves_nothing(stopped, tmp_path, capsys):
+    assert main(["sweep", "windy-gridworld", "q-learning", *TINY]) == 130
+    assert capsys.readouterr() == ("", "jaxrl-tab: interrupted\n")
 
 
 def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeypatch, tmp_path):
@@ -236,18 +244,21 @@ def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeyp
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(plot, "save_all", fail)
+    out = tmp_path / "windy"
     with pytest.raises(RuntimeError, match="no ink") as error:
-        main(["sweep", "windy-gridworld", "sarsa", *TINY, "--out", str(tmp_path / "windy")])
-    (kept,) = tmp_path.iterdir()
-    assert error.value.__notes__ == [f"what was finished is in {kept}"]
-    assert {file.name for file in kept.iterdir()} == {"results.nc", "summary.csv"}
+        main(["sweep", "windy-gridworld", "sarsa", *TINY, "--out", str(out)])
+    assert error.value.__notes__ == [f"what is finished is kept, `jaxrl-tab resume {out}` goes on"]
+    assert {file.name for file in out.iterdir()} == {"results.nc", "summary.csv"} | KEPT
 
 
 # --- refusals ----------------------------------------------------------------------------------------
 
 REFUSALS = {
+    "resume": "name the folder of a sweep",
+    "resume nowhere": "there is no folder nowhere",
+    "resume nowhere --memory x": "--memory must be a number with a unit",
     "swep": "did you mean 'sweep'?",
-    "nonsense": "choose one of list, solve, sweep, figure",
+    "nonsense": "choose one of list, solve, sweep, resume, figure",
     "list --jsn": "did you mean '--json'?",
     "solve": "name an environment: windy-gridworld",
     "solve windy-gridwrld": "did you mean 'windy-gridworld'?",
@@ -552,7 +563,7 @@ def test_help_and_version(capsys):
         assert "jaxrl-tab sweep windy-gridworld sarsa q-learning" in capsys.readouterr().out
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"jaxrl-tab {rl.__version__}\n"
-    for command in ("list", "solve", "sweep", "figure"):
+    for command in ("list", "solve", "sweep", "resume", "figure"):
         with pytest.raises(SystemExit) as stop:
             main([command, "--help"])
         assert not stop.value.code

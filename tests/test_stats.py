@@ -152,7 +152,9 @@ def test_merge_rows(ds):
     assert merged.sizes["row"] == 2
     np.testing.assert_array_equal(merged.episodes[0], [[1, 3], [1, 4], [0, 1]])
     np.testing.assert_array_equal(stats.mean_return(merged), stats.mean_return(ds))
-    assert stats.merge_rows(ds, 4).equals(ds[["steps", "episodes", "returns", "lengths", "rewards"]])
+    assert stats.merge_rows(ds, 4).equals(
+        ds[["steps", "episodes", "returns", "lengths", "rewards", "diverged"]]
+    )
 
 
 # --- hyperparameters and the table -------------------------------------------------------------------
@@ -201,7 +203,8 @@ def test_summary(ds, tmp_path):
     table = stats.summary({"sarsa": xr.load_dataset(tmp_path / "sweep.nc"), "sarsa-lambda": alone})
     assert table.columns.tolist() == [
         *["method", "alpha", "epsilon", "gamma", "lam", "episodes"],
-        *["last_tenth_return", "last_tenth_low", "last_tenth_high", "seeds", "steps_per_second", "optimum"],
+        *["last_tenth_return", "last_tenth_low", "last_tenth_high"],
+        *["seeds", "diverged", "steps_per_second", "optimum"],
     ]
     assert table.method.tolist() == ["sarsa", "sarsa", "sarsa-lambda"]
     assert table.alpha.tolist() == [0.1, 0.5, 0.9]

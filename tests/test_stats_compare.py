@@ -54,7 +54,7 @@ def test_pairs_are_seeds_with_the_same_number():
 
 
 def test_the_reduction_is_what_pairing_saves(windy):
-    """Episodes finished with two step sizes: the variance of the difference, of the same seeds and of others."""
+    """Episodes with two step sizes: the variance of the difference, of the same seeds and of others."""
     ds = rl.sweep(windy, rl.Sarsa, {"alpha": [0.1, 0.12]}, num_seeds=500, num_steps=300).to_xarray()
     x, y = ds.episodes.sum("row").astype(float)
     found = stats.paired_difference(x, y)
@@ -165,7 +165,7 @@ CURVE = xr.DataArray(
 
 
 def test_area_under_a_curve():
-    """Rows without a value take the last one before; and the first rows the first. Weighted by their widths."""
+    """A row without a value takes the last before, the first rows the first. Weighted by their widths."""
     np.testing.assert_allclose(stats.area_under_curve(CURVE), [-118 / 4, -140 / 4, nan])
     width = xr.DataArray([10, 10, 10, 20], dims="row")
     np.testing.assert_allclose(stats.area_under_curve(CURVE, width), [-136 / 5, -150 / 5, nan])
@@ -200,7 +200,7 @@ def dataset(returns, alphas=(0.1, 0.5), first_seed=0, diverged=None, root_seed=0
 
 
 def test_selection_is_reported_on_fresh_seeds():
-    """Worked by hand: alpha 0.5 promises -9 and gives -11; its interval there is -11 ± 4.303 · 1 / sqrt(3)."""
+    """Alpha 0.5 promises -9 and gives -11, with the interval -11 ± 4.303 · 1 / sqrt(3)."""
     ds = dataset([[-12, -11, -13], [-8, -9, -10]])
     fresh = dataset([[-1, -1, -1], [-10, -11, -12]], first_seed=3)
     setting, promised, found, bias = stats.selection(ds, fresh)

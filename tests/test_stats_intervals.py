@@ -21,10 +21,9 @@ TIMES = xr.DataArray(
 
 
 def test_halls_interval_by_hand():
-    """Of 0, 0, 0, 10: s = 5, e = 2.5, g = 2, a = 1; g(t) = t + t²/3 + t³/27 + 1/6 = ((1 + t/3)³ - 1) 3 / 3 + 1/6.
+    """Of 0, 0, 0, 10: e = 2.5, g = 2, a = 1, and u = t + t²/3 + t³/27 + 1/6 = (1 + t/3)³ - 1 + 1/6.
 
-    So t = 3 (cbrt(1 + u - 1/6) - 1) at u = ± t(3) = ± 3.1824: 1.7703 and -6.9866. The bounds are 2.5 - 1.7703 · 2.5,
-    which Student's -5.456 is below, and 2.5 + 6.9866 · 2.5.
+    So t is 3 (cbrt(1 + u - 1/6) - 1) at u = ±3.1824, the quantiles of t(3). Below, Student's bound is wider.
     """
     interval = stats.mean_interval(xr.DataArray([0.0, 0, 0, 10], dims="seed"))
     np.testing.assert_allclose(interval.low, 2.5 - 3.182446 * 2.5, rtol=1e-6)
@@ -40,7 +39,7 @@ def test_halls_interval_mirrors_and_scales():
 
 @pytest.mark.parametrize("method", ["percentile", "bca"])
 def test_bootstraps_are_scipys(method, monkeypatch):
-    """But for the resamples, of which both take many: a bound then has a standard error of 0.6% of the width."""
+    """But for the resamples, of which both take many: a bound has a standard error of 0.6% of the width."""
     monkeypatch.setattr(stats, "RESAMPLES", 19_999)
     stats._weights.cache_clear()
     interval = stats.mean_interval(TIMES, method=method)
@@ -88,9 +87,9 @@ def test_a_place_has_the_interval_that_it_has_alone(method):
 
 
 def test_blocks_change_nothing(monkeypatch):
-    whole = stats.iqm_interval(TIMES)
+    whole = stats.bootstrap_interval(TIMES, np.median)
     monkeypatch.setattr(stats, "MEMORY", 12 * stats.RESAMPLES)
-    for part, of_all in zip(stats.iqm_interval(TIMES), whole, strict=True):
+    for part, of_all in zip(stats.bootstrap_interval(TIMES, np.median), whole, strict=True):
         np.testing.assert_array_equal(part, of_all)
 
 
@@ -204,7 +203,7 @@ def test_median_by_hand():
 
 
 def test_median_of_times_that_are_censored():
-    """Four of ten never get there: the median is known, the upper bound is not; of six not even the median."""
+    """Four of ten never get there: the median is known, the upper bound not; of six not even the median."""
     inf = np.inf
     x = xr.DataArray(
         [[1, 2, 3, 4, 5, 6, inf, inf, inf, inf], [1, 2, 3, 4] + [inf] * 6], dims=("alpha", "seed")
@@ -220,8 +219,20 @@ def test_iqm_by_hand():
     """The middle half of 1, 2, 3, ..., 7, 100 is 3, 4, 5, 6."""
     interval = stats.iqm_interval(xr.DataArray([100.0, 1, 7, 2, 6, 3, 5, 4], dims="seed"))
     assert float(interval.estimate) == 4.5
+    assert np.isnan(stats.iqm_interval(xr.DataArray([1.0], dims="seed")).low)
     pooled = xr.DataArray([[100.0, 1, 7, 2], [6, 3, 5, 4]], dims=("environment", "seed"))
     assert float(stats.iqm_interval(pooled, within="environment").estimate) == 4.5
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 12])
+def test_the_fast_iqm_is_the_iqm_of_each_resample(n):
+    """With the same resamples, in a plain loop: its quantiles are the bounds."""
+    x = TIMES[0, :n]
+    counts = np.rint(stats._weights(n) * n).astype(int)
+    resampled = [stats.iqm(np.repeat(np.sort(x[:, 1]), count)) for count in counts]
+    interval = stats.iqm_interval(x)
+    expected = np.quantile(resampled, oracle.norm.cdf(np.array([-1, 1]) * 1.959964 * (n / (n - 1)) ** 0.5))
+    np.testing.assert_allclose([interval.low[1], interval.high[1]], expected, rtol=1e-5)
 
 
 def plain_level(n, strata):
@@ -292,7 +303,7 @@ def test_strata_of_different_size():
 
 @pytest.mark.parametrize(("n", "rank"), [(46, 1), (75, 1), (76, 2), (1000, 42)])
 def test_tolerance_by_order_statistics(n, rank):
-    """The r-th from either end; from 46 and 76 values on the first and the second (Conover 1999, table A6)."""
+    """The r-th from either end: from 46 values on the first, from 76 the second (Conover 1999, table A6)."""
     x = xr.DataArray(np.random.default_rng(1).permutation(n).astype(float), dims="seed")
     median, low, high, _ = stats.tolerance_interval(x)
     assert [float(v) for v in (median, low, high)] == [(n - 1) / 2, rank - 1, n - rank]
@@ -301,7 +312,7 @@ def test_tolerance_by_order_statistics(n, rank):
 
 
 def test_tolerance_of_few_values_is_the_normal_one():
-    """k for 90% with confidence 95%: 2.839 for ten values, 2.140 for thirty (ISO 16269-6, table of two-sided k)."""
+    """k for 90% with confidence 95%: 2.839 for ten values, 2.140 for thirty (tables of two-sided k)."""
     for n, k in ((10, 2.839), (30, 2.140)):
         x = xr.DataArray(np.random.default_rng(2).normal(size=n), dims="seed")
         interval = stats.tolerance_interval(x)

@@ -316,12 +316,12 @@ runner.run(quick.SELECTED, {str(tmp_path / "run")!r}, progress=wait)
 # --- no room, no memory ------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def small_disk(tmp_path):
-    """A disk of 300 kB, or, for those who may not mount one, None."""
+@pytest.fixture(params=["300k", "600k"])
+def small_disk(request, tmp_path):
+    """A disk with room for some shards, or for all and no results; None for those who may not mount one."""
     place = tmp_path / "disk"
     place.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(place)]
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={request.param}", "tmpfs", str(place)]
     if subprocess.run(mount, capture_output=True).returncode:
         yield None
         return
