@@ -324,7 +324,8 @@ def _differences(scores: Mapping[str, xr.DataArray], view: View) -> dict[str, li
     (first, best), *others = scores.items()
     if not others or any(not np.array_equal(score.seed, best.seed) for score in scores.values()):
         return {}
-    found = {method: stats.paired_difference(score, best) for method, score in others}
+    bare = lambda score: score.reset_coords(drop=True)  # its setting, which is another one for each
+    found = {method: stats.paired_difference(bare(score), bare(best)) for method, score in others}
     p = stats.holm(xr.concat([x.p for x in found.values()], "method"))
     cells = {first: ["–", "–"]}
     for (method, (interval, _, _)), p_value in zip(found.items(), p.values, strict=True):

@@ -42,12 +42,13 @@ def waits(task, folder, wait):
 
 
 def waits_on_node(task, folder, node):
-    """Tasks wait for ever on this Ray node."""
+    """Tasks wait for ever on this Ray node, and elsewhere until there is one on it."""
     import ray
 
     if ray.get_runtime_context().get_node_id() == node:
         begun(task, folder)
         time.sleep(600)
+    the_process(folder, "*")
     return learn(task)
 
 
@@ -57,6 +58,11 @@ def dies(task, folder, deaths):
     if task == 1 and times(task, folder) <= deaths:
         os.kill(os.getpid(), 9)
     return square(task)
+
+
+def dies_in(task, folder, doomed):
+    """Takes the process down in this task."""
+    return dies(task - doomed + 1, folder, deaths=9)
 
 
 def fails(task, folder):

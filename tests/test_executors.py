@@ -57,4 +57,4 @@ def test_a_job_refuses_another_version():
     job = base.Job.of(shards.square)
     result = job._replace(versions=job.versions | {"jax": "0.9.0"})(0)
     assert isinstance(result, base.Failed)
-    assert "0.9.0 where this was started: install the same on all machines" in result.line
+    assert "but 0.9.0 where this was started: install the same on all machines" in result.line

@@ -1,9 +1,5 @@
 """Learning from logs, again from memory, and about many policies at once: against runs and exact values."""
 
-import re
-import runpy
-from pathlib import Path
-
 import jax
 import numpy as np
 import pytest
@@ -571,47 +567,3 @@ def test_a_log_must_fit_the_task_and_the_method_before_anything_is_compiled(argu
 def test_who_acts_is_checked(behaviour, message):
     with pytest.raises(rl.InputError, match=message):
         rl.collect(jax.random.key(0), behaviour, CLIFF, 10)
-
-
-# --- the examples ------------------------------------------------------------------------------------
-
-EXAMPLES = Path(__file__).parent.parent / "examples"
-
-
-def run_example(name, capsys):
-    """The names that the script defines, once it has run, and the numbers of each line that it printed."""
-    names = runpy.run_path(str(EXAMPLES / f"{name}.py"))
-    lines = (re.findall(r" (-?\d+\.\d+)", line) for line in capsys.readouterr().out.splitlines())
-    return names, [[float(x) for x in line] for line in lines if line]
-
-
-def test_the_example_of_a_log(capsys):
-    names, printed = run_example("learn_from_a_log", capsys)
-    learned, values = names["learned"], names["values"]
-    assert all(abs(x - learned["exact"]) < 0.01 for x in learned.values())
-    assert values["who tosses a coin"] < -0.39 < -0.055 < values["as learned from the log"]
-    assert abs(values["at best"] + 0.046556) < 1e-6
-    assert np.ravel(printed).tolist() == [round(float(x), 4) for x in (*learned.values(), *values.values())]
-
-
-def test_the_example_of_a_replay(capsys):
-    error = run_example("replay_old_policies", capsys)[0]["error"]
-    assert error[0] > 3 > 100 * error[-1]
-
-
-def test_the_example_of_the_greedy_policy(capsys):
-    rows = run_example("greedy_while_exploring", capsys)[0]["rows"]
-    assert rows["QLearning"][1] == pytest.approx(-13)
-    assert rows["QLearning"][0] < -45 < -22 < rows["Sarsa"][0] < rows["at best"][0]
-    assert np.isfinite(rows["Sarsa"][1]) and rows["Sarsa"][1] < -14
-
-
-def test_the_example_of_many_targets(capsys):
-    names, printed = run_example("many_targets", capsys)
-    np.testing.assert_allclose(names["learned"], names["exact"], rtol=1e-4)
-    np.testing.assert_allclose([line[1] for line in printed[-11:]], names["exact"], rtol=1e-3)
-
-
-def test_the_examples_are_all_listed():
-    listed = re.findall(r"\]\((\w+\.py)\)", (EXAMPLES / "README.md").read_text())
-    assert sorted(listed) == sorted(path.name for path in EXAMPLES.glob("*.py"))

@@ -1,7 +1,7 @@
 """Where the shards of a sweep are computed: in this process, or in others, here or on other machines.
 
-A shard is a function of the experiment and of its number, so the results are bitwise the same everywhere, and a
-shard that is lost is computed again. Workers only compute: one process hands out the shards, and writes them.
+A shard is a function of the experiment and of its number, so the results are bitwise the same everywhere, and
+what is lost is computed again. Workers only compute: one process hands out the shards, and writes them.
 """
 
 from collections.abc import Generator, Sequence

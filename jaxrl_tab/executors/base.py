@@ -1,8 +1,8 @@
 """What an executor is, and what it needs: work that travels, with the settings of the process that sent it.
 
-Work is a function of a task's number and of nothing else. So it may be done anywhere, again, and in any order,
-and what comes of it is the same to the last bit: as long as JAX is set up there as it is here, in the same
-versions. `Job` sees to that.
+Work is a function of a task's number and of nothing else. So it may be done anywhere, again, in any order,
+and what comes of it is the same to the last bit, as long as JAX is set up there as it is here, in the same
+versions and on the same kind of processor. `Job` sees to the settings and the versions.
 """
 
 import importlib.util
@@ -43,7 +43,7 @@ class Executor(Protocol):
         closed (`contextlib.closing`), as by Ctrl-C.
 
         Args:
-            work: what to do, from a task's number to arrays by name. It can be pickled, and may be done twice.
+            work: what to do, from a task's number to arrays by name. It can be pickled, and done twice.
             tasks: the numbers, each once.
 
         Raises:
@@ -93,8 +93,8 @@ class Job(NamedTuple):
         for name, version in _versions().items():
             if version != self.versions[name]:
                 raise InputError(
-                    f"there is {name} {version} on {platform.node()}, and {self.versions[name]} where this was "
-                    "started: install the same on all machines"
+                    f"there is {name} {version} on {platform.node()}, but {self.versions[name]} where this "
+                    "was started: install the same on all machines"
                 )
         for name, value in self.settings.items():
             jax.config.update(name, value)

@@ -1,4 +1,4 @@
-"""Many machines as one `jax.distributed` job, as pods of accelerators are used: the same command on all of them."""
+"""Many machines as one `jax.distributed` job, as in pods of accelerators: the same command on all of them."""
 
 import pickle
 from collections.abc import Generator, Sequence
@@ -30,8 +30,8 @@ class Distributed:
     takes all others with it. What was given until then is there: start the job again, with what is missing.
 
     Attributes:
-        address: of process 0, "HOST:PORT", where PORT is free. On SLURM, Open MPI, Kubernetes and TPUs JAX finds
-            out by itself what is not given here.
+        address: of process 0, "HOST:PORT", where PORT is free. On SLURM, Open MPI, Kubernetes and TPUs JAX
+            finds out by itself what is not given here.
         num_processes: how many processes there are.
         process_id: the number of this one, from 0.
 
@@ -66,7 +66,7 @@ class Distributed:
                     yield given(task, result)
 
     def serve(self) -> bool:
-        """Computes for process 0 until it leaves the block, and gives True; in process 0 gives False at once."""
+        """Computes for process 0 until it leaves the block, and gives True; in process 0, False at once."""
         if jax.process_index() == 0:
             return False
         order, i = _Order(None, []), 0
@@ -100,7 +100,7 @@ class _Order(NamedTuple):
 
 
 def _exchange(said: Any) -> list[Any]:
-    """What each process says, by its number. All say something at the same time, or wait here for the others."""
+    """What each process says, by its number. All say something at the same time, and wait for each other."""
     data = np.frombuffer(pickle.dumps(said), np.uint8)
     sizes = process_allgather(np.uint32(data.size))
     most = 2 ** int(sizes.max() - 1).bit_length()  # few different lengths: JAX compiles for each

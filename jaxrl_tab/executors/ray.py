@@ -4,6 +4,7 @@ import contextlib
 import logging
 import os
 import socket
+import warnings
 from collections import deque
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
@@ -13,17 +14,15 @@ from jaxrl_tab.executors.base import Arrays, Failed, Job, Work, environment, giv
 from jaxrl_tab.types import InputError, RunError, whole
 
 _SECONDS = 5  # in which the address of a cluster must answer
-_AHEAD = (
-    2  # tasks handed out for each place where one can run: so none stands idle, and few results wait here
-)
+_AHEAD = 2  # tasks handed out for each place that there is for one: none stands idle, and few results wait
 
 
 @dataclass(frozen=True)
 class Ray:
     """On a Ray cluster; on the cores of this machine where there is none.
 
-    A task that is lost with its worker or its node is done again, elsewhere. All machines need the same versions
-    of jaxrl_tab, jax and jaxlib. A connection to Ray that this process already has is used, and stays.
+    A task that is lost with its worker or its node is done again, elsewhere. Where no node has room, it waits
+    for one. A connection to Ray that this process already has is used, and stays.
 
     Attributes:
         address: of the cluster, "HOST:PORT" or "ray://HOST:PORT"; by default what RAY_ADDRESS names, or a
@@ -62,7 +61,8 @@ class Ray:
             try:
                 while waiting or under_way:
                     while waiting and len(under_way) < _AHEAD * self._places():
-                        under_way[call.remote(job, waiting[0])] = waiting.popleft()
+                        task = waiting.popleft()
+                        under_way[call.remote(job, task)] = task
                     ready, _ = ray.wait(list(under_way), num_returns=1)
                     yield given(*self._fetch(under_way, ready.pop()))
             finally:
@@ -70,7 +70,7 @@ class Ray:
                     ray.cancel(reference, force=True)
 
     def _fetch(self, under_way: dict[Any, int], reference: Any) -> tuple[int, Arrays | Failed]:
-        """The result of a task, which is then no longer under way: Ray lets go of it once nobody looks at it."""
+        """The result of a task, now no longer under way: Ray lets go of it once nobody looks at it."""
         import ray
         import ray.exceptions
 
@@ -103,19 +103,20 @@ class Ray:
         _check_answers(self._address)
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that we start reports to nobody
         try:
-            ray.init(self._address, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+            with warnings.catch_warnings():
+                warnings.filterwarnings(
+                    "ignore", "os.fork", RuntimeWarning
+                )  # by JAX: a program follows at once
+                ray.init(
+                    self._address, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR
+                )
         except (ConnectionError, ValueError) as error:
             raise RunError(f"no Ray cluster at {self._address}: {str(error).splitlines()[0]}") from error
         try:
-            largest = max(
-                (node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"]), default=0
-            )
+            largest = max((x["Resources"].get("CPU", 0) for x in ray.nodes() if x["Alive"]), default=0)
             if largest < self.num_cpus:
-                logging.getLogger(__name__).warning(
-                    "no node of the Ray cluster has %d cores, only %d: waiting for one",
-                    self.num_cpus,
-                    largest,
-                )
+                said = "no node of the Ray cluster has %d cores, only %d: waiting for one"
+                logging.getLogger(__name__).warning(said, self.num_cpus, largest)
             yield
         finally:
             ray.shutdown()

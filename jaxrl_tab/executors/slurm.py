@@ -20,8 +20,8 @@ _DEFAULTS = {"name": "jaxrl-tab", "timeout_min": 60}
 class Slurm:
     """As an array of SLURM jobs, among which the shards are dealt out.
 
-    A job that dies is handed in again, with all its shards. One that reaches its time limit is not, for it would
-    reach it again: the shards that it had finished are given, and the next one has failed.
+    A job that dies is handed in again, with all its shards. One that reaches its time limit is not, for it
+    would reach it again: the shards that it had finished are given, and the next one has failed.
 
     Attributes:
         folder: where the jobs' files go, seen by all machines. They are removed at the end, but for those of

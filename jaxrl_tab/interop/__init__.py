@@ -4,7 +4,8 @@
     rl.interop.from_gymnasium("Taxi-v4")            rl.interop.to_gymnasium(env)
     rl.interop.make("gymnasium:FrozenLake-v1")      either, by a name with a prefix
 
-Each library is imported when it is asked for: `import gymnax` takes seconds and starts JAX.
+Each library is imported when it is asked for: `import gymnax` takes seconds and starts JAX, so `use_all_cores`
+comes before it.
 """
 
 import importlib

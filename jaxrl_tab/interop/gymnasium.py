@@ -59,7 +59,7 @@ def _make(name: str, parameters: Mapping[str, Any]) -> gymnasium.Env:
         return gymnasium.make(name, **parameters)
     except gymnasium.error.Error as error:
         raise InputError(f"gymnasium: {' '.join(str(error).split())}") from None
-    except TypeError as error:
+    except (TypeError, ValueError) as error:
         raise InputError(f"{name}: {error}") from None
 
 

@@ -110,10 +110,11 @@ def _named(state: Any) -> dict[str, Any]:
 def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGymnax | SampledGymnax:
     """An environment of gymnax as a finite task: all states that can be reached, and what may happen in them.
 
-    A state is what matters of gymnax's: the leaves on which rewards, terminations or such leaves of the next
-    state depend. The time of the episode seldom does, so a time limit is `max_steps` here. They are numbered
-    by their observations where these are numbers (`spaces.Discrete`), and else in the order of their leaves,
-    row by row. A terminal state is apart from others that look the same.
+    A state here is what matters of a state there: those of its fields on which rewards, terminations,
+    observations or such fields of the next state depend. The time of the episode is seldom one of them, so a
+    time limit is `max_steps` here. States are numbered by their observations where these are numbers
+    (`spaces.Discrete`), and else in the order of their fields. A terminal state has a number of its own, even
+    where it looks like another.
 
     Probabilities are exact: each draw that a step makes is found in its program and enumerated (`draws`), and
     a probability or reward such as 0.33333334 in float32 is read as 1/3. Where rewards depend on what
@@ -139,16 +140,17 @@ def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGy
         task.observation_def, list(map(rows, zip(*found.observations, strict=True)))
     )
     is_terminal = rows(found.is_terminal)
-    is_state = np.isin(np.arange(num_states), number)
     if not task.is_exact:
+        is_state = np.isin(np.arange(num_states), number)
         names = [task.names[i] for i in task.leaves]
         states = dict(zip(names, map(rows, zip(*found.states, strict=True)), strict=True))
         return SampledGymnax(states, is_terminal, is_state, observations, params, env, task.max_steps)
-    renamed: list[list[list[tuple[float, int, float]]]] = [[[] for _ in range(task.num_actions)]] * num_states
+    # A number that no state has leads to itself, as if it were one that is never entered.
+    renamed = [[[(1.0, s, 0.0)]] * task.num_actions for s in range(num_states)]
     for s, actions in enumerate(outcomes):
         renamed[number[s]] = [[(p, int(number[s_next]), r) for p, s_next, r in listed] for listed in actions]
     start = rows(np.bincount(list(start), list(start.values()), len(number)))
-    mdp = FiniteMDP.from_outcomes(renamed, is_terminal | ~is_state, start, task.max_steps)
+    mdp = FiniteMDP.from_outcomes(renamed, is_terminal, start, task.max_steps)
     return EnumeratedGymnax(**vars(mdp), observations=observations)
 
 
@@ -165,9 +167,10 @@ def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environ
         if env not in gymnax.registered_envs:
             close = nearest(env, gymnax.registered_envs)
             raise InputError(f"gymnax has no environment {shown(env)}; {close}")
+        given = tuple(sorted(parameters.items()))
         try:
-            env = _make(env, tuple(sorted(parameters.items())))
-        except TypeError as error:
+            env = _make(env, given) if _is_hashable(given) else _make.__wrapped__(env, given)
+        except (TypeError, ValueError) as error:
             raise InputError(f"{env}: {error}") from None
     elif parameters:
         raise InputError(f"{', '.join(parameters)}: parameters go with the name of an environment")
@@ -187,6 +190,14 @@ def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environ
 def _make(name: str, parameters: tuple[tuple[str, Any], ...]) -> Any:
     """Made once: two instances are different to JAX, so that every program would be compiled twice."""
     return gymnax.make(name, **dict(parameters))[0]
+
+
+def _is_hashable(value: Any) -> bool:
+    try:
+        hash(value)
+    except TypeError:
+        return False
+    return True
 
 
 # --- finding all states ------------------------------------------------------------------------------
@@ -231,11 +242,13 @@ class _Task:
         begin, go_on = draws.Program(reset), draws.Program(step, first, jnp.int32(0))
         count, self.time = len(self.names), self.names.index("time")
         reward, terminal = count, count + 1
+        seen = range(count + 2, count + 2 + len(observed))
         self.leaves: list[int] = []
-        needed = lambda: sorted(i for i in go_on.arguments([reward, terminal, *self.leaves]) if i < count)
+        needed = lambda: sorted(
+            i for i in go_on.arguments([*self.leaves, reward, terminal, *seen]) if i < count
+        )
         while (more := needed()) != self.leaves:
             self.leaves = more
-        seen = range(count + 2, count + 2 + len(observed))
         self.reset = begin.enumerate([*self.leaves, self.time, *range(count, count + len(observed))])
         self.step = go_on.enumerate([*self.leaves, self.time, *seen, reward, terminal])
 
@@ -249,8 +262,8 @@ class _Task:
         given = jax.jit(_over_draws(self.reset.function))(self.reset.choices, keys)
         return _Seen.of(given, len(self.leaves))
 
-    def transitions(self) -> Callable[[Any, list[np.ndarray]], "_Seen"]:
-        """A function (keys, leaves of states [B, ...]) of what may follow, [B, A, K, C]."""
+    def transitions(self, block: int) -> Callable[[Any, list[np.ndarray]], "_Seen"]:
+        """A function of keys and the leaves of B = `block` states [B, ...]: what may follow, [B, A, K, C]."""
 
         def step(choice, key, state, action):
             leaves = list(self.first)  # of no consequence, but for these:
@@ -259,7 +272,7 @@ class _Task:
             return self.step.function(choice, key, jax.tree.unflatten(self.state_def, leaves), action)
 
         over_actions = jax.vmap(_over_draws(step, None, None), (None, None, None, 0))
-        run = jax.jit(jax.vmap(over_actions, (None, None, 0, None)))
+        run = jax.jit(jax.vmap(over_actions, (None, None, 0, None), axis_size=block))
         actions = np.arange(self.num_actions, dtype=np.int32)
         return lambda keys, states: _Seen.of(run(self.step.choices, keys, states, actions), len(self.leaves))
 
@@ -382,12 +395,12 @@ def _bytes(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _check_countable(task: _Task, seen: _Seen) -> None:
-    """Raises InputError where no two keys lead to the same start: then it is a real number that is drawn."""
+    """Raises InputError where a real number of the start state is another one with each key."""
     for i, x in zip(task.leaves, seen.state, strict=True):
         if len(x) > 1 and np.issubdtype(x.dtype, np.floating) and len(np.unique(x, axis=0)) == len(x):
             raise InputError(
-                f"{task.name}: {task.names[i]} of its start state is drawn from a continuum; a table needs "
-                "finitely many states"
+                f"{task.name}: {len(x)} keys give {len(x)} different values of {task.names[i]} in the start "
+                "state, as if from a continuum; a table needs few states"
             )
 
 
@@ -402,8 +415,8 @@ def _explore(task: _Task, found: _States) -> tuple[dict[int, float], list[Any]]:
         start[int(numbers[i])] = start.get(int(numbers[i]), 0.0) + float(seen.prob[i]) / len(keys)
     task.check_time(seen, seen.prob > 0, before=-1)
 
-    step = task.transitions()
     block = max(1, LANES // (task.num_actions * len(keys) * len(task.step.choices)))
+    step = task.transitions(block)
     outcomes: list[list[list[tuple[float, int, float]]]] = []
     while len(outcomes) < len(found.states):
         todo = np.arange(len(outcomes), min(len(outcomes) + block, len(found.states)))

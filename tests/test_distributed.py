@@ -1,0 +1,109 @@
+"""Two processes of one `jax.distributed` job, on this machine."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import shards
+
+from jaxrl_tab import executors
+from jaxrl_tab.types import RunError
+
+PROGRAM = """
+import functools, sys
+import jax
+jax.config.update("jax_num_cpu_devices", 2)
+import numpy as np
+import shards
+from jaxrl_tab import executors
+
+folder, port, process, what, doomed = sys.argv[1:]
+work = {
+    "learn": shards.learn,
+    "fail": functools.partial(shards.fails, folder=folder),
+    "die": functools.partial(shards.dies_in, folder=folder, doomed=int(doomed)),
+}[what]
+with executors.Distributed(f"127.0.0.1:{port}", 2, int(process)) as executor:
+    if not executor.serve():
+        if what == "learn":
+            given = executor.run(shards.square, range(9))
+            next(given)  # and no more of them
+            given.close()
+        for task, arrays in executor.run(work, [0, 1, 2, 3]):
+            np.savez(f"{folder}/{task}.npz", **arrays)
+print("ended", process)
+"""
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Starts both processes; they are gone after the test, in any case."""
+    started = []
+
+    def start(what, doomed=0):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        env = os.environ | {
+            "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]),
+            "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir,
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+        }
+        for process in "01":
+            command = [sys.executable, "-c", PROGRAM, str(tmp_path), str(port), process, what, str(doomed)]
+            started.append(
+                subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            )
+        return started
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_both_compute_and_the_results_are_the_same_to_the_last_bit(start, tmp_path):
+    """After another piece of work that was broken off."""
+    for i, process in enumerate(start("learn")):
+        said, errors = process.communicate(timeout=120)
+        assert f"ended {i}" in said, errors
+    shards.same(((task, np.load(tmp_path / f"{task}.npz")) for task in range(4)), range(4))
+
+
+def test_an_error_ends_both(start, tmp_path):
+    first, second = start("fail")
+    _, errors = first.communicate(timeout=120)
+    assert "RunError: shard 1 failed: ValueError: no such thing" in errors
+    assert first.returncode == 1
+    assert "ended 1" in second.communicate(timeout=60)[0]
+    assert (tmp_path / "0.npz").exists()
+
+
+@pytest.mark.parametrize("dies", [0, 1])
+def test_a_death_ends_both_and_leaves_what_was_given(start, tmp_path, dies):
+    both = start("die", doomed=2 + dies)  # the tasks of the second round
+    for process in both:
+        process.communicate(timeout=120)
+    assert both[dies].returncode == -signal.SIGKILL
+    assert both[1 - dies].returncode != 0
+    assert sorted(file.name for file in tmp_path.glob("*.npz")) == ["0.npz", "1.npz"]
+
+
+def test_what_jax_refuses_is_said_in_a_line():
+    jax.devices()
+    with pytest.raises(RunError, match="must be called before any JAX calls"):
+        executors.get("distributed", address="127.0.0.1:9", num_processes=2, process_id=0)
+
+
+def test_processes_that_are_not_known_are_asked_for():
+    code = (
+        "from jaxrl_tab import executors; executors.Distributed('127.0.0.1:9', process_id=2, num_processes=2)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "InputError: distributed: process_id and num_processes must be nonnegative" in done.stderr
