@@ -10,13 +10,18 @@ import time
 import jax
 import numpy as np
 import pytest
+import quick
 import shards
+import xarray as xr
 
-from jaxrl_tab import executors
+import jaxrl_tab as rl
+from jaxrl_tab import executors, plot
 from jaxrl_tab.types import InputError, RunError
 
 ray = pytest.importorskip("ray")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
+# JAX warns of threads in the fork by which the cluster starts its programs.
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +100,23 @@ def test_what_is_under_way_is_given_up(connection, tmp_path):
     given.close()
     assert shards.ended(pid)
     assert ray.is_initialized()  # the connection is not the executor's
+
+
+def test_an_experiment_is_interrupted_and_goes_on(connection, tmp_path, monkeypatch):
+    monkeypatch.setattr(plot, "save_all", quick.picture)
+    expected = rl.run(quick.SELECTED)
+
+    def interrupt(state):
+        if state.done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rl.run(quick.SELECTED, tmp_path / "run", executor=connection, progress=interrupt)
+    assert list((tmp_path / "run" / "shards").iterdir())
+    found = rl.resume(tmp_path / "run", executor=connection)
+    for name in expected.datasets:
+        xr.testing.assert_equal(found.datasets[name], expected.datasets[name])
+        xr.testing.assert_equal(found.fresh[name], expected.fresh[name])
 
 
 def test_a_node_goes_away(cluster, connection, tmp_path):
