@@ -4,8 +4,8 @@ A machine gets worse until somebody repairs it. It earns 3, 2, 1 or 0 a day, a r
 gets one step worse with probability `wear`. One day in ten the factory closes down for good.
 """
 
-# pyright: reportIncompatibleMethodOverride=false, reportAssignmentType=false
-# (to it a constant is no property, which it may stand for)
+# Constants in the place of properties: Python allows it, and type checkers ask.
+# pyright: reportAssignmentType=false, reportIncompatibleMethodOverride=false
 
 import jax
 import jax.numpy as jnp

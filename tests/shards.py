@@ -42,12 +42,13 @@ def waits(task, folder, wait):
 
 
 def waits_on_node(task, folder, node):
-    """Tasks wait for ever on this Ray node."""
+    """Tasks wait for ever on this Ray node, and elsewhere until there is one on it."""
     import ray
 
     if ray.get_runtime_context().get_node_id() == node:
         begun(task, folder)
         time.sleep(600)
+    the_process(folder, "*")
     return learn(task)
 
 

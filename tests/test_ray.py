@@ -36,7 +36,16 @@ def cluster():
             one.shutdown()
 
 
+@pytest.fixture(scope="module")
+def connection(cluster):
+    """To the cluster, for several tests: their workers need not import JAX anew."""
+    ray.init(cluster.address, log_to_driver=False)
+    yield executors.Ray()
+    ray.shutdown()
+
+
 def test_settings_go_along_and_few_tasks_are_ahead(cluster, tmp_path):
+    """With a connection that ends with each run."""
     executor = executors.Ray(cluster.address)
     jax.config.update("jax_enable_x64", True)
     try:
@@ -52,49 +61,43 @@ def test_settings_go_along_and_few_tasks_are_ahead(cluster, tmp_path):
     time.sleep(1)
     assert len(list(tmp_path.iterdir())) <= 1 + 2 * 2  # the one given, and two for each of two cores
     assert len(list(given)) == 49
+    assert not ray.is_initialized()
 
 
-def test_a_worker_is_killed(cluster, tmp_path):
+def test_a_worker_is_killed(connection, tmp_path):
     kill = lambda: os.kill(shards.the_process(tmp_path, 2), signal.SIGKILL)
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
     work = functools.partial(shards.waits, folder=tmp_path, wait=[2])
-    shards.same(executors.Ray(cluster.address).run(work, range(4)), range(4))
+    shards.same(connection.run(work, range(4)), range(4))
     killer.join()
     assert shards.times(2, tmp_path) == 2
 
 
-def test_a_worker_that_always_dies_is_given_up(cluster, tmp_path):
+def test_a_worker_that_always_dies_is_given_up(connection, tmp_path):
     work = functools.partial(shards.dies, folder=tmp_path, deaths=9)
     with pytest.raises(RunError, match=r"shard 1 was lost 2 times"):
-        list(executors.Ray(cluster.address, max_retries=1).run(work, [1]))
+        list(executors.Ray(max_retries=1).run(work, [1]))
     assert shards.times(1, tmp_path) == 2
 
 
-def test_an_error_is_raised_and_not_tried_again(cluster, tmp_path):
+def test_an_error_is_raised_and_not_tried_again(connection, tmp_path):
     work = functools.partial(shards.fails, folder=tmp_path)
     with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$"):
-        list(executors.Ray(cluster.address).run(work, [0, 1]))
+        list(connection.run(work, [0, 1]))
     assert shards.times(1, tmp_path) == 1
-    assert not ray.is_initialized()
 
 
-def test_what_is_under_way_is_given_up(cluster, tmp_path):
-    """With a connection of our own, which stays."""
-    ray.init(cluster.address, log_to_driver=False)
-    try:
-        work = functools.partial(shards.waits, folder=tmp_path, wait=[1])
-        given = executors.Ray().run(work, [0, 1])
-        assert next(given)[0] == 0
-        pid = shards.the_process(tmp_path, 1)
-        given.close()
-        assert shards.ended(pid)
-        assert ray.is_initialized()
-    finally:
-        ray.shutdown()
+def test_what_is_under_way_is_given_up(connection, tmp_path):
+    given = connection.run(functools.partial(shards.waits, folder=tmp_path, wait=[1]), [0, 1])
+    assert next(given)[0] == 0
+    pid = shards.the_process(tmp_path, 1)
+    given.close()
+    assert shards.ended(pid)
+    assert ray.is_initialized()  # the connection is not the executor's
 
 
-def test_a_node_goes_away(cluster, tmp_path):
+def test_a_node_goes_away(cluster, connection, tmp_path):
     """The last test: the cluster is smaller after it."""
     (node,) = cluster.worker_nodes
 
@@ -105,8 +108,9 @@ def test_a_node_goes_away(cluster, tmp_path):
     remover = threading.Thread(target=remove, daemon=True)
     remover.start()
     work = functools.partial(shards.waits_on_node, folder=tmp_path, node=node.node_id)
-    shards.same(executors.Ray(cluster.address).run(work, range(4)), range(4))
+    shards.same(connection.run(work, range(4)), range(4))
     remover.join()
+    assert not cluster.worker_nodes
 
 
 def test_addresses_where_nothing_answers_are_refused_at_once():

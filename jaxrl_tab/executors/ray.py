@@ -4,6 +4,7 @@ import contextlib
 import logging
 import os
 import socket
+import warnings
 from collections import deque
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
@@ -102,7 +103,13 @@ class Ray:
         _check_answers(self._address)
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that we start reports to nobody
         try:
-            ray.init(self._address, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+            with warnings.catch_warnings():
+                warnings.filterwarnings(
+                    "ignore", "os.fork", RuntimeWarning
+                )  # by JAX: a program follows at once
+                ray.init(
+                    self._address, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR
+                )
         except (ConnectionError, ValueError) as error:
             raise RunError(f"no Ray cluster at {self._address}: {str(error).splitlines()[0]}") from error
         try:

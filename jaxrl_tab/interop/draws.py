@@ -7,9 +7,12 @@ input is. No draw is estimated from samples.
 
 What is understood: `randint` (and so `choice`), `uniform` where it is compared with thresholds (and so
 `bernoulli`; also after adding, subtracting, multiplying), `choice(p=...)`, `categorical`. Anything else, a
-normal number, a shuffle, a draw within a loop or a branch, is left to the key, and so is a key that serves
-two draws; what depends on those is known to be not exact. What a draw has no influence on is found from the
-program too: a branch of `where` that a constant excludes, a product with a constant 0, `and` False.
+normal number, a shuffle, a draw within a loop or a branch, is left to the key, and so is a key that serves two
+draws; what depends on those is known to be not exact. (Keys are known to be the same where they are derived
+in the same way, as `split(key)[0]` twice.) What a draw has no influence on is found from the program too: a
+branch of `where` that a constant excludes, a product with a constant 0, `and` False.
+
+Probabilities are those of the real numbers that draws stand for; what 32 bits make of them is within 2e-7.
 """
 
 import contextlib
@@ -27,7 +30,7 @@ import numpy as np
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
-MOST = 4096  # combinations of the draws of one call; a function that has more is left to its key
+MOST = 16_384  # combinations of the draws of one call; a function that has more is left to its key
 DENOMINATOR = 1000  # of the fractions that float32 numbers are read as, at most
 # Calls that are read operation by operation, and where their operations are.
 CALLS = {
