@@ -458,12 +458,19 @@ def _experiment_in(path: Path) -> Experiment:
             f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed since"
         )
     source = (_read_json(path / PROVENANCE) or {}).get("file")
-    if source and Path(source).is_file() and (changed := difference(data, Experiment.load(source).data())):
+    if source and Path(source).is_file() and (changed := _changed(source, data)):
         raise InputError(
-            f"{source} was changed since: {'; '.join(changed)}; put it back, or rename it to go on with what "
-            "it was"
+            f"{source} was changed since: {changed}; put it back, or rename it to go on with what it was"
         )
     return experiment
+
+
+def _changed(source: str, data: Mapping[str, Any]) -> str:
+    """What a file says otherwise than the data of the experiment that was once read from it."""
+    try:
+        return "; ".join(difference(data, Experiment.load(source).data()))
+    except InputError as error:
+        return str(error)
 
 
 @contextlib.contextmanager

@@ -80,7 +80,7 @@ def assert_same(folder, other):
 
 
 def test_the_results_are_those_of_a_sweep(windy, undisturbed):
-    """Put together from shards. Broken once: runs in the order of the shards' programs -> fails."""
+    """Put together from shards."""
     folder, outcome, _ = undisturbed
     expected = rl.sweep(windy, "sarsa", {"alpha": [0.25, 0.5]}, num_seeds=70, num_steps=200).to_xarray()
     xr.testing.assert_equal(outcome.datasets["windy-gridworld/sarsa"], expected)
@@ -101,13 +101,19 @@ def test_what_was_chosen_runs_again_on_seeds_that_follow(windy, undisturbed):
     assert expected.seed.values.tolist() == list(range(70, 136))
 
 
-def test_a_number_is_chosen_among_schedules_as_it_is_labelled():
-    """The axis has text: "0.25" and "power:2:step". Broken once: the number compared with its text -> fails."""
+def test_a_number_is_chosen_among_schedules_as_it_is_labelled(windy):
+    """The axis has text: "0.25" and "power:2:step". Broken once: the number compared with its text -> fails.
+
+    Each is a program of its own. Broken once: runs counted in the program, not in the part -> fails.
+    """
     method = {"name": "sarsa", "alpha": ["power:2:step", 0.25]}
     select = {"fresh_seeds": 2}
     outcome = rl.run(rl.Experiment("windy-gridworld", method, seeds=4, steps=4000, select=select))
     (row,) = runner.selection(outcome).to_dict("records")
     assert row["alpha"] == "0.25"
+    alphas = [rl.schedules.parse("power:2:step"), 0.25]
+    expected = rl.sweep(windy, "sarsa", {"alpha": alphas}, num_seeds=4, num_steps=4000).to_xarray()
+    xr.testing.assert_equal(outcome.datasets["windy-gridworld/sarsa"], expected)
     assert row["fresh_score"] == stats.score(outcome.fresh["windy-gridworld/sarsa"]).mean()
 
 

@@ -9,6 +9,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import batch
 from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.policies import Softmax, Table
+from jaxrl_tab.results import is_diverged
 from jaxrl_tab.schedules import glie
 from jaxrl_tab.sweep import METHODS, _exact_value, compute, configurations, prepare, result
 from jaxrl_tab.types import Outcome, pytree
@@ -112,7 +113,7 @@ def test_some_runs_alone_give_what_they_give_among_all(windy):
 
 
 def test_runs_that_diverge_are_marked_and_leave_the_others_as_they_are(windy):
-    """alpha = 3 with accumulating traces overflows, in one seed. Broken once: only NaN marked -> fails."""
+    """alpha = 3 with accumulating traces overflows, in one seed."""
     given = {"num_seeds": 3, "num_steps": 2000}
     both = rl.sweep(windy, "sarsa-lambda", {"alpha": [0.3, 3.0]}, **given)
     alone = rl.sweep(windy, "sarsa-lambda", {"alpha": [0.3]}, **given)
@@ -121,6 +122,13 @@ def test_runs_that_diverge_are_marked_and_leave_the_others_as_they_are(windy):
     np.testing.assert_array_equal(ds.diverged, ~np.isfinite(both.q).all(axis=(-2, -1)))
     assert ds.diverged.sum("seed").values.tolist() == [0, 1]
     np.testing.assert_array_equal(both.q[0], alone.q[0])
+
+
+def test_infinities_and_nan_anywhere_are_divergence():
+    """Broken once: only NaN looked for, or the largest alone -> fails."""
+    q, sums = np.zeros((5, 2, 3)), np.zeros((5, 4))
+    q[0, 1, 2], q[1, 0, 0], sums[2, 3], sums[3, 0] = np.inf, np.nan, -np.inf, np.nan
+    assert is_diverged(q, np.zeros((5, 4)), sums).tolist() == [True] * 4 + [False]
 
 
 def test_one_program_for_all_hyperparameter_values(windy, grid):
