@@ -399,7 +399,8 @@ class Sweep(Where):
 
     What is run is said by options; or by a file, which can say more: several environments, random draws, and
     settings of its own for each method. Prints a summary table. With --out, leaves a folder: results.nc
-    (netCDF: the numbers of every seed, a group for each method), summary.csv, and pictures.
+    (netCDF: the numbers of every seed, a group for each method), summary.csv, pictures, report.html, and all
+    that is needed to do it again. Where that is interrupted, `jaxrl-tab resume` goes on.
 
     Methods of prediction learn the values of the policy in which all actions are equally likely, and are
     compared by their error.

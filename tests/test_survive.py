@@ -190,7 +190,7 @@ def test_an_interrupted_run_goes_on_where_it_was(undisturbed, tmp_path, computed
 
 @pytest.mark.slow
 def test_killed_twenty_times_at_random_moments(undisturbed, tmp_path):
-    """Broken once: shards written under their own name at once -> fails."""
+    """Broken once: results put together only by who computed a shard -> fails."""
     subprocess.run([*QUICK, "kill", str(tmp_path), "20"], check=True)
     folders = sorted(tmp_path.glob("killed-*"))
     assert len(folders) > 1
@@ -421,7 +421,7 @@ def test_other_errors_of_jax_are_not_taken_for_want_of_memory(windy, monkeypatch
 
 
 def test_runs_that_diverge_are_counted_and_leave_all_others_as_they_are(tmp_path, capsys):
-    """Broken once: the whole shard marked -> fails."""
+    """In the data, on the way, and on the screen."""
     reports = []
     method = {"name": "sarsa-lambda", "alpha": [0.25, 3.0]}
     rl.run(
