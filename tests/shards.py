@@ -91,7 +91,7 @@ def same(given, tasks):
             assert np.asarray(given[task][name]).tobytes() == np.asarray(array).tobytes()
 
 
-def ended(pid, seconds=20):
+def ended(pid, seconds=60):
     """Whether a process ends within that time."""
     for _ in range(seconds * 10):
         try:
