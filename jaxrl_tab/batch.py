@@ -186,7 +186,7 @@ def forecast(
     devices: Sequence[Any] | None = None,
 ) -> Forecast:
     """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
-    devices = tuple(devices or jax.devices())
+    devices = tuple(devices or jax.local_devices())
     one = _needs(budget, *_signature((root, np.uint32(0), algorithm, env)))
     room = memory.free(devices) // 2 if limit is None else limit
     lanes, most = _width(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
@@ -342,10 +342,9 @@ def _needs(budget: Budget, treedef: Any, avals: tuple) -> _Needs:
     def make(_: str) -> _Needs:
         traced = _traced(budget, treedef, avals)
         root, seed, algorithm, env = jax.tree.unflatten(treedef, avals)
-        (results, _) = traced.out_info
-        carried = {
-            id(x): x.aval for x in traced.jaxpr.jaxpr.outvars
-        }  # the table once, where it is in the state
+        results, _ = traced.out_info
+        # The table once, where it is in the state.
+        carried = {id(x): x.aval for x in traced.jaxpr.jaxpr.outvars}
         call = memory.Call(
             shared=memory.size((root, env)) + _tables(env),
             kept=memory.size((seed, algorithm, results)),
