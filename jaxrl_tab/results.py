@@ -39,6 +39,7 @@ class SweepResult:
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
         first_seed: see `root_seed`.
+        fresh: whether the root is instead the one that is kept for fresh seeds; see `sweep.Part`.
     """
 
     environment: str
@@ -56,6 +57,7 @@ class SweepResult:
     seconds: float
     compile_seconds: float
     first_seed: int = 0
+    fresh: bool = False
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -109,6 +111,7 @@ class SweepResult:
             **{name: value for name, value in budget.items() if value is not None},
             "log_every": self.log_every,
             "root_seed": self.root_seed,
+            **({"fresh_seeds": 1} if self.fresh else {}),
             "optimal_value": float(self.optimal_value) if self.optimal_value.ndim == 0 else float("nan"),
             "seconds": self.seconds,
             "compile_seconds": self.compile_seconds,
