@@ -37,13 +37,15 @@ import pandas as pd
 import xarray as xr
 from scipy import special, stats
 
+from jaxrl_tab import planning
 from jaxrl_tab.schedules import typed
-from jaxrl_tab.types import InputError, nearest, shown
+from jaxrl_tab.types import Environment, InputError, nearest, shown
 
 NOT_SWEPT = ("seed", "row", "state", "action")  # dimensions of a dataset that are no hyperparameters
 RESAMPLES = 1999  # of every bootstrap: both 2.5% points are an order statistic
 IQM_RESAMPLED = 2000  # values, of which the interquartile mean is resampled; of more there is a formula
 POWER_RUNS, POWER_SIMULATED = 20_000, 200  # experiments; from so many seeds on Hall's test is Student's
+SOFT_STATES = 5000  # of an environment whose best epsilon-soft policy is looked for: about a second
 MEMORY = 2**23  # float64 of one intermediate result of a bootstrap
 
 
@@ -1070,6 +1072,33 @@ def optimum(ds: xr.Dataset) -> xr.DataArray:
     return ds["optimum"] if "optimum" in ds else xr.DataArray(float(ds.attrs.get("optimal_value", np.nan)))
 
 
+def soft_optimum(env: Environment, setting: Mapping[str, Any]) -> float:
+    """What the best policy earns from the start that explores as a setting does: with a constant epsilon.
+
+    So much better than this a method that goes on exploring cannot be, whatever it learns.
+
+    Args:
+        env: the environment.
+        setting: hyperparameters by their names, such as `fixed(ds) | named(ds, best(ds))`.
+
+    Returns:
+        `planning.epsilon_soft` from the start; NaN where the setting does not explore so, where the
+        environment does not say its probabilities or has more than SOFT_STATES states, where each run draws a
+        problem of its own, and where there is no finite answer.
+    """
+    epsilon = str(setting.get("behaviour") or f"epsilon-greedy:{setting.get('epsilon')}")
+    try:
+        epsilon, gamma = float(epsilon.removeprefix("epsilon-greedy:")), float(setting.get("gamma", 1.0))
+    except ValueError:  # a schedule, or another policy
+        return np.nan
+    if not epsilon or env.num_states > SOFT_STATES or hasattr(env, "instance"):
+        return np.nan
+    try:
+        return planning.start_value(env, planning.epsilon_soft(env, epsilon, gamma)[1])
+    except InputError:
+        return np.nan
+
+
 Measure = Callable[[xr.Dataset], xr.DataArray]
 
 
@@ -1141,7 +1170,7 @@ def tied(ds: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> xr.Da
     winner = merit.sel(best(ds, by)).drop_vars(hyperparameters(ds) + drawn(ds), errors="ignore")
     settings = merit.sizes["seed"] and merit.size // merit.sizes["seed"]
     level = 1 - (1 - confidence) / max(1, settings - 1)
-    difference = paired_difference(winner, merit, confidence=level, worst=standstill(ds)).interval
+    difference = paired_difference(winner, merit, confidence=level).interval
     return ~(difference.low > 0).transpose(*lost.dims) & (lost == lost.min())
 
 
@@ -1232,14 +1261,14 @@ def differences(datasets: Mapping[str, xr.Dataset], confidence: float = 0.95) ->
     if len(datasets) < 2 or any(not np.array_equal(seeds[0], other) for other in seeds[1:]):
         return {}
     merits = {name: _merit(ds) for name, ds in datasets.items()}
-    sizes = [merit.size // merit.sizes["seed"] for merit in merits.values()]
+    sizes = [lost.size for _, lost in merits.values()]
     pairs = (sum(sizes) ** 2 - sum(size**2 for size in sizes)) // 2
-    bare = lambda x: xr.DataArray(x.values.ravel(), dims="seed", coords={"seed": x.seed.values})
-    at = {name: bare(merits[name].sel(best(ds))) for name, ds in datasets.items()}
-    at = {name: x.where(np.isfinite(x)) for name, x in at.items()}
-    ranked = sorted(
-        at, key=lambda name: (int(at[name].isnull().sum()), -float(at[name].mean().fillna(-np.inf)))
-    )
+    at, rank = {}, {}
+    for name, ds in datasets.items():
+        merit, lost = (part.sel(best(ds)) for part in merits[name])
+        at[name] = merit.reset_coords(drop=True)
+        rank[name] = int(lost), -float(merit.mean().fillna(-np.inf))
+    ranked = sorted(at, key=lambda name: rank[name])
     worst = min(float(standstill(ds).min()) for ds in datasets.values())
     found = {}
     for name in ranked[1:]:
