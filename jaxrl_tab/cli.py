@@ -774,8 +774,9 @@ def _print_summary(
             "unfinished runs end no episode in the last tenth: they score the rewards collected there, as if cut off"
         )
     if few:
+        seeds = ds.sizes["seed"]
         say(
-            "! rests on few bad runs, and may be worse: the interval is widened by one run more that is stuck"
+            f"! rests on few bad runs, and may be worse: {stats.unseen(seeds)} stuck, which {seeds} seeds need not show"
         )
     for line in [*notes, *edges]:
         say(line)

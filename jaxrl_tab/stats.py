@@ -249,6 +249,14 @@ def seeds_wanted(x: xr.DataArray, dim: str = "seed", higher_is_better: bool = Tr
     return wanted.fillna(0).astype(int)
 
 
+def unseen(n: int) -> str:
+    """How many of all runs may be of a kind that none of n seeds has shown, in words: 3 / n (95%).
+
+    The rule of three (Hanley and Lippman-Hand 1983, J. Am. Med. Assoc. 249, 1743-1745).
+    """
+    return f"up to {min(3 / n, 1):.2g} of all runs may be".replace("up to 1 of", "any number of")
+
+
 def _one_more(x: xr.DataArray, value: xr.DataArray, dim: str, confidence: float) -> tuple[xr.DataArray, ...]:
     """Student's interval as if one more were along `dim`, with this value: mean, low, high, and p of 0.
 
@@ -1144,6 +1152,16 @@ def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
     return {name: given.get(name, found.get(name)) for name in names}
 
 
+def ranked(datasets: Mapping[str, xr.Dataset]) -> list[str]:
+    """The names of the methods, that whose best setting is the best of all first: by the rule of `best`."""
+
+    def rank(name: str) -> tuple[int, float]:
+        merit, lost = (part.sel(best(datasets[name])) for part in _merit(datasets[name]))
+        return int(lost), -float(merit.mean().fillna(-np.inf))
+
+    return sorted(datasets, key=rank)
+
+
 def _merit(ds: xr.Dataset, by: Measure = score) -> tuple[xr.DataArray, xr.DataArray]:
     """What settings are compared by, [*hyperparameters, seed], and how many runs are lost, [*hyperparameters].
 
@@ -1260,20 +1278,16 @@ def differences(datasets: Mapping[str, xr.Dataset], confidence: float = 0.95) ->
     seeds = [ds.seed.values for ds in datasets.values()]
     if len(datasets) < 2 or any(not np.array_equal(seeds[0], other) for other in seeds[1:]):
         return {}
-    merits = {name: _merit(ds) for name, ds in datasets.items()}
-    sizes = [lost.size for _, lost in merits.values()]
+    merits = {name: _merit(ds)[0] for name, ds in datasets.items()}
+    sizes = [merit.size // merit.sizes["seed"] for merit in merits.values()]
     pairs = (sum(sizes) ** 2 - sum(size**2 for size in sizes)) // 2
-    at, rank = {}, {}
-    for name, ds in datasets.items():
-        merit, lost = (part.sel(best(ds)) for part in merits[name])
-        at[name] = merit.reset_coords(drop=True)
-        rank[name] = int(lost), -float(merit.mean().fillna(-np.inf))
-    ranked = sorted(at, key=lambda name: rank[name])
+    at = {name: merits[name].sel(best(ds)).reset_coords(drop=True) for name, ds in datasets.items()}
+    first, *others = ranked(datasets)
     worst = min(float(standstill(ds).min()) for ds in datasets.values())
     found = {}
-    for name in ranked[1:]:
+    for name in others:
         (mean, low, high, n), p, reduction = paired_difference(
-            at[name], at[ranked[0]], confidence=1 - (1 - confidence) / pairs, worst=worst
+            at[name], at[first], confidence=1 - (1 - confidence) / pairs, worst=worst
         )
         if prediction:
             mean, low, high = -mean, -high, -low
