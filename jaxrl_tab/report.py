@@ -488,13 +488,9 @@ def _unbroken(text: str) -> str:
     return text.replace(" ", "\xa0")
 
 
-def _decimals(rows: Sequence[Row]) -> int:
-    """How many decimals show two digits of the usual half width of an interval, from 0 to 5.
-
-    Usual are those of means that do not rest on few bad runs, if there are any.
-    """
-    sure = [row for row in rows if not row.doubtful] or rows
-    widths = np.array([(row.high - row.low) / 2 for row in sure])
+def _decimals(rows: Iterable[Row]) -> int:
+    """How many decimals show two digits of the usual width of an interval, on its shorter side, from 0 to 5."""
+    widths = np.array([min(row.high - row.mean, row.mean - row.low) for row in rows])
     widths = widths[np.isfinite(widths) & (widths > 0)]
     return int(np.clip(1 - np.floor(np.log10(np.median(widths))), 0, 5)) if widths.size else 2
 

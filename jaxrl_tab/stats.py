@@ -629,13 +629,12 @@ def paired_difference(
     mean, low, high, p, n = _along(difference, dim, lambda z: _mean(z, confidence, "hall"), parts=4)
     if worst is not None:
         worst = np.minimum(np.minimum(x, y).min(dim), worst)
-        down = _one_more(difference, worst - y.mean(dim), dim, confidence)
-        up = _one_more(difference, x.mean(dim) - worst, dim, confidence)
-        down, up = (
-            [part.where(seeds_wanted(of, dim) > n) for part in end] for of, end in ((x, down), (y, up))
-        )
-        low, high = np.fmin(low, down[1]), np.fmax(high, up[2])
-        p = np.fmax(p, xr.where(mean > 0, down[3], up[3]))
+        if (few := seeds_wanted(x, dim) > n).any():  # one bad run more of x
+            _, lower, _, q = _one_more(difference, worst - y.mean(dim), dim, confidence)
+            low, p = low.where(~few, np.fmin(low, lower)), p.where(~few | (mean <= 0), np.fmax(p, q))
+        if (few := seeds_wanted(y, dim) > n).any():
+            _, _, upper, q = _one_more(difference, x.mean(dim) - worst, dim, confidence)
+            high, p = high.where(~few, np.fmax(high, upper)), p.where(~few | (mean > 0), np.fmax(p, q))
     least = 2.0 ** (1 - ((difference != 0) & difference.notnull()).sum(dim))
     p = p.where(p.isnull(), np.minimum(np.maximum(p, least), 1))
     uncertain = least > 1 - confidence
@@ -1230,8 +1229,9 @@ def score_interval(ds: xr.Dataset, confidence: float = 0.95) -> Interval:
     x = score(ds)
     good = -x if is_prediction(ds) else x
     mean, low, high, n = mean_interval(good, confidence=confidence)
-    stuck = np.minimum(good.min("seed"), standstill(ds))
-    low = np.fmin(low, _one_more(good, stuck, "seed", confidence)[1].where(seeds_wanted(good) > n))
+    if (few := seeds_wanted(good) > n).any():
+        stuck = np.minimum(good.min("seed"), standstill(ds))
+        low = low.where(~few, np.fmin(low, _one_more(good, stuck, "seed", confidence)[1]))
     if is_prediction(ds):
         mean, low, high = -mean, -high, -low
     return possible(Interval(mean, low, high, n), x, ds)
@@ -1279,8 +1279,7 @@ def differences(datasets: Mapping[str, xr.Dataset], confidence: float = 0.95) ->
     if len(datasets) < 2 or any(not np.array_equal(seeds[0], other) for other in seeds[1:]):
         return {}
     merits = {name: _merit(ds)[0] for name, ds in datasets.items()}
-    sizes = [merit.size // merit.sizes["seed"] for merit in merits.values()]
-    pairs = (sum(sizes) ** 2 - sum(size**2 for size in sizes)) // 2
+    pairs = pairs_to_correct([merit.size // merit.sizes["seed"] for merit in merits.values()])
     at = {name: merits[name].sel(best(ds)).reset_coords(drop=True) for name, ds in datasets.items()}
     first, *others = ranked(datasets)
     worst = min(float(standstill(ds).min()) for ds in datasets.values())
@@ -1293,6 +1292,11 @@ def differences(datasets: Mapping[str, xr.Dataset], confidence: float = 0.95) ->
             mean, low, high = -mean, -high, -low
         found[name] = Difference(Interval(mean, low, high, n), np.minimum(p * pairs, 1), reduction)
     return found
+
+
+def pairs_to_correct(settings: Sequence[int]) -> int:
+    """How many pairs of settings there are of two methods, that have so many settings each."""
+    return (sum(settings) ** 2 - sum(n**2 for n in settings)) // 2
 
 
 class Selection(NamedTuple):
