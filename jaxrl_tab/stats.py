@@ -20,11 +20,15 @@ the lognormal(1), which has skewness 6 and where no method tried reaches 93%. Of
 longer than Student's, of thirty 3%, of a hundred 1%. No interval knows of what no seed has shown: where one
 run in five fails, ten seeds show no failure at all in 11% of experiments.
 
-Diverged runs. Where a dataset says which runs `diverged`, bool [*hyperparameters, seed], their returns,
-errors and curves are NaN here, and so left out of means and medians, whose `n` is smaller by them; `summary`
-counts them. Where the question is how often a run is good they count as bad: they never reach a threshold
-(`time_to_threshold`), exceed no score (`performance_profile`) and lose against any other run
-(`probability_of_improvement`). `best` passes over settings at which more of them diverge than at others.
+These are smooth distributions. Where single runs of a method get stuck the mean's interval falls short, at
+ten seeds as far as to 66%: `score_interval` detects that and has the table; median and interquartile mean hold.
+
+Unfinished and diverged runs. `score` says how runs count that finished no episode in the last tenth, and where
+a dataset says which runs `diverged`, bool [*hyperparameters, seed], how those do: no run is left out where
+settings are compared. The returns, errors and curves of diverged runs are NaN elsewhere, and so left out of
+means and medians, whose `n` is smaller by them. Where the question is how often a run is good they count as
+bad: they never reach a threshold (`time_to_threshold`), and with `final_return` they exceed no score
+(`performance_profile`) and lose against any other run (`probability_of_improvement`).
 """
 
 import functools
@@ -1121,8 +1125,20 @@ def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
     (and interval) promises too much. Run it again on fresh seeds for a number to report: `selection`. Which
     settings may as well be the best one: `tied`.
 
-    The right choice was made in so many of 2000 experiments with 10, 30, 100, 300 and 1000 seeds:
-    <CHOICES>
+    The right choice was made in so many per cent of experiments (1500 to 8000 of each kind with up to 300
+    seeds, 300 or more with 1000), drawn from 20 000 runs of each setting, 8000 steps, epsilon 0.1:
+
+        seeds                                                    10   30  100  300 1000
+        cliff, Sarsa, alpha .1, .5 (1% stuck), 1 (2%)            94   96  100  100  100
+        windy, Sarsa, seven alphas                               86   97  100  100  100
+        windy, Q-learning, seven alphas                          85   97  100  100  100
+        cliff, Sarsa 1 (2% stuck), Sarsa .1, Q-learning .1       61   86  100  100  100
+        cliff, Sarsa .5 (1% stuck) and one that is 6.5 better    47   60   81   96  100
+        cliff, Sarsa .5 (1% stuck) and one that is 5.5 worse     84   79   76   89   97
+
+    Of ten seeds nine in ten experiments see none of the runs that are stuck 1% of the time, so no rule can be
+    good there. Medians and trimmed means choose wrongly in the fourth and fifth line, and more surely so with
+    more seeds. What is left open by the seeds there are, `tied` says.
 
     Args:
         ds: a sweep.
@@ -1176,7 +1192,8 @@ def tied(ds: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> xr.Da
 
     Those whose difference from it, seed by seed, has an interval that holds 0: at the level 1 - 0.05 / (K - 1)
     of `paired_difference` for K settings, so that the setting with the best true mean is among them with 95%.
-    <TIED>
+    In the experiments of `best` it was in 94.2% at the least (fifth line, 30 seeds), 98% in the fourth line,
+    100% in the others; with ten seeds there were 1.5 to 2.9 settings in the set, with 100 1.2 to 2.0.
 
     Args:
         ds, by: as in `best`.
@@ -1217,7 +1234,22 @@ def score_interval(ds: xr.Dataset, confidence: float = 0.95) -> Interval:
     end lies at least where Student's interval has it with one run more, which scores as the worst one seen,
     or as `standstill(ds)` if that is worse. And it leaves out what is impossible: see `possible`.
 
-    <COVERAGE>
+    In so many per cent of experiments it held the true mean (2000 of each kind with up to 100 seeds, then
+    1000 and 400, so the standard error is 0.5 to 1; runs as in the table of `best`), how often that of
+    `mean_interval` did, and how often the warning was given, with 10, 30, 100, 300 and 1000 seeds:
+
+                                       this                  mean_interval          warned
+        normal numbers             96  95  95  94  93     96  95  95  94  93     18   1   0   0   0
+        windy, Q-learning .5       96  96  95  96  95     96  96  95  96  95     25   6   0   0   0
+        windy, Sarsa .5            96  96  96  95  95     96  96  96  95  95     44  24   1   0   0
+        windy, Sarsa 1             94  94  95  94  94     93  93  94  93  94     67  75  68  52  49
+        cliff, Q-learning .5       96  96  96  94  96     96  96  96  94  96     31   8   0   0   0
+        cliff, Sarsa 1 (2% stuck)  89  98  96  97  95     77  86  96  97  95     88  98 100 100  24
+        cliff, Sarsa .5 (1% stuck) 82  94 100 100  97     66  76  88  94  96     81  94  99 100 100
+
+    Without a warning it missed in at most 6.8%, but 18% and 11% in the last two lines with ten seeds. The
+    intervals of median and interquartile mean held in 93% to 98% everywhere. With few seeds the warning is
+    often false, and the interval then needlessly wide.
 
     Whatever is done, no interval knows of what no seed has shown: n runs that are all well leave it possible
     that up to 3 / n of all runs are not (the rule of three, 95%).

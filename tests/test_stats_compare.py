@@ -239,6 +239,8 @@ def test_selection_refuses_the_seeds_of_the_choice():
     with pytest.raises(rl.InputError, match="seed 2 is among those that the setting was chosen on"):
         stats.selection(ds, dataset([[0, 0], [0, 0]], first_seed=2))
     assert stats.selection(ds, dataset([[0, 0], [0, 0]], root_seed=1)).fresh.estimate == 0
+    own_root = dataset([[0, 0], [0, 0]]).assign_attrs(fresh_seeds=1)
+    assert stats.selection(ds, own_root).fresh.estimate == 0
     with pytest.raises(rl.InputError, match=r"the fresh runs have no alpha = 0.5"):
         stats.selection(ds, dataset([[0, 0], [0, 0]], alphas=(0.1, 0.2), first_seed=3))
     other = dataset([[0, 0]], alphas=[0.1], first_seed=3).isel(alpha=0)
