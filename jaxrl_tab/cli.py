@@ -767,7 +767,7 @@ def _print_summary(
         say("RMS error of V over the states, exact; averaged over the rows of the log, and at the end")
     if varied and len(table[score].drop_duplicates()) > 1:
         say("* the best of its method on these seeds; chosen for its mean, which so flatters it")
-        if (table["tied"] & ~table["best"]).any():
+        if table["tied"].sum() > table["best"].sum():
             say("~ not told apart from the best: these seeds do not say which of them is better")
     if late:
         say(

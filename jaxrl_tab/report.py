@@ -479,7 +479,8 @@ def _doubt(row: Row) -> str:
 
 def _of(found: Sequence[float], view: View) -> str:
     """An estimate with its interval."""
-    return f"{_number(found[0], view.decimals)} ({_between(*found[1:], view)})"
+    estimate, low, high = found
+    return f"{_number(estimate, view.decimals)} ({_between(low, high, view)})"
 
 
 def _between(low: float, high: float, view: View) -> str:
