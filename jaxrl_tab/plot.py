@@ -485,7 +485,9 @@ def _tables(ds: xr.Dataset) -> Iterable[np.ndarray]:
 def _greedy(q: np.ndarray) -> np.ndarray:
     """Which actions are maximal, up to rounding, bool [..., S, A]."""
     q = np.where(np.isnan(q), -np.inf, q)  # a diverged entry is no maximum
-    return np.isclose(q, q.max(-1, keepdims=True), rtol=1e-6, atol=1e-9)
+    most = q.max(-1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # infinities
+        return (q == most) | (q >= most - (1e-9 + 1e-6 * abs(most)))
 
 
 def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
@@ -801,7 +803,7 @@ def _median_path(ax: Axes, env: Grid, method: str, ds: xr.Dataset) -> None:
     setting = stats.best(ds)
     label, ds = _label(method, stats.named(ds, setting)), ds.sel(setting)
     moves = _Moves.of(env)
-    lengths = np.concatenate([moves.distance(q)[:, env.start_state] for q in _tables(ds)])
+    lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in _tables(ds)])
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]
     title = f"greedy path of {label}; median of {len(lengths)} seeds"
     greedy_path(ax, env, ds.q.values[median], title, float(stats.optimum(ds)))
