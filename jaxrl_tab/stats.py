@@ -891,7 +891,9 @@ def _over_rows(ds: xr.Dataset, of: Callable[[xr.Dataset], Interval], every: int 
     found = []
     for block in _blocks(groups, ds.episodes.size // ds.sizes["row"]):
         found.append(of(ds.isel(row=slice(block[0] * every, (block[-1] + 1) * every))))
-    return Interval(*(xr.concat(parts, "row").transpose(*parts[0].dims) for parts in zip(*found, strict=True)))
+    return Interval(
+        *(xr.concat(parts, "row").transpose(*parts[0].dims) for parts in zip(*found, strict=True))
+    )
 
 
 def merge_rows(ds: xr.Dataset, at_most: int) -> xr.Dataset:
