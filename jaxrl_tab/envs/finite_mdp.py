@@ -402,8 +402,10 @@ def _rewards_at(
 
 def _is_sparse(given: Any) -> bool:
     """Whether it is a SciPy sparse matrix, or a list of matrices some of which are."""
-    several = isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and given.dtype == object)
-    return hasattr(given, "tocoo") or (several and any(hasattr(x, "tocoo") for x in np.atleast_1d(given)))
+    if isinstance(given, np.ndarray) and given.dtype == object:
+        given = given.ravel().tolist()
+    several = isinstance(given, list | tuple) and any(hasattr(x, "tocoo") for x in given)
+    return several or hasattr(given, "tocoo")
 
 
 def _matrices(what: str, given: Any) -> list[Any]:
