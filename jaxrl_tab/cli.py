@@ -34,7 +34,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 import jaxrl_tab
 from jaxrl_tab import batch, describe, executors, planning, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.envs.base import Finite, Grid, Panel
 from jaxrl_tab.executors import Executor
 from jaxrl_tab.experiment import Experiment, plan, template
@@ -858,7 +858,9 @@ def _known(kind: str, name: str, names: Collection[str]) -> str:
     if not name:
         raise InputError(f"name {kind}: {', '.join(names)}")
     if name not in names:
-        raise InputError(f"{name!r} is not {kind}; {nearest(name, names)}")
+        raise InputError(
+            f"{name!r} is not {kind}; {instead(name) if names is ENVS else nearest(name, names)}"
+        )
     return name
 
 

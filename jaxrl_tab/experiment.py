@@ -38,7 +38,7 @@ import numpy as np
 
 from jaxrl_tab import axes, batch, describe, memory, policies, schedules
 from jaxrl_tab.axes import DRAW
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.prediction import METHODS, PREDICTION
 from jaxrl_tab.sweep import Part, configurations, leaves_as_arrays, prepare
 from jaxrl_tab.train import default_log_every
@@ -509,8 +509,9 @@ def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[st
             with _at("name"):
                 name = table["name"]
                 if not isinstance(name, str) or name not in registry:
-                    one = "an environment" if kind == "environment" else "a method"
-                    raise InputError(f"{shown(name)} is not {one}; {nearest(str(name), registry)}")
+                    if registry is ENVS:
+                        raise InputError(f"{shown(name)} is not an environment; {instead(str(name))}")
+                    raise InputError(f"{shown(name)} is not a method; {nearest(str(name), registry)}")
             with _at("label"):
                 label = table.get("label", name)
                 if not isinstance(label, str) or not re.fullmatch(LABEL, label):
