@@ -464,7 +464,6 @@ def _methods(given: Any, seed: int, environments: int) -> list[dict[str, Any]]:
                     f"{prediction} learns the values of a policy, and {control} a policy, which cannot be "
                     "compared; sweep methods of prediction and of control apart"
                 )
-    _check_labels("method", tables, range(len(tables)))
     grids, settings = [], 0
     for i, table in enumerate(tables):
         with _at("method", i):
@@ -472,6 +471,7 @@ def _methods(given: Any, seed: int, environments: int) -> list[dict[str, Any]]:
             settings += math.prod(len(x) for x in grids[-1].values() if isinstance(x, list))
             times = f" in {environments:,} environments" if environments > 1 else ""
             axes.check_settings(settings * environments, f"the methods{times}")
+    _check_labels("method", tables, range(len(tables)))
     found = []
     for i, (table, grid) in enumerate(zip(tables, grids, strict=True)):
         with _at("method", i):
