@@ -228,12 +228,15 @@ def two(outcome):
         ),
         (
             lambda: FiniteMDP.from_outcomes({0: {0: [], 2: []}}),
-            "the actions of s = 0 must have the keys 0 to 1, not [0, 2]",
+            "the keys of the actions of s = 0 must be 0 to 2, and 1 is missing",
         ),
-        (lambda: FiniteMDP.from_outcomes({1: {0: []}}), "outcomes must have the keys 0 to 0, not [1]"),
+        (
+            lambda: FiniteMDP.from_outcomes({1: {0: []}}),
+            "the keys of outcomes must be 0 to 1, and 0 is missing",
+        ),
         (
             lambda: FiniteMDP.from_outcomes({(0, 0): []}),
-            "outcomes must have the keys 0 to 0, not [(0, 0)]",
+            "the keys of outcomes must be whole numbers, not (0, 0)",
         ),
         (
             lambda: FiniteMDP.from_outcomes({0: {0: [], 1: []}, 1: {0: []}}),

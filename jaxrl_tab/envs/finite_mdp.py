@@ -292,7 +292,7 @@ def _probabilities(probabilities: Any, rewards: Any) -> np.ndarray:
     hint = ""
     if p.ndim == 3 and p.shape[1] == p.shape[2]:
         hint = "; FiniteMDP.from_arrays takes [A, S, S'], and the rewards that belong to it"
-    elif p.ndim == 2 and np.ndim(rewards) == 3:
+    elif p.ndim == 2 and getattr(rewards, "ndim", 0) == 3:
         hint = ": they come first, and then the rewards"
     elif p.ndim == 2:
         hint = PAIRS
@@ -451,7 +451,11 @@ def _of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[_Liste
     listed = _Listed(len(states), num_actions, row, row, *np.zeros((2, len(row))))
     for i, outcome in enumerate(every):
         if not _is_list(outcome) or len(outcome) not in (3, 4):
-            hint = "; FiniteMDP(probabilities, rewards) takes arrays" if np.ndim(every[0]) == 0 else ""
+            hint = (
+                "; FiniteMDP(probabilities, rewards) takes arrays"
+                if _as_numbers([every[0]]) is not None
+                else ""
+            )
             raise InputError(
                 f"{NAME}: an outcome {listed.after(i)} must be (p, s', reward) or (p, s', reward, terminated), "
                 f"not {shown(outcome)}{hint}"
@@ -510,9 +514,11 @@ def _are_no_flags(given: Sequence[Any], array: np.ndarray) -> np.ndarray:
 def _in_order(what: str, given: Any) -> Sequence[Any]:
     """A list; or what a dict has for 0, 1, 2 ..., in this order."""
     if isinstance(given, Mapping):
-        if all(is_whole(key, 0) for key in given) and sorted(given) == list(range(len(given))):
-            return [given[i] for i in range(len(given))]
-        raise InputError(f"{NAME}: {what} must have the keys 0 to {len(given) - 1}, not {shown([*given])}")
+        if (odd := next((key for key in given if not is_whole(key, 0)), None)) is not None:
+            raise InputError(f"{NAME}: the keys of {what} must be whole numbers, not {shown(odd)}")
+        if (gap := next((i for i in range(len(given)) if i not in given), None)) is not None:
+            raise InputError(f"{NAME}: the keys of {what} must be 0 to {max(given)}, and {gap} is missing")
+        return [given[i] for i in range(len(given))]
     if _is_list(given):
         return given
     hint = ""
