@@ -162,7 +162,16 @@ def _prepare_streams() -> None:
 
 
 LOOKALIKES = {"↑": "^", "→": ">", "↓": "v", "←": "<", "↗": "ne", "↘": "se", "↙": "sw", "↖": "nw", "·": "."}
-LOOKALIKES |= {"–": "-", "−": "-", "±": "+-", "×": "x", "ε": "epsilon", "α": "alpha", "λ": "lambda", "γ": "gamma"}
+LOOKALIKES |= {
+    "–": "-",
+    "−": "-",
+    "±": "+-",
+    "×": "x",
+    "ε": "epsilon",
+    "α": "alpha",
+    "λ": "lambda",
+    "γ": "gamma",
+}
 
 
 def _lookalikes(error: UnicodeError) -> tuple[str, int]:

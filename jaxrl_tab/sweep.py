@@ -25,6 +25,7 @@ from jaxrl_tab.types import (
     InputError,
     build,
     check_pytree,
+    foreign,
     is_whole,
     nearest,
     repeated,
@@ -172,7 +173,9 @@ def prepare(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
     if not isinstance(env, Environment):
-        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
+        raise InputError(
+            f"env must be an environment such as make('windy-gridworld'), not {shown(env)}{foreign(env)}"
+        )
     check_pytree("env", env)
     if exact:
         planning.check_finite(env)

@@ -330,7 +330,8 @@ def test_a_vector_of_environments_is_not_one():
 def test_theirs_is_not_ours():
     for call in (to_gymnasium, lambda env: rl.train(jax.random.key(0), rl.Sarsa(), env, num_steps=1)):
         with pytest.raises(
-            rl.InputError, match=r"env is an environment of gymnasium: rl.interop.from_gymnasium"
+            rl.InputError,
+            match=r"env must be an environment of jaxrl_tab, not .*; rl.interop.from_gymnasium imports it",
         ):
             call(lake())
 

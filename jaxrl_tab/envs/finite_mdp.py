@@ -9,7 +9,19 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import policies
 from jaxrl_tab.envs.base import MAX_STEPS, Finite, assign, numbers
-from jaxrl_tab.types import TOLERANCE, InputError, Outcome, first, is_whole, pytree, shown, static, whole
+from jaxrl_tab.planning import spread
+from jaxrl_tab.types import (
+    TOLERANCE,
+    InputError,
+    Outcome,
+    first,
+    foreign,
+    is_whole,
+    pytree,
+    shown,
+    static,
+    whole,
+)
 
 NAME = "FiniteMDP"
 FORMS = {"state": "[S, A, S']", "action": "[A, S, S']"}  # of probabilities, by their first axis
@@ -127,6 +139,10 @@ class FiniteMDP(Finite):
         Raises:
             InputError: something given is wrong; the message names the first wrong (s, a) or state.
         """
+        if _is_sparse(outcomes) or (isinstance(outcomes, np.ndarray) and outcomes.ndim == 3):
+            raise InputError(
+                f"{NAME}: outcomes must be lists of (p, s', reward); FiniteMDP.from_arrays takes arrays and matrices"
+            )
         states = _in_order("outcomes", outcomes)
         if not len(states) or not len(_in_order("the actions of s = 0", states[0])):
             raise InputError(
@@ -259,17 +275,6 @@ def _others(listed: _Listed, count: np.ndarray) -> np.ndarray:
     return states
 
 
-def _reached(num_states: int, source: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """The states that steps from `source` to `target` lead to from those of `start`, bool [S]."""
-    from scipy import sparse  # late, for importing the package is to stay cheap
-
-    begin = np.flatnonzero(start)  # one more vertex leads to all of them
-    ends = np.append(source, np.full(len(begin), num_states)), np.append(target, begin)
-    graph = sparse.csr_matrix((np.ones(len(ends[0]), bool), ends), shape=(num_states + 1,) * 2)
-    found = sparse.csgraph.breadth_first_order(graph, num_states, return_predecessors=False)
-    return np.isin(np.arange(num_states), found)
-
-
 # --- reading what was given --------------------------------------------------------------------------
 
 
@@ -280,25 +285,30 @@ def _probabilities(probabilities: Any, rewards: Any) -> np.ndarray:
         raise InputError(
             f"{wanted}; FiniteMDP.from_arrays takes sparse matrices, one [S, S'] for each action"
         )
-    if hasattr(probabilities, "unwrapped"):
-        raise InputError(f"{wanted}; rl.interop.from_gymnasium takes an environment of Gymnasium")
-    if isinstance(probabilities, Mapping) or rewards is None:
-        raise InputError(
-            f"{wanted}, with rewards beside it; FiniteMDP.from_outcomes takes tables of outcomes"
-        )
+    _check_is_array(probabilities, rewards)
     p = numbers(NAME, "probabilities", probabilities).astype(np.float64)
     if p.ndim == 3 and p.shape[0] == p.shape[2] and p.size > 0:
         return p
-    hint = ""
+    hint = _hint(p, rewards)
     if p.ndim == 3 and p.shape[1] == p.shape[2]:
         hint = "; FiniteMDP.from_arrays takes [A, S, S'], and the rewards that belong to it"
-    elif p.ndim == 2 and getattr(rewards, "ndim", 0) == 3:
-        hint = ": they come first, and then the rewards"
-    elif p.ndim == 2:
-        hint = PAIRS
-    elif p.ndim == 4:
-        hint = "; FiniteMDP.from_outcomes takes lists of outcomes"
     raise InputError(f"{NAME}: probabilities must have shape [S, A, S'], not {p.shape}{hint}")
+
+
+def _check_is_array(probabilities: Any, rewards: Any) -> None:
+    """Raises InputError where these are a table of outcomes, or an environment, instead of two arrays."""
+    hint = foreign(probabilities)
+    if isinstance(probabilities, Mapping) or rewards is None:
+        hint = hint or "; FiniteMDP.from_outcomes takes tables of outcomes"
+    if hint:
+        raise InputError(f"{NAME}: probabilities must be an array, with rewards beside it{hint}")
+
+
+def _hint(p: np.ndarray, rewards: Any) -> str:
+    """What is wrong with probabilities that have not three axes."""
+    if p.ndim == 2:
+        return ": they come first, and then the rewards" if getattr(rewards, "ndim", 0) == 3 else PAIRS
+    return "; FiniteMDP.from_outcomes takes lists of outcomes" if p.ndim == 4 else ""
 
 
 def _rewards(rewards: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -342,8 +352,9 @@ def _of_other_arrays(probabilities: Any, rewards: Any, first_axis: Any) -> _List
         order = np.lexsort((s_next, a, s))
         s, a, s_next, p = s[order].astype(np.int64), a[order], s_next[order].astype(np.int64), p[order]
     else:
+        _check_is_array(probabilities, rewards)
         dense = numbers(NAME, "probabilities", probabilities)
-        first_axis = _first_axis(dense.shape, first_axis)
+        first_axis = _first_axis(dense.shape, first_axis, _hint(dense, rewards))
         dense = dense.swapaxes(0, 1) if first_axis == "action" else dense
         num_states, num_actions, _ = dense.shape
         s, a, s_next = at = np.nonzero(dense)
@@ -353,14 +364,13 @@ def _of_other_arrays(probabilities: Any, rewards: Any, first_axis: Any) -> _List
     return _Listed(num_states, num_actions, row, s_next, p.astype(np.float64), r.astype(np.float64))
 
 
-def _first_axis(shape: tuple[int, ...], said: str | None) -> str:
+def _first_axis(shape: tuple[int, ...], said: str | None, hint: str) -> str:
     """Which axis is the first of probabilities with this shape, "state" or "action"."""
     squares = {"state": shape[::2], "action": shape[1:]} if len(shape) == 3 and 0 not in shape else {}
     asked = FORMS if said is None else {said: FORMS[said]}
     possible = [axis for axis in asked if len({*squares.get(axis, (1, 2))}) == 1]
     wanted = " or ".join(asked.values())
     if not possible:
-        hint = PAIRS if len(shape) == 2 else ""
         raise InputError(f"{NAME}: probabilities must have shape {wanted}, not {shape}{hint}")
     if len(possible) > 1:
         raise InputError(
@@ -521,11 +531,7 @@ def _in_order(what: str, given: Any) -> Sequence[Any]:
         return [given[i] for i in range(len(given))]
     if _is_list(given):
         return given
-    hint = ""
-    if hasattr(given, "unwrapped"):
-        hint = "; rl.interop.from_gymnasium takes an environment of Gymnasium"
-    if hasattr(given, "tocoo"):
-        hint = "; FiniteMDP.from_arrays takes sparse matrices"
+    hint = "; FiniteMDP.from_arrays takes sparse matrices" if _is_sparse(given) else foreign(given)
     raise InputError(
         f"{NAME}: {what} must be a list, or a dict with the keys 0, 1, 2 ..., not {shown(given)}{hint}"
     )
@@ -544,7 +550,7 @@ def _ended(
     ends = ends | is_terminal[listed.s_next]
     source = listed.row // listed.num_actions
     on = (listed.prob > 0) & ~ends
-    goes_on = _reached(listed.num_states, source[on], listed.s_next[on], start_prob > 0)
+    goes_on = spread(source[on], listed.s_next[on], start_prob > 0)
     is_end = is_terminal.copy()
     is_end[listed.s_next[(listed.prob > 0) & ends & goes_on[source]]] = True
     twice = np.flatnonzero(is_end & goes_on)
@@ -625,7 +631,7 @@ def _check_outcomes(listed: _Listed) -> None:
 def _check_reachable(listed: _Listed, is_terminal: np.ndarray, start_prob: np.ndarray) -> None:
     """Raises InputError where a terminal state exists and some start state cannot reach any."""
     source = listed.row // listed.num_actions
-    ends = _reached(listed.num_states, listed.s_next, source, is_terminal)
+    ends = spread(listed.s_next, source, is_terminal)
     if is_terminal.any() and (s := first((start_prob > 0) & ~ends)) is not None:
         raise InputError(
             f"{NAME}: no terminal state can be reached from start state s = {s[0]}; "
