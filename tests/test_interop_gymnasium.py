@@ -10,6 +10,7 @@ import sampling
 from gymnasium import wrappers
 from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.utils.env_checker import check_env
+from test_finite_mdp import JUNK
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning
@@ -179,6 +180,21 @@ def test_actions_and_states_go_by_their_keys():
     del env.P[1][1]
     with pytest.raises(rl.InputError, match="s = 1 has 1 actions, and s = 0 has 2"):
         from_gymnasium(env)
+
+
+def test_nonsense_gets_one_line():
+    """Any part of an environment that a table is made of, replaced by anything."""
+    said = []
+    for name in ("P", "initial_state_distrib", "observation_space", "action_space"):
+        for junk in JUNK:
+            env = Table(FIVE_OR_ONE)
+            setattr(env, name, junk)
+            try:
+                from_gymnasium(env)
+            except rl.InputError as error:
+                said.append(str(error))
+    assert len(said) > 100
+    assert not any("\n" in text or len(text) > 500 for text in said)
 
 
 # --- what is around a table ----------------------------------------------------------------------------

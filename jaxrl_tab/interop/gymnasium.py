@@ -120,7 +120,9 @@ def _check_spaces(name: str, inner: gymnasium.Env, num_states: int, num_actions:
     """Raises InputError unless the spaces of `inner`, where it has some, are as large as its table."""
     for what, size in (("observation", num_states), ("action", num_actions)):
         space = getattr(inner, f"{what}_space", None)
-        if space is not None and space != spaces.Discrete(size):
+        if space is not None and not (
+            isinstance(space, spaces.Discrete) and (space.start, space.n) == (0, size)
+        ):
             raise InputError(f"{name}: its table has {size} {what}s, and its {what}_space is {shown(space)}")
 
 
