@@ -129,12 +129,11 @@ def _check_spaces(name: str, inner: gymnasium.Env, num_states: int, num_actions:
 def _check_steps(name: str, inner: gymnasium.Env, limit: int) -> None:
     """Raises InputError where some steps of `inner` do what is not in its table.
 
-    Environments of Gymnasium itself, and of ours, draw their steps from the table.
+    Environments of Gymnasium itself, and of ours, draw their steps from the table; one that has no `step` has
+    nothing to compare.
     """
-    drawn = type(inner).__module__.startswith("gymnasium.envs.toy_text.") or type(inner) is Tabular
-    if (
-        drawn or type(inner).step is gymnasium.Env.step
-    ):  # the latter is a table, and nothing that could be played
+    draws = type(inner).__module__.startswith("gymnasium.envs.toy_text.") or type(inner) is Tabular
+    if draws or type(inner).step is gymnasium.Env.step:
         return
     hint = (
         "FiniteMDP.from_outcomes takes env.unwrapped.P alone, with start=env.unwrapped.initial_state_distrib"
