@@ -133,7 +133,7 @@ def test_one_task_in_every_form(seed, num_states, num_actions):
 
 
 def test_values_are_those_of_the_arrays():
-    """By plain sweeps over the arrays. Broken once: s' and s exchanged in sparse matrices."""
+    """By plain sweeps over the arrays."""
     p, r = random_table(3, 6, 3)
     v = np.zeros(6)
     for _ in range(400):
@@ -174,7 +174,7 @@ def test_a_state_that_ends_and_goes_on_gets_a_second_number():
 
 
 def test_a_long_corridor_takes_no_more_than_its_length():
-    """10^5 states in about a second; it was quadratic, some 300. Broken once: one more state a sweep -> fails."""
+    """10^5 states in about a second; it was 7 s for 16,000. Broken once: state by state -> fails."""
     n = 100_000
     outcomes = [[[(1.0, max(s - 1, 0), -1.0)], [(1.0, min(s + 1, n - 1), -1.0)]] for s in range(n)]
     began = time.process_time()
