@@ -22,10 +22,12 @@ from jaxrl_tab.types import (
     Environment,
     FiniteEnvironment,
     InputError,
+    available_actions,
     build,
     check_pytree,
     is_whole,
     nearest,
+    restricted,
     shown,
 )
 
@@ -178,6 +180,9 @@ def prepare(
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
     axes, configs = configurations(cls, grid or {}, num_draws, seed)
+    available = available_actions(env)
+    for config in configs:
+        restricted(config, available)  # for what it refuses
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 

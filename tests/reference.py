@@ -549,9 +549,10 @@ def lambda_return(r, discount, values, lam, t, horizon):
 
 
 def offline_forward(q, episode, alpha, lam):
-    """Q after an episode by the off-line lambda-return algorithm, all by its first Q (section 12.1).
+    """Q after an episode by the sum of the increments towards its lambda-returns, all by its first Q.
 
-    alpha may be one number, or one for each step.
+    That is the off-line forward view of Silver's lecture 4. (The algorithm of the book's section 12.1 makes
+    its updates one after another.) alpha may be one number, or one for each step.
     """
     values = q[episode.s_next, episode.a_next]
     new = q.copy()
