@@ -32,7 +32,7 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, executors, planning, programs, runner
+from jaxrl_tab import batch, describe, executors, planning, policies, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite, Grid, Panel
@@ -245,7 +245,7 @@ def _solve(argv: list[str]) -> int:
             key: {
                 "start_value": planning.start_value(env, v),
                 "v": v.tolist(),
-                "q": q.tolist(),
+                "q": np.where(q == policies.UNAVAILABLE, None, q).tolist(),
                 "policy": policy.tolist(),
             }
             for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
@@ -309,7 +309,7 @@ def _panel(panel: Panel, cells: Sequence[str], wind: Any) -> Table:
 
 def _best_actions(q: np.ndarray) -> np.ndarray:
     """The actions whose values are maximal but for rounding, int [n], from values [A]."""
-    return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q).max()))
+    return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q.max())))
 
 
 def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:

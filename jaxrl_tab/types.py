@@ -308,7 +308,7 @@ def available_actions(env: Any) -> Bool[Array, "S A"] | None:
     Raises:
         InputError: what `available` gives has the wrong shape, or a state has no action.
     """
-    if not hasattr(env, "available"):
+    if getattr(env, "available", None) is None:
         return None
     there = jax.vmap(env.available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
     check_available(f"{type(env).__name__}: available", there, env.num_states, env.num_actions)
