@@ -623,7 +623,8 @@ def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
         _print_selection(runner.selection(outcome))
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
-        _console().print(f"{diverged} of {runs} runs diverged: a number became infinite or NaN")
+        why = "a number became infinite, or NaN, or grew beyond any possible return"
+        _console().print(f"{diverged} of {runs} runs diverged: {why}")
     if folder:
         name = next(iter(outcome.datasets))
         _say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])

@@ -44,6 +44,7 @@ from jaxrl_tab.types import (
 )
 
 ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
+PATH_SWEEPS = 100  # of `largest_return`
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
 
 Measure = Callable[[Float[Array, "S A"]], tuple[Float[Array, ""], Float[Array, ""]]]
@@ -372,6 +373,32 @@ def epsilon_soft(
     check_rate("gamma", gamma)
     found = _solved(env, exact_model(env), epsilon, gamma)
     return found.probs, found.v, found.q
+
+
+def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
+    """The largest |R_1 + gamma R_2 + ...| that so many steps or fewer can give, if chance and actions will.
+
+    What the steps after the first `PATH_SWEEPS` can add is bounded by what the last of these could: with each
+    step more a path can gain no more than with the step before.
+
+    Args:
+        env: an environment with `outcomes`.
+        gamma: discount rate, in [0, 1].
+        steps: the number of steps, at least 1.
+        anywhere: whether the first step may be in any state, or only where one can come from the start.
+    """
+    model = exact_model(env)
+    begin = np.full(len(model.start), True) if anywhere else reachable(model)
+    reward, goes_on = np.where(model.prob > 0, model.reward, 0), (model.prob > 0) & ~model.terminal
+    most, left, change = np.zeros((2, len(begin))), steps, 0.0  # of the rewards, and of the costs
+    while left and left > steps - PATH_SWEEPS:
+        later = gamma * np.where(goes_on, most[:, model.s_next], 0)
+        new = np.maximum(0, (np.stack([reward, -reward]) + later).max((2, 3)))
+        change, most, left = (new - most)[:, begin].max(), new, left - 1
+        if not change:
+            break
+    more = left if gamma == 1 else gamma * (1 - gamma**left) / (1 - gamma)
+    return float(most[:, begin].max() + change * more)
 
 
 def _solved(env: Environment, model: Model, epsilon: float, gamma: float) -> "_Round":

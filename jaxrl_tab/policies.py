@@ -163,7 +163,9 @@ def check_among(what: str, probabilities: Any, available: Any) -> None:
     pi, there = concrete(probabilities), concrete(available)
     if pi is not None and there is not None and (at := first((pi > 0) & ~there)):
         *_, s, a = at
-        raise InputError(f"{what}: state {s} does not have action {a}, so its probability must be 0, not {pi[at]}")
+        raise InputError(
+            f"{what}: state {s} does not have action {a}, so its probability must be 0, not {pi[at]}"
+        )
 
 
 class _Anywhere:

@@ -231,6 +231,7 @@ class OffPolicyTD(OffPolicyPrediction, TD):
     One ratio for one step: its variance is far lower than that of whole returns.
     """
 
+    multiplies_returns: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[str] = "transitions of b"
 
@@ -266,6 +267,10 @@ class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[str] = "episodes of b"
+
+    @property
+    def multiplies_returns(self) -> bool:
+        return self.weighting != "weighted"
 
     def control(self, acting: Any = None, target: Any = None) -> Algorithm:
         return _OfStates(

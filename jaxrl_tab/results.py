@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from jaxrl_tab.axes import DRAW
-from jaxrl_tab.policies import Policy
+from jaxrl_tab.policies import UNAVAILABLE, Policy
 from jaxrl_tab.schedules import Schedule, typed
 from jaxrl_tab.train import Log
 from jaxrl_tab.types import Environment
@@ -39,6 +39,7 @@ class SweepResult:
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
         first_seed: see `root_seed`.
+        largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `sweep.Part`.
     """
 
     environment: str
@@ -56,6 +57,7 @@ class SweepResult:
     seconds: float
     compile_seconds: float
     first_seed: int = 0
+    largest_value: Any = np.inf
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -69,8 +71,12 @@ class SweepResult:
 
     @property
     def diverged(self) -> np.ndarray:
-        """Whether a NaN or an infinity is in the table or in the sums of the log, bool [*grid, seeds]."""
-        return is_diverged(self.q, self.log.returns, self.log.rewards)
+        """Whether the table or the sums of the log became no finite numbers, or |Q| grew beyond any possible
+
+        return (`largest_value`), bool [*grid, seeds].
+        """
+        bound = np.asarray(self.largest_value)[..., None]
+        return is_diverged(self.q, self.log.returns, self.log.rewards, largest=bound)
 
     def to_xarray(self) -> "xr.Dataset":
         """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
@@ -126,9 +132,13 @@ class SweepResult:
         return export.to_pandas(self.to_xarray(), per)
 
 
-def is_diverged(q: Any, *sums: Any) -> np.ndarray:
-    """Whether there is a NaN or an infinity in a table [..., S, A] or in sums [..., rows], bool [...]."""
-    found = np.zeros(q.shape[:-2], bool)
+def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
+    """Whether there is a NaN or an infinity in a table [..., S, A] or in sums [..., rows], bool [...].
+
+    Or an entry of the table that is larger, either way, than `largest` [...].
+    """
+    there = q != np.array(UNAVAILABLE, q.dtype)
+    found = np.max(abs(q), (-2, -1), initial=0, where=there) > largest
     for x in (q, *(x[..., None] for x in sums)):
         for extreme in (x.min((-2, -1)), x.max((-2, -1))):  # where there is a NaN, both are NaN
             found |= ~np.isfinite(extreme)

@@ -269,6 +269,9 @@ class Algorithm(Protocol[L]):
     policy b that acted, as a table in its field `behaviour`; or "episodes of b", in order. A method that does
     not say can learn only from what it did itself.
 
+    A method that multiplies returns by ratios of importance sampling says `multiplies_returns = True`: what
+    it learns may be greater than any return, and is no sign that it diverges.
+
     Where the environment says which actions are `available`, the method is asked for what it is among those:
     `restricted_to(available) -> Algorithm`, available bool [S, A].
     """
