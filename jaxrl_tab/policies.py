@@ -297,7 +297,8 @@ class UCB(_Anywhere):
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
         assert clock.visits is not None
         visits = tables.row(clock.visits, s)
-        bonus = jnp.sqrt(jnp.log(_reduce(jnp.add, visits) + 1.0) / jnp.maximum(visits, 1))
+        n = _reduce(jnp.add, visits).astype(q.dtype)
+        bonus = jnp.sqrt(jnp.log(n + 1) / jnp.maximum(visits, 1).astype(q.dtype))
         new = (visits == 0) & (q > UNAVAILABLE)
         return greedy(jnp.where(new, jnp.inf, q + self.c * bonus))
 

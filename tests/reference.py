@@ -171,10 +171,7 @@ class OffPolicy(Agent):
     def learn(self, s, a, r, s_next, terminal, ended, u):
         row = self.q[s_next]
         pi = self.target(row, s_next)
-        if self.words is None:
-            bootstrap = mean(map(F, pi), row)
-        else:
-            bootstrap = row[draw(pi, self.words[self.t - 1])]
+        bootstrap = mean(map(F, pi), row) if self.words is None else row[draw(pi, self.words[self.t - 1])]
         target = r + self.discount(terminal) * bootstrap
         self.q[s, a] += self.alpha(s, a) * (target - self.q[s, a])
         return self.act(s_next, u)
