@@ -417,7 +417,7 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
         if isinstance(env, Grid):
             plot.values(ax, env, v, q)
         else:
-            plot.action_values(ax, env, q)
+            plot.action_values(ax, env, np.where(q == policies.UNAVAILABLE, np.nan, q))
         ax.set_title(title)
     figure.savefig(folder / "values.png")
 

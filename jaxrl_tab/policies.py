@@ -2,7 +2,12 @@
 
 A policy turns a row of action values Q(s, .) into probabilities, float [A]. What is drawn, what Expected
 Sarsa averages over, what importance sampling divides by and what `planning` evaluates are therefore the same
-numbers. Ties for the maximum share its probability equally, everywhere.
+numbers. Ties for the maximum share its probability equally, everywhere. (In float32, the precision of JAX
+unless told otherwise, values of a deterministic task become exact ties after fewer visits than in float64, so
+ties are broken more often and single entries of Q may differ: in the windy gridworld, by Q-learning with
+alpha = 0.5, Q(15, 2) is -10.781 on average and would be -10.751. Returns and lengths of episodes do not.)
+
+Where a state does not have every action (`types.Environment`), none of these takes another one.
 
 Every method takes one as its `behaviour`, and methods that learn about another policy take one as their
 `target`: `Greedy`, `EpsilonGreedy`, `Softmax`, `UCB`, or any `Table` of probabilities. All but tables are

@@ -58,7 +58,7 @@ class MaximizationBias(FixedStart):
         return (jnp.arange(self.actions) < 2) | (s != A)
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
-        s_next = jnp.where((s == A) & (a & 1 == LEFT), jnp.int32(B), jnp.int32(END))
+        s_next = jnp.where((s == A) & (a == LEFT), jnp.int32(B), jnp.int32(END))
         reward = jnp.where(s == B, MEAN, 0.0).astype(float)
         return jnp.ones(1), Outcome(s_next[None], reward[None], (s_next == END)[None])
 
