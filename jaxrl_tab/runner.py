@@ -274,9 +274,9 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
 
 
 def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: those that follow."""
+    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
     one = [part.configs[config]]
-    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=part.num_seeds)
+    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
 
 
 def _split(name: str, part: Part) -> Iterator[Shard]:
@@ -445,7 +445,7 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
     for part in parts.values():
         instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
         runs = min(part.runs, _shard_runs(part))
-        planned = batch.plan(part.env, instances, jax.random.key(part.seed), runs, part.budget, limit)
+        planned = batch.plan(part.env, instances, part.root, runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
     if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
         raise InputError(
