@@ -262,8 +262,8 @@ def _list(argv: list[str]) -> int:
         out.print()
     out.print(escape(about(HYPERPARAMETERS)), "\n", soft_wrap=True)
     out.print("[bold]figures[/]\n")
-    for name, text in figures.items():
-        out.print(f"  [bold cyan]{name}[/]  {escape(text)}")
+    for name, title in figures.items():
+        out.print(f"  [bold cyan]{name}[/]  {escape(title)}")
     return 0
 
 
