@@ -36,7 +36,7 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, executors, planning, programs, runner
+from jaxrl_tab import batch, describe, executors, planning, policies, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.envs.base import Finite, Grid, Panel
@@ -262,8 +262,8 @@ def _list(argv: list[str]) -> int:
         out.print()
     out.print(escape(about(HYPERPARAMETERS)), "\n", soft_wrap=True)
     out.print("[bold]figures[/]\n")
-    for name, text in figures.items():
-        out.print(f"  [bold cyan]{name}[/]  {escape(text)}")
+    for name, title in figures.items():
+        out.print(f"  [bold cyan]{name}[/]  {escape(title)}")
     return 0
 
 
@@ -329,7 +329,7 @@ def _solve(argv: list[str]) -> int:
             key: {
                 "start_value": planning.start_value(env, v),
                 "v": v.tolist(),
-                "q": q.tolist(),
+                "q": np.where(q == policies.UNAVAILABLE, None, q).tolist(),
                 "policy": policy.tolist(),
             }
             for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
@@ -393,7 +393,7 @@ def _panel(panel: Panel, cells: Sequence[str], wind: Any) -> Table:
 
 def _best_actions(q: np.ndarray) -> np.ndarray:
     """The actions whose values are maximal but for rounding, int [n], from values [A]."""
-    return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q).max()))
+    return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q.max())))
 
 
 def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:
@@ -417,7 +417,7 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
         if isinstance(env, Grid):
             plot.values(ax, env, v, q)
         else:
-            plot.action_values(ax, env, q)
+            plot.action_values(ax, env, np.where(q == policies.UNAVAILABLE, np.nan, q))
         ax.set_title(title)
     figure.savefig(folder / "values.png")
 
@@ -714,7 +714,8 @@ def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
         _print_selection(runner.selection(outcome))
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
-        _console().print(f"{diverged} of {runs} runs diverged: a number became infinite or NaN")
+        why = "a number became infinite, or NaN, or grew beyond any possible return"
+        _console().print(f"{diverged} of {runs} runs diverged: {why}")
     if folder:
         name = next(iter(outcome.datasets))
         _say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])

@@ -26,9 +26,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from jaxrl_tab import memory, planning, stats
+from jaxrl_tab import memory, planning, policies, stats
 from jaxrl_tab.envs.base import COMPASS, Finite, Grid
-from jaxrl_tab.types import Environment, InputError
+from jaxrl_tab.types import Environment, InputError, available_actions
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -360,7 +360,8 @@ def greedy_path(
     """
     moves = _Moves.of(env)
     path, arrives = moves.path(q, env.start_state)
-    prefers = (q.max(-1) > q.min(-1)) & ~moves.terminal & moves.reachable
+    least = q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
+    prefers = (q.max(-1) > least) & ~moves.terminal & moves.reachable
     _draw_grid(ax, env, moves)
     rows, columns = np.divmod(path, env.shape[1])
     arrows = _greedy(q) & prefers[:, None]
@@ -665,7 +666,9 @@ def _uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
     gamma, *others = {stats.fixed(ds).get("gamma", np.nan) for ds in datasets.values()}
     if given or others or np.isnan(gamma):
         return None
-    uniform = np.full((env.num_states, env.num_actions), 1 / env.num_actions)
+    available = available_actions(env)
+    there = np.ones((env.num_states, env.num_actions)) if available is None else np.asarray(available, float)
+    uniform = there / there.sum(1, keepdims=True)
     try:
         return planning.evaluate(env, uniform, gamma)
     except InputError:  # not finite everywhere

@@ -77,7 +77,7 @@ class Progress(NamedTuple):
         steps: steps taken since it began, or was resumed.
         seconds: the time since then.
         left: how many more seconds it will take, about; None where nothing can be said yet.
-        diverged: runs in which a number has become infinite or NaN.
+        diverged: runs in which a number became infinite or NaN, or grew beyond any possible return.
     """
 
     label: str
@@ -315,7 +315,9 @@ def _compute(store: Store, job: Job, executor: Executor, meter: "_Meter", later:
     meter.begin(store, job, missing, later)
     with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
         for number, arrays in finished:
-            diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
+            part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
+            largest = part.largest_values[_runs(part, job.shards[number]) // part.num_seeds]
+            diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
             store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)

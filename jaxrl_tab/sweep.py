@@ -15,6 +15,7 @@ from jaxtyping import Float
 from jaxrl_tab import batch, planning
 from jaxrl_tab.axes import DRAW, check_settings, spread, swept_names
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.results import SweepResult, label, parameters
 from jaxrl_tab.train import Log, Record, check_budget, default_log_every
@@ -23,14 +24,18 @@ from jaxrl_tab.types import (
     Environment,
     FiniteEnvironment,
     InputError,
+    available_actions,
     build,
     check_pytree,
+    foreign,
     is_whole,
     nearest,
     repeated,
+    restricted,
     shown,
 )
 
+BEYOND = 10  # times the largest possible return: step sizes above 1 and traces go beyond it, and come back
 FRESH = 2**32 - 1  # what is folded into a root for the root of its fresh seeds
 
 
@@ -89,6 +94,30 @@ class Part:
     @property
     def runs(self) -> int:
         return len(self.configs) * self.num_seeds
+
+    @functools.cached_property
+    def largest_values(self) -> Float[np.ndarray, " configs"]:
+        """Of each configuration, the |Q| beyond which a run has diverged; infinite where that is not judged.
+
+        It is `BEYOND` times what no average of returns exceeds: the initial value, and the largest return of
+        as many steps as the run has. Judged are environments whose rewards are those of their outcomes, and
+        methods that multiply no return by ratios.
+        """
+        budget, env = self.budget, self.env
+        steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps
+        sampled = isinstance(env, Finite) and type(env).step is Finite.step and not hasattr(env, "instance")
+
+        @functools.cache
+        def largest_return(gamma: float, anywhere: bool) -> float:
+            return planning.largest_return(env, gamma, steps, anywhere)
+
+        def largest(config: Any) -> float:
+            if not sampled or getattr(config, "multiplies_returns", False):
+                return np.inf
+            first = abs(getattr(config, "q0", getattr(config, "v0", 0.0)))
+            return BEYOND * (first + largest_return(config.gamma, getattr(config, "exploring_starts", False)))
+
+        return np.array([largest(config) for config in self.configs])
 
     @functools.cached_property
     def programs(self) -> list[np.ndarray]:
@@ -185,7 +214,9 @@ def prepare(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
     if not isinstance(env, Environment):
-        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
+        raise InputError(
+            f"env must be an environment such as make('windy-gridworld'), not {shown(env)}{foreign(env)}"
+        )
     check_pytree("env", env)
     if exact:
         planning.check_finite(env)
@@ -198,6 +229,9 @@ def prepare(
             f"{len(configs):,} settings x {num_seeds:,} seeds are more than the 2**31 runs that can be numbered: "
             "take fewer seeds or settings"
         )
+    available = available_actions(env)
+    for config in configs:
+        restricted(config, available)  # for what it refuses
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
@@ -260,6 +294,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
         optimal_value=_exact_value(part.env, axes, part.configs),
         root_seed=part.seed,
         first_seed=part.first_seed,
+        largest_value=part.largest_values.reshape(shape[:-1]),
         fresh=part.fresh,
         num_steps=part.budget.num_steps,
         num_episodes=part.budget.num_episodes,
