@@ -39,6 +39,7 @@ from jaxrl_tab.types import (
     available_actions,
     check_pytree,
     first,
+    foreign,
     is_distribution,
     shown,
 )
@@ -78,7 +79,7 @@ def check_finite(env: Environment) -> None:
     """Raises InputError where `env` can only be sampled, so that nothing exact can be said about it."""
     if not isinstance(env, FiniteEnvironment):
         raise InputError(
-            f"{_name(env)} can only be sampled; exact values need one with `outcomes` and `initial`"
+            f"{_name(env)} can only be sampled; exact values need one with `outcomes` and `initial`{foreign(env)}"
         )
 
 

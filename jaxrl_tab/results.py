@@ -43,6 +43,7 @@ class SweepResult:
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
         first_seed: see `root_seed`.
         largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `sweep.Part`.
+        fresh: whether the root is instead the one that is kept for fresh seeds; see `sweep.Part`.
     """
 
     environment: str
@@ -61,6 +62,7 @@ class SweepResult:
     compile_seconds: float
     first_seed: int = 0
     largest_value: Any = np.inf
+    fresh: bool = False
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -118,6 +120,7 @@ class SweepResult:
             **{name: value for name, value in budget.items() if value is not None},
             "log_every": self.log_every,
             "root_seed": self.root_seed,
+            **({"fresh_seeds": 1} if self.fresh else {}),
             "optimal_value": float(self.optimal_value) if self.optimal_value.ndim == 0 else float("nan"),
             "seconds": self.seconds,
             "compile_seconds": self.compile_seconds,

@@ -27,6 +27,7 @@ from jaxrl_tab.types import (
     available_actions,
     build,
     check_pytree,
+    foreign,
     is_whole,
     nearest,
     repeated,
@@ -35,6 +36,7 @@ from jaxrl_tab.types import (
 )
 
 BEYOND = 10  # times the largest possible return: step sizes above 1 and traces go beyond it, and come back
+FRESH = 2**32 - 1  # what is folded into a root for the root of its fresh seeds
 
 
 class Computed(NamedTuple):
@@ -58,6 +60,10 @@ class Part:
     Its runs have numbers, 0 to `runs` - 1: the number of the configuration times `num_seeds` plus the place
     of the seed. A run with the seed at place i has the key `fold_in(key(seed), first_seed + i)`.
 
+    Fresh seeds must be seeds of no other sweep, not even of a larger one of the same root. So they have a
+    root of their own, `fold_in(key(seed), FRESH)`, in place of `key(seed)`: no sweep has a seed with this
+    number, for numbers of seeds are below 2**31.
+
     Attributes:
         env: the environment.
         algorithm: the class of the method.
@@ -66,6 +72,7 @@ class Part:
         num_seeds, first_seed: how many seeds there are, and the first of them.
         seed: the root seed.
         budget: how long each run is and what it records.
+        fresh: whether the seeds are fresh ones, of the root that is kept for them.
     """
 
     env: Environment
@@ -76,6 +83,13 @@ class Part:
     first_seed: int
     seed: int
     budget: batch.Budget
+    fresh: bool = False
+
+    @property
+    def root(self) -> Any:
+        """The key whose folds are those of the runs."""
+        key = jax.random.key(self.seed)
+        return jax.random.fold_in(key, FRESH) if self.fresh else key
 
     @property
     def runs(self) -> int:
@@ -187,8 +201,7 @@ def prepare(
     """All checks of a sweep; nothing is compiled.
 
     Args:
-        first_seed: the first of the `num_seeds` seeds, which follow each other: 100 where fresh seeds are
-            wanted after a sweep over 100.
+        first_seed: the first of the `num_seeds` seeds, which follow each other.
         Others: as in `sweep`.
 
     Raises:
@@ -201,7 +214,9 @@ def prepare(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
     if not isinstance(env, Environment):
-        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
+        raise InputError(
+            f"env must be an environment such as make('windy-gridworld'), not {shown(env)}{foreign(env)}"
+        )
     check_pytree("env", env)
     if exact:
         planning.check_finite(env)
@@ -238,7 +253,7 @@ def compute(
     Raises:
         InputError: there is not enough memory; nothing was compiled.
     """
-    root = jax.random.key(part.seed)
+    root = part.root
     instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
     total = part.runs if runs is None else len(runs)
     results, room = batch.plan(part.env, instances, root, total, part.budget, memory)
@@ -280,6 +295,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
         root_seed=part.seed,
         first_seed=part.first_seed,
         largest_value=part.largest_values.reshape(shape[:-1]),
+        fresh=part.fresh,
         num_steps=part.budget.num_steps,
         num_episodes=part.budget.num_episodes,
         log_every=part.budget.log_every or default_log_every(part.budget.num_steps),

@@ -145,11 +145,16 @@ def check_pytree(what: str, obj: Any, registry: Mapping[str, type] | None = None
         raise InputError(f"{what} must be an instance, such as {cls.__name__}(), not {shown(obj)}")
     if isinstance(obj, type):
         raise InputError(f"{what} must be an instance, such as {obj.__name__}(), not the class")
-    if hasattr(obj, "unwrapped") or hasattr(obj, "step_env"):
-        library = "gymnasium" if hasattr(obj, "unwrapped") else "gymnax"
-        raise InputError(f"{what} is an environment of {library}: rl.interop.from_{library} imports it")
+    if hint := foreign(obj):
+        raise InputError(f"{what} must be an environment of jaxrl_tab, not {shown(obj)}{hint}")
     if jax.tree_util.all_leaves([obj]):
         raise InputError(f"{what} is no JAX pytree: decorate its class with jaxrl_tab.types.pytree")
+
+
+def foreign(obj: Any) -> str:
+    """What a message adds about `obj` where it is an environment of Gymnasium or gymnax."""
+    library = "gymnasium" if hasattr(obj, "unwrapped") else "gymnax" if hasattr(obj, "step_env") else None
+    return f"; rl.interop.from_{library} imports it" if library else ""
 
 
 # --- frozen dataclasses that are pytrees -------------------------------------------------------------
