@@ -233,7 +233,7 @@ def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, *
         line: how the line is drawn, as in `Axes.plot`.
     """
     interval = stats.mean_interval(values)
-    ax.plot(x, interval.estimate, label=literal(label), color=color, lw=line.pop("lw", 2), **line)
+    ax.plot(x, interval.estimate, label=literal(label), color=color, lw=line.pop("lw", 1.8), **line)
     ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
 
 
@@ -288,10 +288,10 @@ def _title(ax: Axes, text: str) -> None:
     ax.set_title(literal("\n".join(itertools.chain(*lines))), fontsize=TYPE)
 
 
-def _color_bar(image: Any, axes: Sequence[Axes], **given: Any) -> None:
-    """What the colours of `image` stand for; `axes` make room for it."""
+def color_bar(image: Any, axes: Sequence[Axes], what: str = "value", **given: Any) -> None:
+    """A scale that says what the colours of `image` stand for; `axes` make room for it."""
     bar = image.figure.colorbar(image, ax=list(axes), **given)
-    bar.set_label("value", fontsize=TYPE)
+    bar.set_label(what, fontsize=TYPE)
     bar.ax.tick_params(labelsize=SMALL)
 
 
@@ -459,7 +459,7 @@ def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
         )
         text.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
     assert ax.figure is not None
-    _color_bar(image, [ax], shrink=0.75, pad=0.02)
+    color_bar(image, [ax], shrink=0.75, pad=0.02)
 
 
 def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
@@ -472,8 +472,8 @@ def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
     down, right = np.diff(rows), np.diff(columns)
     moved = (down != 0) | (right != 0)  # against the edge it stays
     x, y = columns[:-1] - 0.12 * down, rows[:-1] + 0.12 * right
-    _quiver(ax, x[moved], y[moved], right[moved], down[moved], COLORS[0])
-    _draw_ends(ax, env)
+    _quiver(ax, x[moved], y[moved], right[moved], down[moved], COLORS[0], width=0.07)
+    _draw_ends(ax, env, aside=True)
     _title(ax, title)
 
 
@@ -486,8 +486,8 @@ def changes(ax: Axes, env: Grid, change: np.ndarray, title: str) -> None:
     size = np.abs(change[states, actions])
     faint = 0.3 + 0.7 * size.astype(float) / size.max(initial=0)
     color = np.column_stack([np.tile(to_rgb(COLORS[1]), (len(size), 1)), faint])
-    _quiver(ax, columns + 0.1 * right, rows + 0.1 * down, 0.4 * right, 0.4 * down, color, width=0.07)
-    _draw_ends(ax, env)
+    _quiver(ax, columns + 0.1 * right, rows + 0.1 * down, 0.4 * right, 0.4 * down, color, width=0.065)
+    _draw_ends(ax, env, aside=True)
     _title(ax, title)
 
 
@@ -608,25 +608,24 @@ def _quiver(
     ax.quiver(
         *(x, y, right, down),
         **{"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": width},
-        **{"headwidth": 4, "headlength": 4, "headaxislength": 3.6, "color": color, "zorder": 3},
+        **{
+            "headwidth": 4,
+            "headlength": 4,
+            "headaxislength": 3.6,
+            "minlength": 0,
+            "color": color,
+            "zorder": 3,
+        },
     )
 
 
-def _draw_ends(ax: Axes, env: Grid) -> None:
+def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
+    """The start and the goal; as bare letters in a corner where arrows need the middle of the cell."""
+    disc = None if aside else {"boxstyle": "circle,pad=0.25", "fc": "white", "ec": INK, "lw": 1}
+    style = {"size": SMALL, "weight": "bold", "ha": "center", "va": "center", "color": INK, "zorder": 6}
+    corner = 0.32 if aside else 0
     for (row, column), letter in ((env.start, "S"), (env.goal, "G")):
-        disc = {"boxstyle": "circle,pad=0.25", "fc": "white", "ec": INK, "lw": 1.2}
-        ax.text(
-            column,
-            row,
-            letter,
-            size=SMALL,
-            weight="bold",
-            ha="center",
-            va="center",
-            zorder=6,
-            color=INK,
-            bbox=disc,
-        )
+        ax.text(column - corner, row - corner, letter, bbox=disc, **style)
 
 
 # --- what is no grid ---------------------------------------------------------------------------------
@@ -675,7 +674,7 @@ def panels(
         ax.spines[:].set_visible(False)
         over = title if ax is axes[0] else ""  # it may be as long as all the tables are wide
         ax.set_title(literal("\n".join(filter(None, [over, table.title]))), fontsize=TYPE, loc="left")
-    _color_bar(image, axes, location="bottom", shrink=0.5, aspect=40, pad=0.01)
+    color_bar(image, axes, location="bottom", shrink=0.5, aspect=40, pad=0.01)
 
 
 def _cell(x: float) -> str:
@@ -784,7 +783,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
         draw(ax)
     for ax in grid[len(curves) :]:
         ax.remove()
-    _head(figure, datasets, env, INTERVAL)
+    _say_what_ran(figure, datasets, env, INTERVAL)
     return figure
 
 
@@ -831,7 +830,7 @@ def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
     for name, draw in _curves(datasets, env).items():
         figure = canvas(NARROW, 4.2)
         draw(figure.subplots())
-        _head(figure, datasets, env, INTERVAL)
+        _say_what_ran(figure, datasets, env, INTERVAL)
         figures[name] = figure
     if isinstance(env, Grid) and not prediction:
         figures["greedy_path"] = _all_paths(datasets, env)
@@ -879,7 +878,7 @@ def value_tables(datasets: Datasets, env: Finite) -> Figure:
     figure, grid = panels_canvas(env, len(learned))
     for row, (title, (v, best)) in zip(grid, learned.items(), strict=True):
         panels(row, env, v, best, title, limits)
-    _head(figure, datasets, env)
+    _say_what_ran(figure, datasets, env)
     return figure
 
 
@@ -937,7 +936,12 @@ def canvas(width: float, height: float) -> Figure:
     return _Canvas((width, height), dpi=DPI, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06))
 
 
-def _head(figure: Figure, datasets: Datasets, env: Environment, shown: str = "") -> None:
+def head(figure: Figure, text: str) -> None:
+    """The title of a whole figure."""
+    figure.suptitle(literal(text), fontsize=TITLE)
+
+
+def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, shown: str = "") -> None:
     """The title of a whole figure: what was run, and what is `shown` of it.
 
     What was run: the environment, what is not as usual in it, the hyperparameters of all, the seeds.
@@ -950,7 +954,7 @@ def _head(figure: Figure, datasets: Datasets, env: Environment, shown: str = "")
     line = int(LINE * figure.get_figwidth() / WIDTH)
     lines = textwrap.wrap(", ".join(settings), line, break_on_hyphens=False)
     lines += [f"{shown} over {_seeds(datasets)}"] if shown else []
-    figure.suptitle(literal("\n".join(lines).replace("\xa0", " ")), fontsize=TITLE)
+    head(figure, "\n".join(lines).replace("\xa0", " "))
 
 
 def _seeds(datasets: Datasets) -> str:

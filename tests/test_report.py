@@ -219,7 +219,7 @@ def test_sensitivity_to_what_was_drawn_is_a_point_for_each_draw(windy_sets):
     ds = ds.assign_coords(draw=[0, 1, 2], alpha=("draw", [*ALPHAS]), q0=("draw", [0.0, -1.0, -2.0]))
     ax = plot.canvas(4, 3).subplots()
     plot.sensitivity(ax, {"sarsa": ds}, "q0")
-    line = next(line for line in ax.get_lines() if line.get_label() == "sarsa")
+    line = next(line for line in ax.get_lines() if line.get_label() == "Sarsa")
     np.testing.assert_array_equal(line.get_xdata(), [0, -1, -2])
     np.testing.assert_allclose(line.get_ydata(), stats.score(ds).mean("seed"))
     assert line.get_linestyle() == "None"
