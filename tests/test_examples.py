@@ -12,6 +12,7 @@ import xarray as xr
 from nbclient import NotebookClient
 
 import jaxrl_tab as rl
+from jaxrl_tab import stats
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -41,10 +42,16 @@ def one_device(monkeypatch):
 def test_a_sweep(capsys, one_device):
     names, printed = run_example("sweep", capsys)
     assert names["optimum"] == pytest.approx(-15)
-    sarsa, expected = (np.array([line[1] for line in printed[i : i + 4]]) for i in (0, 4))
+    sarsa, expected = (np.array([line[1] for line in printed[i : i + 6]]) for i in (0, 6))
     assert (np.diff(expected) > 0).all()
     assert (expected > sarsa - 1).all()
-    assert 8 < names["gain"].low < names["gain"].estimate < names["gain"].high < 14
+    # The best step size of Sarsa is in the grid, and not at its edge; and nothing is scored on the seeds it was
+    # chosen on. From long runs of both at their best step sizes: 5.58.
+    assert names["best"]["sarsa"] == {"alpha": 0.5}
+    assert names["gain"].low < 5.58 < names["gain"].high
+    assert names["gain"].high - names["gain"].low < 2
+    chosen = stats.score(names["datasets"]["sarsa"]).sel(alpha=0.5)
+    assert not np.isin(names["fresh"]["sarsa"], chosen).any()
 
 
 def test_jit_and_vmap(capsys):
@@ -82,7 +89,15 @@ def test_an_experiment(capsys, one_device, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["experiment.py", str(folder)])
     names, printed = run_example("experiment", capsys)
     assert set(names["outcome"].fresh) == {"cliff-walking/sarsa", "cliff-walking/q-learning"}
-    assert all(-26 < line[0] < -14 for line in printed if line[0] < -1)
+    # A chosen setting is flattered, here by much; on fresh seeds no mean is above what can be had with epsilon 0.1.
+    assert names["soft"] == pytest.approx(-20.7077, abs=5e-5)
+    (sarsa, sarsa_again), (q, q_again) = (
+        [line[0] for line in lines] for lines in (printed[-4:-2], printed[-2:])
+    )
+    assert -27 < sarsa_again < -20.7077
+    assert -52 < q_again < -46
+    assert sarsa > sarsa_again + 2
+    assert q > q_again + 2
     assert {"results.nc", "fresh.nc", "report.html", "experiment.toml"} <= {x.name for x in folder.iterdir()}
     assert "fresh seeds" in (folder / "report.html").read_text(encoding="utf-8")
 

@@ -150,7 +150,7 @@ def _draw(datasets):
 
     for weighting, color in zip(WEIGHTINGS, plot.COLORS, strict=False):
         paths = _paths(datasets, weighting)
-        width = {"ordinary": 0.8, "weighted": 3}[weighting]  # these are soon at 1, all of them, and stay
+        width = {"ordinary": 0.8, "weighted": 2.2}[weighting]  # these are soon at 1, all of them, and stay
         lines = right.plot(paths.episodes, paths, color=color, lw=width)
         lines[0].set_label(f"{weighting}, {paths.sizes['seed']} runs")
     right.axhline(1, color=plot.INK, ls="--", lw=1, label="exact: 1", zorder=3)
