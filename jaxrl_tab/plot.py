@@ -40,7 +40,11 @@ INK, GREY, ALARM = "#222222", "#6e6e6e", "#D55E00"
 TITLE, TYPE, SMALL, CELL = 10, 9, 8, 7  # font sizes, points; the last is of the hundreds of cells of a table
 WIDTH, NARROW = 7.2, 6.0  # inches: of a figure, and of one with a single curve
 DPI = 200
-LINE, HALF = 84, 42  # characters of a title over a figure, and over one of two columns
+LINE, HALF, LABEL = (
+    84,
+    42,
+    36,
+)  # characters of a title over a figure, and over one of two columns; of a legend
 LONGEST = 60  # characters of a name
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
 FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has its tick on an axis
@@ -263,7 +267,7 @@ def legend(ax: Axes, **given: Any) -> None:
             labels[i] += " (no value)"
         elif y.size and not (seen.min() <= high and seen.max() >= low):
             labels[i] += " (off the scale)"
-    labels = [textwrap.fill(label, HALF, break_on_hyphens=False) for label in labels]
+    labels = [textwrap.fill(label, LABEL, break_on_hyphens=False) for label in labels]
     style = {"fontsize": SMALL, "framealpha": 0.8, "edgecolor": "none", "borderpad": 0.2, "handlelength": 1.8}
     if len(labels) == 1:
         given = {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0}
@@ -446,7 +450,7 @@ def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
     image = ax.imshow(np.ma.masked_array(v, ~shown).reshape(env.shape), cmap="viridis", zorder=1)
     _draw_grid(ax, env, moves)
     _draw_arrows(ax, env, _greedy(q) & (shown & ~moves.terminal)[:, None], "white", raised=0.1)
-    _draw_ends(ax, env)
+    _draw_ends(ax, env, aside=True)
     for s in np.flatnonzero(shown & ~moves.terminal):
         row, column = divmod(int(s), env.shape[1])
         text = ax.text(
@@ -626,12 +630,13 @@ def _quiver(
 
 
 def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
-    """The start and the goal; as bare letters in a corner where arrows need the middle of the cell."""
+    """The start and the goal; as letters in a corner where arrows need the middle of the cell."""
     disc = None if aside else {"boxstyle": "circle,pad=0.25", "fc": "white", "ec": INK, "lw": 1}
     style = {"size": SMALL, "weight": "bold", "ha": "center", "va": "center", "color": INK, "zorder": 6}
     corner = 0.32 if aside else 0
     for (row, column), letter in ((env.start, "S"), (env.goal, "G")):
-        ax.text(column - corner, row - corner, letter, bbox=disc, **style)
+        text = ax.text(column - corner, row - corner, letter, bbox=disc, **style)
+        text.set_path_effects([patheffects.withStroke(linewidth=2, foreground="white")])
 
 
 # --- what is no grid ---------------------------------------------------------------------------------
