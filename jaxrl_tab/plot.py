@@ -1,9 +1,10 @@
 """Pictures of sweeps and of grids.
 
 A function that draws takes the `Axes` to draw on; `overview` and `save_all` make their own figures. Nothing
-here touches pyplot, so it needs no display and leaves no figure open. Colours are Okabe and Ito's, which
-people with any colour vision can tell apart; methods also differ in their markers. No figure is wider than
-`WIDTH`, a column of text, so that its type can be read where people see it.
+here touches pyplot, so it needs no display and leaves no figure open. Bands and bars are 95% intervals of the
+mean, each point for itself (pointwise); for whole curves there is `stats.simultaneous_interval`. Colours are
+Okabe and Ito's, which people with any colour vision can tell apart; methods also differ in their markers. No
+figure is wider than `WIDTH`, a column of text, so that its type can be read where people see it.
 
 Datasets are those of `SweepResult.to_xarray`, one for each method, by the name that the legend shows.
 """
@@ -28,9 +29,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from jaxrl_tab import describe, memory, planning, stats
+from jaxrl_tab import describe, memory, planning, policies, stats
 from jaxrl_tab.envs.base import COMPASS, Finite, Grid
-from jaxrl_tab.types import Environment, InputError
+from jaxrl_tab.types import Environment, InputError, available_actions
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<")  # one more than colours: the pairs repeat after 56
@@ -40,16 +41,11 @@ INK, GREY, ALARM = "#222222", "#6e6e6e", "#D55E00"
 TITLE, TYPE, SMALL, CELL = 10, 9, 8, 7  # font sizes, points; the last is of the hundreds of cells of a table
 WIDTH, NARROW = 7.2, 6.0  # inches: of a figure, and of one with a single curve
 DPI = 200
-LINE, HALF, LABEL = (
-    84,
-    42,
-    36,
-)  # characters of a title over a figure, and over one of two columns; of a legend
+LINE, HALF, LABEL = 84, 42, 36  # characters in a line: over a figure, over half of one, in a legend
 LONGEST = 60  # characters of a name
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
 FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has its tick on an axis
 MOST_MARKS = 24  # kinds of marks in a picture; beyond them nobody can tell which is which
-INTERVAL = "mean and 95% interval"
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 Datasets = Mapping[str, xr.Dataset]
@@ -75,7 +71,7 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
         by_steps = "num_steps" in ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
-        mean, low, high = (_from_origin(x) for x in stats.progress_interval(ds, spread)[:3])
+        mean, low, high = (_from_origin(x.clip(min=0)) for x in stats.progress_interval(ds, spread)[:3])
         other = _from_origin(stats.episode_curve(ds.isel(seed=0))[exact])
         points = (other, mean) if by_steps else (mean, other)
         ax.plot(*points, lw=1.8, ms=4.5, markevery=max(1, len(mean) // 8), label=literal(label), **style)
@@ -87,7 +83,7 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
     legend(ax, loc="upper left")
 
 
-def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
+def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **given: Any) -> None:
     """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
 
     Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
@@ -120,19 +116,22 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
         ax.text(0.5, 0.3, "too few episodes for a curve", transform=ax.transAxes, ha="center", color=GREY)
     ax.set_xlim(0, 1.03 * end)
     tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
-    _return_axis(ax, shown, _common_optimum(datasets))
+    _return_axis(ax, shown, _common_optimum(datasets), soft)
     legend(ax)
 
 
-def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
+def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft: float = np.nan) -> None:
     """Mean return of the last tenth against a hyperparameter, with 95% intervals and the exact optimum.
 
     Of methods of prediction it is the mean RMS error of V over all rows. Other swept hyperparameters stay at
-    the method's best combination. A point is hollow where seeds that finished no episode in the last tenth
-    are missing from it. A method that did not sweep the parameter is drawn at the one value that it had.
-    Schedules and policies, and numbers beside them, stand side by side in the order in which they come.
-    Where the parameter was drawn at random there is a point for each draw, in which what was drawn with it
-    is another, too.
+    the method's best combination. The intervals are those of `stats.score_interval`. A point is hollow where
+    some runs finished no episode in the last tenth, and so count with what they collected there. A method
+    that did not sweep the parameter is drawn at the one value that it had. Schedules and policies, and
+    numbers beside them, stand side by side in the order in which they come. Where the parameter was drawn at
+    random there is a point for each draw, in which what was drawn with it is another, too.
+
+    Args:
+        soft: as in `learning_curves`.
 
     Raises:
         InputError: no method swept the parameter.
@@ -153,16 +152,14 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
             if parameter not in stats.fixed(ds):
                 continue
             ds = ds.expand_dims({parameter: [stats.fixed(ds)[parameter]]})
-        score = stats.score(ds) if prediction else stats.mean_return(ds, stats.last_tenth(ds))
-        interval = stats.mean_interval(score)
-        few = (interval.n < ds.sizes["seed"]).values
-        series[name] = label, ds[parameter].values, interval, few
+        late = xr.zeros_like(ds[parameter], bool) if prediction else stats.unfinished(ds).any("seed")
+        series[name] = label, ds[parameter].values, stats.score_interval(ds), late.values
     place = _places(ax, [x for _, x, _, _ in series.values()])
     shown, incomplete = [], False
     for name, style in zip(datasets, _styles(), strict=False):
         if name not in series:
             continue
-        label, x, interval, few = series[name]
+        label, x, interval, late = series[name]
         x, mean, low, high = place(x), *(part.values for part in interval[:3])
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
@@ -170,20 +167,20 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
             x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, color=style["color"]
         )
         ax.plot(x, mean, lw=1.8, ms=5.5, label=literal(label), **style)
-        few &= np.isfinite(mean)
-        ax.plot(x[few], mean[few], ls="none", ms=3, marker=style["marker"], color="white", zorder=5)
+        late &= np.isfinite(mean)
+        ax.plot(x[late], mean[late], ls="none", ms=3, marker=style["marker"], color="white", zorder=5)
         shown += [mean, low, high]
-        incomplete |= bool(few.any())
+        incomplete |= bool(late.any())
     if incomplete:
         hollow = {"marker": "o", "mfc": "white", "mec": INK, "mew": 1.5}
-        ax.plot([], [], ls="none", **hollow, label="hollow: some seeds finish no episode")
+        ax.plot([], [], ls="none", **hollow, label="hollow: some runs unfinished")
     what = "step size α" if parameter == "alpha" else GREEK.get(parameter, parameter)
     if prediction:
         tidy(ax, what, "RMS error of V, mean over the run")
         _error_axis(ax, shown[::3])
     else:
         tidy(ax, what, "mean return, last tenth")
-        _return_axis(ax, shown, _common_optimum(datasets))
+        _return_axis(ax, shown, _common_optimum(datasets), soft)
     legend(ax)
 
 
@@ -224,7 +221,7 @@ def _error_axis(ax: Axes, means: list[np.ndarray]) -> None:
 
 
 def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, **line: Any) -> None:
-    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its 95% interval.
+    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its pointwise 95% interval.
 
     Args:
         ax: where to draw.
@@ -361,20 +358,31 @@ def _common_optimum(datasets: Datasets) -> float:
     return float(values[0]) if np.ptp(values) < 1e-6 * max(1, abs(values[0])) else np.nan
 
 
-def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float) -> None:
-    """The y axis of returns, and the optimum as a dashed line.
+def _common_soft_optimum(datasets: Datasets, env: Environment) -> float:
+    """What the best policy is worth that explores as the best settings do, if that is one number, else NaN."""
+    if stats.is_prediction(*datasets.values()):
+        return np.nan
+    settings = [stats.fixed(ds) | stats.named(ds, stats.best(ds)) for ds in datasets.values()]
+    explored = [{key: setting.get(key) for key in ("epsilon", "gamma", "behaviour")} for setting in settings]
+    return stats.soft_optimum(env, explored[0]) if all(x == explored[0] for x in explored) else np.nan
+
+
+def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float) -> None:
+    """The y axis of returns, the optimum as a dashed line, and as a dotted one that of who explores.
 
     Early returns can be a hundred times the last ones, and the distance from these to the optimum is what
     matters. Where all are negative and differ by more than a factor of five, the axis is one of ratios.
     """
-    values = np.concatenate([*shown, [optimum]])
+    values = np.concatenate([*shown, [optimum, soft]])
     values = values[np.isfinite(values)]
-    if np.isfinite(optimum):
-        ax.axhline(optimum, color=INK, ls=(0, (5, 3)), lw=1.3, zorder=1)
-        text = f"exact optimum {_number(optimum)}"
-        at = {"xytext": (0, 2), "xycoords": ax.get_yaxis_transform(), "textcoords": "offset points"}
-        label = ax.annotate(text, (0.02, optimum), **at, va="bottom", fontsize=SMALL, zorder=6)
-        label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
+    lines = (("exact optimum", optimum, (0, (5, 3)), 2, "bottom"), ("best ε-soft", soft, ":", -2, "top"))
+    for name, y, style, offset, side in lines:
+        if np.isfinite(y):
+            ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1)
+            text = f"{name} {_number(y)}"
+            at = {"xytext": (0, offset), "xycoords": ax.get_yaxis_transform(), "textcoords": "offset points"}
+            label = ax.annotate(text, (0.02, y), **at, va=side, fontsize=SMALL, zorder=6)
+            label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
     if not values.size:
         return
     low, high = values.min(), values.max()
@@ -417,7 +425,8 @@ def greedy_path(
     """
     moves = _Moves.of(env)
     path, arrives = moves.path(q, env.start_state)
-    prefers = (q.max(-1) > q.min(-1)) & ~moves.terminal & moves.reachable
+    least = q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
+    prefers = (q.max(-1) > least) & ~moves.terminal & moves.reachable
     _draw_grid(ax, env, moves)
     rows, columns = np.divmod(path, env.shape[1])
     arrows = _greedy(q) & prefers[:, None]
@@ -674,7 +683,9 @@ def panels(
             text = _cell(float(v[s]))
             if best is not None:
                 text += "\n" + _either([env.action_names[a] for a in np.flatnonzero(best[s])])
-            color = INK if image.norm(v[s]) > 0.6 else "white"  # on the bright colours, and on the dark
+            color = (
+                INK if float(image.norm(v[s])) > 0.6 else "white"
+            )  # on the bright colours, and on the dark
             middle = {"ha": "center", "va": "center", "linespacing": 1}
             ax.text(column, row, literal(text), size=CELL, color=color, **middle)
         ax.set_xticks(range(len(table.columns)), map(literal, table.columns))
@@ -726,7 +737,7 @@ def action_values(ax: Axes, env: Finite, q: np.ndarray) -> None:
     style = {"ls": "none", "ms": 5}
     if len(shown) > MOST_MARKS:
         ax.plot(x, shown.T, ".", color="#9a9a9a")[0].set_label(f"any {marked[0]}")
-        ax.plot(x, shown.max(0), "o", color=COLORS[0], label=f"the best {marked[0]}", **style)
+        ax.plot(x, np.nanmax(shown, 0), "o", color=COLORS[0], label=f"the best {marked[0]}", **style)
     else:
         for y, name, mark in zip(shown, marked[1], _styles(), strict=False):
             ax.plot(x, y, label=literal(name), **mark | style)
@@ -764,7 +775,9 @@ def _uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
     gamma, *others = {stats.fixed(ds).get("gamma", np.nan) for ds in datasets.values()}
     if given or others or np.isnan(gamma):
         return None
-    uniform = np.full((env.num_states, env.num_actions), 1 / env.num_actions)
+    available = available_actions(env)
+    there = np.ones((env.num_states, env.num_actions)) if available is None else np.asarray(available, float)
+    uniform = there / there.sum(1, keepdims=True)
     try:
         return planning.evaluate(env, uniform, gamma)
     except InputError:  # not finite everywhere
@@ -783,8 +796,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
     """
     curves = _curves(datasets, env)
     if isinstance(env, Grid) and not stats.is_prediction(*datasets.values()):
-        table = stats.summary(datasets)
-        winner = table.method[table.last_tenth_return.fillna(-np.inf).argmax()]
+        winner = stats.ranked(datasets)[0]
         curves["greedy_path"] = lambda ax: _median_path(ax, env, winner, datasets[winner])
     columns = min(2, len(curves))
     rows = -(-len(curves) // columns)
@@ -794,7 +806,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
         draw(ax)
     for ax in grid[len(curves) :]:
         ax.remove()
-    _say_what_ran(figure, datasets, env, INTERVAL)
+    _say_what_ran(figure, datasets, env, intervals=True)
     return figure
 
 
@@ -841,7 +853,7 @@ def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
     for name, draw in _curves(datasets, env).items():
         figure = canvas(NARROW, 4.2)
         draw(figure.subplots())
-        _say_what_ran(figure, datasets, env, INTERVAL)
+        _say_what_ran(figure, datasets, env, intervals=True)
         figures[name] = figure
     if isinstance(env, Grid) and not prediction:
         figures["greedy_path"] = _all_paths(datasets, env)
@@ -856,12 +868,14 @@ def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], 
     curves: dict[str, Callable[[Axes], None]] = {}
     if not prediction:
         curves["episodes"] = lambda ax: episodes_against_steps(ax, datasets)
-    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets)
+    soft = _common_soft_optimum(datasets, env)
+    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets, soft=soft)
     names = (name for ds in datasets.values() for name in stats.hyperparameters(ds) + stats.drawn(ds))
     swept = dict.fromkeys(name for name in names if name != "draw")
     for i, name in enumerate(sorted(swept, key=lambda name: name != "alpha")):
         key = f"sensitivity_{name}" if i else "sensitivity"
-        curves[key] = lambda ax, name=name: sensitivity(ax, datasets, name)
+        line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
+        curves[key] = lambda ax, name=name, line=line: sensitivity(ax, datasets, name, soft=line)
     if prediction and not (isinstance(env, Finite) and env.panels()):
         curves["values"] = lambda ax: state_values(ax, datasets, env)
     return curves
@@ -952,8 +966,8 @@ def head(figure: Figure, text: str) -> None:
     figure.suptitle(literal(text), fontsize=TITLE)
 
 
-def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, shown: str = "") -> None:
-    """The title of a whole figure: what was run, and what is `shown` of it.
+def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, *, intervals: bool = False) -> None:
+    """The title of a whole figure: what was run, and whether means with `intervals` are shown of it.
 
     What was run: the environment, what is not as usual in it, the hyperparameters of all, the seeds.
     """
@@ -964,7 +978,7 @@ def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, shown: s
     settings = [setting.replace(" ", "\xa0") for setting in [*names, *unusual(env), *in_words(common)]]
     line = int(LINE * figure.get_figwidth() / WIDTH)
     lines = textwrap.wrap(", ".join(settings), line, break_on_hyphens=False)
-    lines += [f"{shown} over {_seeds(datasets)}"] if shown else []
+    lines += [f"mean over {_seeds(datasets)}, and its 95% interval at each point"] if intervals else []
     head(figure, "\n".join(lines).replace("\xa0", " "))
 
 

@@ -77,7 +77,7 @@ class Progress(NamedTuple):
         steps: steps taken since it began, or was resumed.
         seconds: the time since then.
         left: how many more seconds it will take, about; None where nothing can be said yet.
-        diverged: runs in which a number has become infinite or NaN.
+        diverged: runs in which a number became infinite or NaN, or grew beyond any possible return.
     """
 
     label: str
@@ -274,9 +274,9 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
 
 
 def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: those that follow."""
+    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
     one = [part.configs[config]]
-    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=part.num_seeds)
+    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
 
 
 def _split(name: str, part: Part) -> Iterator[Shard]:
@@ -315,7 +315,9 @@ def _compute(store: Store, job: Job, executor: Executor, meter: "_Meter", later:
     meter.begin(store, job, missing, later)
     with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
         for number, arrays in finished:
-            diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
+            part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
+            largest = part.largest_values[_runs(part, job.shards[number]) // part.num_seeds]
+            diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
             store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)
@@ -443,7 +445,7 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
     for part in parts.values():
         instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
         runs = min(part.runs, _shard_runs(part))
-        planned = batch.plan(part.env, instances, jax.random.key(part.seed), runs, part.budget, limit)
+        planned = batch.plan(part.env, instances, part.root, runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
     if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
         raise InputError(

@@ -58,7 +58,7 @@ def _draw(datasets):
     surfaces = {"Learned by one seed: max Q(s, a)": learned[0], "Exact: v*(s)": exact}
     canvas = plot.canvas(plot.WIDTH, 9.6)
     grid = canvas.add_gridspec(4, 2, height_ratios=(1, 1, 1.25, 1.25))
-    flat, deep = [], []
+    flat, deep, shares, values = [], [], None, None
     for row, (usable, name) in enumerate(USABLE.items()):
         for column, (title, hit) in enumerate(policies.items()):
             flat.append(ax := canvas.add_subplot(grid[row, column]))
@@ -78,11 +78,12 @@ def _draw(datasets):
 def _policy(ax, hit, best):
     """How far the player hits, from 0 to 1, for each sum and card; and the border of the best policy."""
     import matplotlib as mpl
+    from matplotlib.colors import ListedColormap
 
     from jaxrl_tab import plot
 
     pale = mpl.colormaps["Blues"].resampled(256)(np.linspace(0, 0.62, 256))  # texts can be read on it
-    look = {"cmap": mpl.colors.ListedColormap(pale), "vmin": 0, "vmax": 1, "ec": "white", "lw": 0.5}
+    look = {"cmap": ListedColormap(pale), "vmin": 0, "vmax": 1, "ec": "white", "lw": 0.5}
     image = ax.pcolormesh(SHOWN, SUMS, hit.astype(float), shading="nearest", **look)
     border = SUMS[(~best).argmax(0)] - 0.5
     edges = np.append(SHOWN - 0.5, SHOWN[-1] + 0.5)
