@@ -684,7 +684,7 @@ def panels(
             if best is not None:
                 text += "\n" + _either([env.action_names[a] for a in np.flatnonzero(best[s])])
             color = (
-                INK if float(image.norm(v[s])) > 0.6 else "white"
+                INK if v[s] > low + 0.6 * (high - low) else "white"
             )  # on the bright colours, and on the dark
             middle = {"ha": "center", "va": "center", "linespacing": 1}
             ax.text(column, row, literal(text), size=CELL, color=color, **middle)
