@@ -329,7 +329,7 @@ def _solve(argv: list[str]) -> int:
             key: {
                 "start_value": planning.start_value(env, v),
                 "v": v.tolist(),
-                "q": np.where(q == policies.UNAVAILABLE, None, q).tolist(),
+                "q": [[None if x == policies.UNAVAILABLE else x for x in row] for row in q.tolist()],
                 "policy": policy.tolist(),
             }
             for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
@@ -408,18 +408,18 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
         for row, title, (_, v, q) in zip(grid, titles, solutions.values(), strict=True):
             best = np.array([np.isin(np.arange(env.num_actions), _best_actions(x)) for x in q])
             plot.panels(row, env, v, best, title)
-        figure.savefig(folder / "values.png")
+        plot.save(figure, folder / "values.png")
         return
-    height = 1.6 + 6.2 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 4
-    figure = plot.canvas(8, height * len(solutions))
+    height = 1.2 + 5.8 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 3.6
+    figure = plot.canvas(plot.WIDTH, height * len(solutions))
     axes = np.ravel(figure.subplots(len(solutions)))
     for ax, title, (_, v, q) in zip(axes, titles, solutions.values(), strict=True):
         if isinstance(env, Grid):
             plot.values(ax, env, v, q)
         else:
             plot.action_values(ax, env, np.where(q == policies.UNAVAILABLE, np.nan, q))
-        ax.set_title(title)
-    figure.savefig(folder / "values.png")
+        ax.set_title(title, fontsize=plot.TITLE)
+    plot.save(figure, folder / "values.png")
 
 
 # --- sweep -------------------------------------------------------------------------------------------
@@ -932,7 +932,7 @@ class Figure:
     all: Switch = False
     """Make all figures; with --out, also index.html, which shows them."""
     out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
-    """New folder for the picture and the data."""
+    """New folder for the picture, as PNG and as PDF, and the data."""
     json: Switch = False
     """Print the numbers as JSON."""
     quiet: Switch = False
@@ -956,7 +956,7 @@ def _figure(argv: list[str]) -> int:
             with _busy(f"{name}: numbers and picture", options.quiet):
                 checked[name] = figure, [number.check(datasets) for number in figure.numbers]
                 if folder:
-                    figure.draw(datasets).savefig(folder / f"{name}.png")
+                    _draw_figure(figure, datasets, folder / name)
             if not options.json:
                 _console().print(_check_table(*checked[name]))
         if folder and options.all:
@@ -971,6 +971,15 @@ def _figure(argv: list[str]) -> int:
     elif options.out:
         _say_where(options.out, groups[0])
     return 0 if all(c.ok for _, checks in checked.values() for c in checks) else 1
+
+
+def _draw_figure(figure: PublishedFigure, datasets: "Mapping[str, xr.Dataset]", file: Path) -> None:
+    """As PNG, to look at, and as PDF, which is sharp at any size."""
+    from jaxrl_tab import plot
+
+    picture = figure.draw(datasets)
+    for ending in (".png", ".pdf"):
+        plot.save(picture, file.with_suffix(ending))
 
 
 def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:
