@@ -518,7 +518,8 @@ def _write_template(file: str) -> int:
 class Resume(Where):
     """Goes on with a sweep that was interrupted: computes what is missing or damaged, and nothing else.
 
-    The results are the same, to the last bit, as if nothing had happened.
+    The results are the same, to the last bit, as if nothing had happened. Where they would not be, as with
+    another version of JAX or on another kind of processor, it says what has changed, and computes nothing.
 
     Examples:
       jaxrl-tab resume runs/windy
@@ -528,6 +529,8 @@ class Resume(Where):
     """The folder of the sweep: what --out named."""
     memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
     """How much memory it may take, such as 4GB."""
+    mixed: Switch = False
+    """Go on nevertheless; the report tells what was not the same for all numbers."""
     json: Switch = False
     """Print the summary as JSON."""
     quiet: Switch = False
@@ -544,7 +547,7 @@ def _resume(argv: list[str]) -> int:
     with _executor(options) as executor:
         if isinstance(executor, executors.Distributed) and executor.serve():
             return 0
-        given = {"executor": executor, "memory": options.memory, "command": command}
+        given = {"executor": executor, "memory": options.memory, "command": command, "mixed": options.mixed}
         with _watched(options) as progress:
             outcome = runner.resume(options.out, progress=progress, **given)
         return _show(outcome, options.out, options)

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab import batch, planning
+from jaxrl_tab import batch, planning, rng
 from jaxrl_tab.axes import DRAW, spread, swept_names
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.prediction import METHODS
@@ -199,7 +199,7 @@ def compute(
     Raises:
         InputError: there is not enough memory; nothing was compiled.
     """
-    root = jax.random.key(part.seed)
+    root = rng.key(part.seed)
     instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
     total = part.runs if runs is None else len(runs)
     results, room = batch.plan(part.env, instances, root, total, part.budget, memory)

@@ -131,7 +131,7 @@ def test_the_folder_says_how_to_do_it_again(undisturbed):
     assert rl.Experiment.load(folder / "experiment.toml").data() == quick.SELECTED.data()
     assert json.loads((folder / "resolved.json").read_text()) == quick.SELECTED.data()
     (session,) = json.loads((folder / "provenance.json").read_text())["sessions"]
-    assert session["versions"]["jax"] == jax.__version__ and session["devices"] == 2
+    assert session["surroundings"]["jax"] == jax.__version__ and session["devices"] == 2
     assert session["started"] <= session["ended"] and session["command"] == "a command"
 
 
