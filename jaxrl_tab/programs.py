@@ -124,10 +124,9 @@ def _file(name: Any) -> Path | None:
         _Named(pickled, protocol=5).dump(name)
     except (pickle.PicklingError, AttributeError, TypeError):
         return None
-    settings = sorted(jax.config.values.items()), provenance.settings()  # the second are this thread's
     parts = (
         pickled.getvalue(),
-        repr(settings).encode(),
+        repr(sorted(jax.config.values.items())).encode(),
         os.environ.get("XLA_FLAGS", "").encode(),
         _code_and_machine(),
     )

@@ -13,6 +13,7 @@ import platform
 import re
 import subprocess
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -49,8 +50,8 @@ _ABOVE = {
 
 def settings() -> dict[str, Any]:
     """The settings of JAX that change numbers, as they are in this thread: name -> plain value."""
-    known = (name for name in SETTINGS if name in jax.config.values)
-    values = {name: getattr(jax.config, name, jax.config.values[name]) for name in known}
+    found = jax.config.values
+    values = {name: found[name] for name in SETTINGS if name in found}
     return {name: x.value if isinstance(x, enum.Enum) else x for name, x in values.items()}
 
 
@@ -61,7 +62,8 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
     Raises:
         InputError: JAX does not take one of them.
     """
-    before = {name: jax.config.values[name] for name in chosen}
+    with ThreadPoolExecutor(1) as elsewhere:  # not as they are within a block such as `jax.enable_x64`
+        before = elsewhere.submit(lambda: jax.config.values).result()
     try:
         for name, value in chosen.items():
             try:
@@ -70,8 +72,8 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
                 raise InputError(f"JAX cannot be given {name} = {value!r}: {error}") from None
         yield
     finally:
-        for name, value in before.items():
-            jax.config.update(name, value)
+        for name in chosen:
+            jax.config.update(name, before[name])
 
 
 def installed() -> dict[str, Any]:

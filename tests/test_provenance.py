@@ -224,6 +224,7 @@ def test_a_setting_that_cannot_be_set_is_refused(folder):
     """In a block of `jax.enable_x64`, which is stronger than what `resume` sets."""
     with jax.enable_x64(True), pytest.raises(InputError, match="jax_enable_x64 was False, and is True"):
         rl.resume(folder)
+    assert not provenance.settings()["jax_enable_x64"]
 
 
 # --- what is compared --------------------------------------------------------------------------------
