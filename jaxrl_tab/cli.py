@@ -5,18 +5,22 @@ no edit here. All that a person can get wrong is refused before anything is comp
 one line. Tables and JSON go to stdout, progress and errors to stderr.
 """
 
+import codecs
 import contextlib
 import dataclasses
 import datetime
+import io
 import json as jsonlib
 import os
 import shlex
 import sys
+import threading
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import jax
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
@@ -34,7 +38,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 import jaxrl_tab
 from jaxrl_tab import batch, describe, executors, planning, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.envs.base import Finite, Grid, Panel
 from jaxrl_tab.executors import Executor
 from jaxrl_tab.experiment import Experiment, plan, template
@@ -42,11 +46,24 @@ from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page, six_digits
 from jaxrl_tab.interrupt import interruptible
-from jaxrl_tab.options import Group, about, option_of, parameters, parse, real, size, values, whole, words
+from jaxrl_tab.options import (
+    Group,
+    about,
+    option_of,
+    parameters,
+    parse,
+    path,
+    real,
+    size,
+    text,
+    values,
+    whole,
+    words,
+)
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import label, save
 from jaxrl_tab.sweep import METHODS
-from jaxrl_tab.types import InputError, RunError, build, nearest
+from jaxrl_tab.types import InputError, RunError, build, is_text, nearest, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -57,6 +74,8 @@ if TYPE_CHECKING:  # these take their time to import, and only some commands nee
 Switch = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
 PROG = "jaxrl-tab"
+TRACEBACK = "JAXRL_TAB_TRACEBACK"
+PATIENCE = 2.0  # seconds of silence, at most
 HELP = f"""\
 usage: {PROG} COMMAND ...
 
@@ -98,29 +117,93 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code: 0, 2 (wrong input), 130 (Ctrl-C), or 1.
 
     1 says that a figure is off, or that something could not be finished, as where the disk is full. Where the
-    reader of its output goes away, as `| head` does, it ends quietly with 1.
+    reader of its output goes away, as `| head` does, it ends quietly with 1; where stdout or stderr is closed
+    nothing is said there, and the work is done. What the encoding of either lacks is replaced. A defect of
+    this package is one line, too, and exit code 1; with `JAXRL_TAB_TRACEBACK=1` it is raised.
     """
     argv = sys.argv[1:] if argv is None else list(argv)
+    _prepare_streams()
     try:
         try:
             return _dispatch(argv)
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
+        _give_up_stdout()
         return 1
     except InputError as error:
-        print(f"{PROG}: {error}", file=sys.stderr)
-        return 2
+        return _complain(str(error), code=2)
     except RunError as error:
-        print(f"{PROG}: {error}", file=sys.stderr)
-        return 1
+        return _complain(str(error))
     except KeyboardInterrupt as stop:
-        print("; ".join([f"{PROG}: interrupted", *map(str, stop.args)]), file=sys.stderr)
-        return 130
+        return _complain("; ".join(["interrupted", *map(str, stop.args)]), code=130)
+    except MemoryError as error:
+        return _complain("; ".join(["there is not enough memory", *_notes(error)]))
+    except OSError as error:
+        _give_up_stdout()
+        what = f"{error.filename}: " if error.filename else "reading or writing failed: "
+        return _complain("; ".join([what + (error.strerror or str(error)), *_notes(error)]))
+    except Exception as error:
+        if os.environ.get(TRACEBACK) == "1":
+            raise
+        what = f"this is a defect of {PROG}: {type(error).__name__}: {one_line(str(error))}"
+        how = f"please report it with what {TRACEBACK}=1 shows, set before the command"
+        return _complain("; ".join([what, *_notes(error), how]))
+
+
+def _prepare_streams() -> None:
+    """Makes stdout and stderr take all that may be printed."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # it was closed
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  for as long as we run
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="lookalikes" if name == "stdout" else "backslashreplace")
+
+
+LOOKALIKES = {"↑": "^", "→": ">", "↓": "v", "←": "<", "↗": "ne", "↘": "se", "↙": "sw", "↖": "nw", "·": "."}
+LOOKALIKES |= {
+    "–": "-",
+    "−": "-",
+    "±": "+-",
+    "×": "x",
+    "ε": "epsilon",
+    "α": "alpha",
+    "λ": "lambda",
+    "γ": "gamma",
+}
+
+
+def _lookalikes(error: UnicodeError) -> tuple[str, int]:
+    """What an encoding lacks, in characters that every one has."""
+    assert isinstance(error, UnicodeEncodeError)
+    lacking = error.object[error.start : error.end]
+    return "".join(LOOKALIKES.get(character, "?") for character in lacking), error.end
+
+
+codecs.register_error("lookalikes", _lookalikes)
+
+
+def _give_up_stdout() -> None:
+    """Python flushes stdout once more at its end: what cannot be written goes nowhere."""
+    with contextlib.suppress(OSError, ValueError):  # as where a test has put something else in its place
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _complain(line: str, code: int = 1) -> int:
+    """Prints one line on stderr, if that is possible. Returns the exit code."""
+    with contextlib.suppress(OSError):
+        print(f"{PROG}: {line}", file=sys.stderr, flush=True)
+    return code
+
+
+def _notes(error: BaseException) -> list[str]:
+    return list(getattr(error, "__notes__", ()))
 
 
 def _dispatch(argv: list[str]) -> int:
+    if wrong := [word for word in argv if not is_text(word)]:
+        raise InputError(f"{shown(wrong[0])} is no text in UTF-8")
     commands = {
         "list": _list,
         "solve": _solve,
@@ -223,7 +306,7 @@ class Solve:
     """Discount rate, in [0, 1]."""
     epsilon: Annotated[float | None, real(0, 1), arg(help_behavior_hint="")] = None
     """Also find the best policy among those that take a random action with this probability."""
-    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
     """New folder for a picture (PNG)."""
     json: Switch = False
     """Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A]."""
@@ -232,7 +315,8 @@ class Solve:
 def _solve(argv: list[str]) -> int:
     options = parse(f"{PROG} solve", Solve, argv, environment=ENVIRONMENT)
     env = _environment(options.env, options.environment)
-    with _folder(options.out) as folder:
+    _start_jax()
+    with _folder(options.out) as folder, _busy("solving"):
         solutions = {"optimal": planning.policy_iteration(env, options.gamma)}
         if options.epsilon is not None:
             soft = f"best epsilon-soft, epsilon {words(options.epsilon)}"
@@ -347,7 +431,7 @@ class Where:
 
     executor: Annotated[str, arg(metavar="NAME")] = "local"
     """local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see docs/scaling.md."""
-    address: Annotated[str | None, arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    address: Annotated[str | None, text("HOST:PORT"), arg(help_behavior_hint="")] = None
     """Of the Ray cluster, or of process 0 of a distributed job."""
     processes: Annotated[int | None, whole(1), arg(help_behavior_hint="")] = None
     """How many processes a distributed job has."""
@@ -389,8 +473,8 @@ def _executor(options: Any) -> Iterator[Executor]:
 def _key_and_value(word: str) -> tuple[str, Any]:
     key, equals, value = word.partition("=")
     if not equals:
-        raise InputError(f"--slurm takes KEY=VALUE, not {word!r}")
-    return key, int(value) if value.isdecimal() else value
+        raise InputError(f"--slurm takes KEY=VALUE, not {shown(word)}")
+    return key, int(value) if value.isdecimal() and len(value) < 20 else value
 
 
 @dataclasses.dataclass
@@ -437,7 +521,7 @@ class Sweep(Where):
     exact: Switch = False
     """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
     (The error of methods of prediction is always recorded.)"""
-    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
     dry_run: Switch = False
     """Show what would be run, in how much memory, and stop."""
@@ -457,13 +541,17 @@ def _sweep(argv: list[str]) -> int:
     with _executor(options) as executor:
         if isinstance(executor, executors.Distributed) and executor.serve():
             return 0
-        return _conduct(_experiment(options), executor, options, ["sweep", *argv])
+        with _busy("reading what is to be run", options.quiet):
+            experiment = _experiment(options)
+        return _conduct(experiment, executor, options, ["sweep", *argv])
 
 
 def _conduct(experiment: Experiment, executor: Executor, options: Any, command: Sequence[str]) -> int:
     """Runs the experiment, prints what came out, and leaves it in the folder; or says what it would do."""
+    _start_jax()
     if options.dry_run:
-        found = plan(experiment.parts(), options.memory)
+        with _busy("planning", options.quiet):
+            found = plan(experiment.parts(), options.memory)
         if options.json:
             parts = {name: part._asdict() for name, part in found.parts.items()}
             _print_json(found._asdict() | {"parts": parts})
@@ -525,7 +613,7 @@ class Resume(Where):
       jaxrl-tab resume runs/windy
     """
 
-    folder: Annotated[Positional[Path | None], arg(metavar="DIR", help_behavior_hint="")] = None
+    folder: Annotated[Positional[Path | None], path("DIR"), arg(help_behavior_hint="")] = None
     """The folder of the sweep: what --out named."""
     memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
     """How much memory it may take, such as 4GB."""
@@ -547,6 +635,7 @@ def _resume(argv: list[str]) -> int:
     with _executor(options) as executor:
         if isinstance(executor, executors.Distributed) and executor.serve():
             return 0
+        _start_jax()
         given = {"executor": executor, "memory": options.memory, "command": command, "mixed": options.mixed}
         with _watched(options) as progress:
             outcome = runner.resume(options.out, progress=progress, **given)
@@ -569,7 +658,7 @@ def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[run
     quiet = options.quiet or not stderr.is_terminal
     try:
         with interruptible(), Progress(*columns, console=stderr, disable=quiet) as bars:
-            bar = bars.add_task("compiling", total=None, more="")
+            bar = bars.add_task("planning", total=None, more="")
 
             def progress(state: runner.Progress) -> None:
                 if experiment is not None and not quiet and state.steps == 0 and state.done == 0:
@@ -621,7 +710,9 @@ def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
 
     for environment in outcome.envs:
         own = outcome.of(environment)
-        _print_summary(environment, stats.summary(own), own)
+        with _busy("summing up"):
+            table = stats.summary(own)
+        _print_summary(environment, table, own)
     if outcome.fresh:
         _print_selection(runner.selection(outcome))
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
@@ -797,7 +888,7 @@ class Figure:
     """Name of the figure; see `jaxrl-tab list`."""
     all: Switch = False
     """Make all figures; with --out, also index.html, which shows them."""
-    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
     """New folder for the picture and the data."""
     json: Switch = False
     """Print the numbers as JSON."""
@@ -811,6 +902,7 @@ def _figure(argv: list[str]) -> int:
     if options.all and options.name:
         raise InputError("name a figure or give --all, not both")
     names = tuple(FIGURES) if options.all else (_known("a figure", options.name, FIGURES),)
+    _start_jax()
     checked, groups = {}, []
     with _folder(options.out) as folder:
         for name in names:
@@ -818,9 +910,10 @@ def _figure(argv: list[str]) -> int:
             within = f"{name}/" if options.all else ""
             datasets = _run(figure.experiment(), folder, ["figure", *argv], options.quiet, within)
             groups += [within + run for run in datasets]
-            checked[name] = figure, [number.check(datasets) for number in figure.numbers]
-            if folder:
-                figure.draw(datasets).savefig(folder / f"{name}.png")
+            with _busy(f"{name}: numbers and picture", options.quiet):
+                checked[name] = figure, [number.check(datasets) for number in figure.numbers]
+                if folder:
+                    figure.draw(datasets).savefig(folder / f"{name}.png")
             if not options.json:
                 _console().print(_check_table(*checked[name]))
         if folder and options.all:
@@ -856,12 +949,22 @@ def _prepare() -> None:
     programs.keep()
 
 
+def _start_jax() -> None:
+    """Raises InputError where JAX cannot start, as where `JAX_PLATFORMS` names what is not there."""
+    try:
+        jax.devices()
+    except RuntimeError as error:
+        raise InputError(f"JAX cannot start: {one_line(str(error))}") from None
+
+
 def _known(kind: str, name: str, names: Collection[str]) -> str:
     """`name`, which must be one of `names`."""
     if not name:
         raise InputError(f"name {kind}: {', '.join(names)}")
     if name not in names:
-        raise InputError(f"{name!r} is not {kind}; {nearest(name, names)}")
+        raise InputError(
+            f"{shown(name)} is not {kind}; {instead(name) if names is ENVS else nearest(name, names)}"
+        )
     return name
 
 
@@ -927,4 +1030,24 @@ def _console() -> Console:
 
 
 def _print_json(value: Any) -> None:
-    print(jsonlib.dumps(value, ensure_ascii=False, indent=1))
+    utf8 = (sys.stdout.encoding or "utf-8").lower().startswith("utf")
+    print(jsonlib.dumps(value, ensure_ascii=not utf8, indent=1))
+
+
+@contextlib.contextmanager
+def _busy(what: str, quiet: bool = False) -> Iterator[None]:
+    """A line on the terminal that says `what` is under way, where that lasts longer than `PATIENCE`."""
+    stderr = Console(stderr=True)
+    if quiet or not stderr.is_terminal:
+        yield
+        return
+    status = stderr.status(what)
+    later = threading.Timer(PATIENCE, status.start)
+    later.daemon = True
+    later.start()
+    try:
+        yield
+    finally:
+        later.cancel()
+        later.join()
+        status.stop()

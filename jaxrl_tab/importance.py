@@ -209,7 +209,7 @@ def _growing(chain: Any) -> Bool[np.ndarray, " S"]:
     inside = component[steps.row] == component[steps.col]
     entries = steps.data[inside], (steps.row[inside], steps.col[inside])
     loops = sparse.csc_array(entries, shape=chain.shape)
-    x = planning.solve_sparse((1 + MARGIN) * loops, np.ones(len(component)))
+    x = planning.sparse_solver((1 + MARGIN) * loops)(np.ones(len(component)))
     return np.isin(component, component[~(x > 0)])
 
 
@@ -217,7 +217,7 @@ def _solve(chain: Any, constant: Float[np.ndarray, " S"], infinite: Any = False)
     """Solves x = constant + chain x, float64 [S]; inf where told so, which no other state leads to."""
     x = np.full(len(constant), np.inf)
     finite = np.flatnonzero(~np.broadcast_to(infinite, x.shape))
-    x[finite] = planning.solve_sparse(chain[finite][:, finite], constant[finite])
+    x[finite] = planning.sparse_solver(chain[finite][:, finite])(constant[finite])
     return x
 
 

@@ -25,7 +25,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from jaxrl_tab import planning, stats
+from jaxrl_tab import memory, planning, stats
 from jaxrl_tab.envs.base import COMPASS, Finite, Grid
 from jaxrl_tab.types import Environment, InputError
 
@@ -61,12 +61,10 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
         InputError: no method swept the hyperparameter, or one that did not at this value.
     """
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-        curve = stats.episode_curve(ds)
         by_steps = "num_steps" in ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
-        interval = stats.mean_interval(curve[spread])
-        mean, low, high = (_from_origin(x) for x in interval[:3])
-        other = _from_origin(curve[exact].isel(seed=0))
+        mean, low, high = (_from_origin(x) for x in stats.progress_interval(ds, spread)[:3])
+        other = _from_origin(stats.episode_curve(ds.isel(seed=0))[exact])
         points = (other, mean) if by_steps else (mean, other)
         ax.plot(*points, lw=2, ms=5, markevery=max(1, len(mean) // 8), label=label, **style)
         band = ax.fill_between if by_steps else ax.fill_betweenx
@@ -88,7 +86,7 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
     if stats.is_prediction(*datasets.values()):
         for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-            x = stats.episode_curve(ds)["time_steps" if by_steps else "episodes"].mean("seed")
+            x = (ds.steps if by_steps else ds.episodes).mean("seed").cumsum("row")
             line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
             mean_curve(ax, x, ds.v_error, label, **line)
         tidy(ax, "time steps" if by_steps else "episodes", "RMS error of V over states")
@@ -98,9 +96,9 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
         return
     shown, end = [], 0
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-        merged, interval, enough = _readable_curve(ds)
-        curve = stats.episode_curve(merged)
-        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].isel(seed=0).values
+        points, interval, enough = _readable_curve(ds)
+        curve = stats.episode_curve(stats.merge_rows(ds.isel(seed=0), points))
+        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].values
         mean, low, high = (np.where(enough, part, np.nan) for part in interval[:3])
         ax.plot(x, mean, lw=2, ms=4, label=label, **style)
         ax.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
@@ -237,18 +235,15 @@ def tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
     ax.set_axisbelow(True)
 
 
-def _readable_curve(
-    ds: xr.Dataset, points: int = MOST_POINTS
-) -> tuple[xr.Dataset, stats.Interval, np.ndarray]:
-    """The merged log, the interval of its mean returns, and where enough seeds are in it, bool [points].
+def _readable_curve(ds: xr.Dataset, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
+    """At most how many points, the interval of their mean returns, and where enough seeds are, bool [points].
 
-    Of at most so many points; of fewer if that closes gaps in the second half.
+    They are fewer than `points` if that closes gaps in the second half.
     """
-    merged = stats.merge_rows(ds, points)
-    interval = stats.mean_interval(stats.learning_curve(merged))
+    interval = stats.curve_interval(ds, points)
     enough = (interval.n >= MOST_SEEDS * ds.sizes["seed"]).values
     if enough[len(enough) // 2 :].all() or points <= LEAST_POINTS:
-        return merged, interval, enough
+        return points, interval, enough
     return _readable_curve(ds, points // 2)
 
 
@@ -459,17 +454,19 @@ class _Moves(NamedTuple):
         )
 
     def distance(self, q: np.ndarray) -> np.ndarray:
-        """Steps to a terminal state by greedy actions, float [..., S] for `q` [..., S, A]; inf if never."""
-        greedy = _greedy(q)
-        steps = np.where(self.terminal, 0.0, np.full(q.shape[:-1], np.inf))
-        for _ in range(len(self.terminal)):
-            onward = np.where(greedy, steps[..., self.successor], np.inf).min(-1)
-            steps = np.where(self.terminal, 0.0, onward + 1)
-        return steps
+        """Steps to a terminal state by greedy actions, float32 [n, S] for `q` [n, S, A]; inf if never."""
+        cost = np.where(np.moveaxis(_greedy(q), 0, -1), np.float32(1), np.float32(np.inf))  # [S, A, n]
+        cost[self.terminal] = 0
+        steps = np.full((len(cost), len(q)), np.float32(np.inf))
+        steps[self.terminal] = 0
+        while True:
+            before, steps = steps, (steps[self.successor] + cost).min(1)
+            if (steps == before).all():
+                return steps.T
 
     def path(self, q: np.ndarray, s: int) -> tuple[np.ndarray, bool]:
         """The states of the greedy path from `s`, and whether it ends; else its last state is a repeat."""
-        steps, greedy = self.distance(q), _greedy(q)
+        steps, greedy = self.distance(q[None])[0], _greedy(q)
         path = [s]
         while not self.terminal[s] and s not in path[:-1]:
             onward = self.successor[s][greedy[s]]
@@ -478,10 +475,19 @@ class _Moves(NamedTuple):
         return np.array(path), bool(self.terminal[s])
 
 
+def _tables(ds: xr.Dataset) -> Iterable[np.ndarray]:
+    """The tables of all seeds, [n, S, A] of some after others; what is worked out from them may be larger."""
+    q = ds.q.transpose("seed", "state", "action").values
+    for block in memory.blocks(len(q), 16 * q[0].nbytes):
+        yield q[block]
+
+
 def _greedy(q: np.ndarray) -> np.ndarray:
     """Which actions are maximal, up to rounding, bool [..., S, A]."""
     q = np.where(np.isnan(q), -np.inf, q)  # a diverged entry is no maximum
-    return np.isclose(q, q.max(-1, keepdims=True), rtol=1e-6, atol=1e-9)
+    most = q.max(-1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # infinities
+        return (q == most) | (q >= most - (1e-9 + 1e-6 * abs(most)))
 
 
 def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
@@ -745,11 +751,11 @@ def value_tables(datasets: Datasets, env: Finite) -> Figure:
     """
     learned = {}
     for label, ds in _chosen(datasets, {}):
-        q = ds.q.values
-        often = _greedy(q).mean(0)
-        best = often == often.max(-1, keepdims=True)
-        shown = None if stats.is_prediction(ds) else best
-        learned[f"{label}: mean of {len(q)} seeds"] = q.max(-1).mean(0), shown
+        seeds = ds.sizes["seed"]
+        often = sum(_greedy(q).sum(0) for q in _tables(ds))
+        best = often == np.max(often, -1, keepdims=True)
+        value = sum(q.max(-1).sum(0, dtype=float) for q in _tables(ds)) / seeds
+        learned[f"{label}: mean of {seeds} seeds"] = value, None if stats.is_prediction(ds) else best
     limits = None
     if (exact := _exact_table(datasets, env)) is not None:
         learned["exact"] = exact
@@ -796,7 +802,8 @@ def _median_path(ax: Axes, env: Grid, method: str, ds: xr.Dataset) -> None:
     """The greedy path that is the median over seeds in length, at the best hyperparameters."""
     setting = stats.best(ds)
     label, ds = _label(method, stats.named(ds, setting)), ds.sel(setting)
-    lengths = _Moves.of(env).distance(ds.q.values)[:, env.start_state]
+    moves = _Moves.of(env)
+    lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in _tables(ds)])
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]
     title = f"greedy path of {label}; median of {len(lengths)} seeds"
     greedy_path(ax, env, ds.q.values[median], title, float(stats.optimum(ds)))

@@ -311,14 +311,16 @@ def parse(text: str) -> Policy:
     Raises:
         InputError: `text` is none of these; the message says what would be right.
     """
+    if not isinstance(text, str):
+        raise InputError(f"a policy is written as a text, such as 'softmax:0.5', not {shown(text)}")
     name, colon, number = text.partition(":")
     if name not in POLICIES:
-        raise InputError(f"there is no policy {text!r}; {nearest(name, POLICIES)}")
+        raise InputError(f"there is no policy {shown(text)}; {nearest(name, POLICIES)}")
     if not colon:
         return POLICIES[name]()
     field = _number_of(name)
     if field is None:
-        raise InputError(f"{text!r} is not of the form {form(name)}")
+        raise InputError(f"{shown(text)} is not of the form {form(name)}")
     takes_schedule = field.type == Rate
     if takes_schedule and schedules.is_named(number):
         return POLICIES[name](schedules.parse(number))
@@ -327,7 +329,7 @@ def parse(text: str) -> Policy:
     except ValueError:
         what = "a number or a schedule" if takes_schedule else "a number"
         raise InputError(
-            f"{text!r} is not of the form {form(name)}, where {field.name.upper()} is {what}"
+            f"{shown(text)} is not of the form {form(name)}, where {field.name.upper()} is {what}"
         ) from None
     return POLICIES[name](value)
 

@@ -60,7 +60,7 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
     """Gives JAX these settings within the block, and its own back afterwards.
 
     Raises:
-        InputError: JAX does not take one of them.
+        InputError: JAX does not take one of them, or a block such as `jax.enable_x64` is stronger.
     """
     with ThreadPoolExecutor(1) as elsewhere:  # not as they are within a block such as `jax.enable_x64`
         before = elsewhere.submit(lambda: jax.config.values).result()
@@ -70,6 +70,10 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
                 jax.config.update(name, value)
             except (ValueError, TypeError) as error:
                 raise InputError(f"JAX cannot be given {name} = {value!r}: {error}") from None
+            if settings().get(name, value) != value:
+                raise InputError(
+                    f"{name} must be {value!r}, and is set otherwise by a block of JAX around this"
+                )
         yield
     finally:
         for name in chosen:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from jaxrl_tab import memory
 from jaxrl_tab.axes import DRAW
 from jaxrl_tab.policies import Policy
 from jaxrl_tab.schedules import Schedule, typed
@@ -17,6 +18,8 @@ from jaxrl_tab.types import Environment
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+CHUNK = 2**20  # bytes of the pieces in which a file holds a large variable
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,9 +132,12 @@ class SweepResult:
 def is_diverged(q: Any, *sums: Any) -> np.ndarray:
     """Whether there is a NaN or an infinity in a table [..., S, A] or in sums [..., rows], bool [...]."""
     found = np.zeros(q.shape[:-2], bool)
-    for x in (q, *(x[..., None] for x in sums)):
-        for extreme in (x.min((-2, -1)), x.max((-2, -1))):  # where there is a NaN, both are NaN
-            found |= ~np.isfinite(extreme)
+    flat = found.reshape(-1)
+    for x in (q, *sums):
+        runs = x.reshape(found.size, -1)
+        for block in memory.blocks(found.size, runs[:1].nbytes):
+            for extreme in (runs[block].min(-1), runs[block].max(-1)):  # where there is a NaN, both are NaN
+                flat[block] |= ~np.isfinite(extreme)
     return found
 
 
@@ -141,8 +147,34 @@ def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> 
 
     if not file.exists():
         xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in ds.items() if x.ndim}
-    ds.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
+    large = [name for name, x in ds.items() if x.nbytes > memory.BLOCK and name != "diverged"]
+    rest = ds.drop_vars(large)
+    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in rest.items() if x.ndim}
+    rest.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
+    for name in large:
+        _save_large(ds[name], file, group)
+
+
+def _save_large(x: "xr.DataArray", file: Path, group: str) -> None:
+    """Adds a variable [*hyperparameters, seed, ...] of numbers to a group, some seeds at a time."""
+    import h5netcdf
+
+    before, seeds = x.dims.index("seed"), x.sizes["seed"]
+    each = max(1, x.nbytes // (x.size // int(np.prod(x.shape[before + 1 :], dtype=int))))
+    with h5netcdf.File(file, "a") as whole:
+        to = whole[group]
+        for dim, size in x.sizes.items():
+            if dim not in to.dimensions:
+                to.dimensions[dim] = size
+        chunks = (*(1,) * before, min(seeds, max(1, CHUNK // each)), *x.shape[before + 1 :])
+        missing = np.nan if x.dtype.kind == "f" else None
+        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "chunks": chunks}
+        variable = to.create_variable(x.name, x.dims, x.dtype, fillvalue=missing, **packed)
+        if drawn := [str(name) for name in x.coords if name not in x.dims]:
+            variable.attrs["coordinates"] = " ".join(drawn)
+        for setting in np.ndindex(x.shape[:before]):
+            for block in memory.blocks(seeds, each):
+                variable[*setting, block] = x.values[*setting, block]
 
 
 def label(value: Any) -> Any:

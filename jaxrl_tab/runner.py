@@ -37,7 +37,7 @@ from jaxrl_tab.results import is_diverged, save
 from jaxrl_tab.storage import Store
 from jaxrl_tab.sweep import Computed, Part, compute, leaves_as_arrays, result
 from jaxrl_tab.train import Log
-from jaxrl_tab.types import Environment, InputError, RunError
+from jaxrl_tab.types import Environment, InputError, RunError, shown
 
 if TYPE_CHECKING:  # these take their time to import
     import pandas as pd
@@ -132,13 +132,15 @@ def run(
         InputError: something given is wrong; nothing was computed.
         RunError: there was not enough memory, or room on the disk. What is finished is kept.
     """
+    if not isinstance(experiment, Experiment):
+        raise InputError(f"run takes an Experiment, not {shown(experiment)}")
     command = shlex.join(sys.argv) if command is None else command
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
             _begin(path, experiment, memory)
             return _go_on(path, experiment, executor, memory, progress, command, keep=False)
-    path = Path(os.path.normpath(folder))
+    path = _path(folder)
     _begin(path, experiment, memory)
     with storage.lock(path):
         return _go_on(path, experiment, executor, memory, progress, command)
@@ -170,14 +172,20 @@ def resume(
             says in what.
         RunError: as in `run`.
     """
-    path = Path(os.path.normpath(folder))
+    path = _path(folder)
     if not path.is_dir():
         raise InputError(f"{path} is no folder" if path.exists() else f"there is no folder {path}")
-    if not (path / GIVEN).exists() and not (path / RESOLVED).exists():
+    if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
     command = shlex.join(sys.argv) if command is None else command
     with storage.lock(path):
         return _go_on(path, _experiment_in(path), executor, memory, progress, command, mixed=mixed)
+
+
+def _path(folder: Any) -> Path:
+    if not isinstance(folder, str | os.PathLike) or "\0" in os.fspath(folder):
+        raise InputError(f"the name of a folder must be text, as paths are, not {shown(folder)}")
+    return Path(os.path.normpath(folder))
 
 
 def _go_on(
@@ -192,8 +200,7 @@ def _go_on(
 ) -> Outcome:
     """All that is still to be done in a folder."""
     store = Store(path, experiment.fingerprint)
-    for line in store.found:
-        _warn(line)
+    _warn_of_what_was(store)
     records = _records(store)
     job, meter, select = Job(json.dumps(experiment.data()), limit), _Meter(report), experiment.select
     with _settings_of(store, records):
@@ -262,7 +269,7 @@ class Origin(NamedTuple):
 
 def _origins(store: Store) -> set[str | None]:
     """The names of the surroundings in which the shards were computed."""
-    return {facts.get("surroundings") for facts in store.shards.values()}
+    return {facts.surroundings for facts in store.shards.values()}
 
 
 def _recorded(records: Mapping[str, Any], origins: Collection[str | None]) -> list[dict[str, Any]]:
@@ -394,9 +401,25 @@ def _compute(
 
 def _missing(store: Store, job: Job) -> list[int]:
     """The numbers of the shards that are to be computed."""
-    there = store.shards
-    is_there = lambda number, shard: number in there and there[number]["setting"] == job.setting(shard)
-    return [number for number, shard in enumerate(job.shards) if not is_there(number, shard)]
+    missing = [number for number, shard in enumerate(job.shards) if not _is_there(store, job, number, shard)]
+    _warn_of_what_was(store)
+    return missing
+
+
+def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
+    """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give."""
+    if number not in store.shards or store.shards[number].setting != job.setting(shard):
+        return False
+    return store.keep_if(number, _shapes(job.parts[shard.part], shard))
+
+
+def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
+    """(shape, dtype) of each array of a shard."""
+    method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
+    q, log = batch.gives(part.env, method, rng.key(part.seed), part.budget)
+    of_one = {"q": q, **{name: x for name, x in log._asdict().items() if x is not None}}
+    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in of_one.items()}
+    return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
 def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[dict[str, xr.Dataset], int]":
@@ -457,7 +480,7 @@ class _Meter:
         self._state = self._state._replace(
             done=sum(job.shards[number].runs for number in there),
             total=sum(shard.runs for shard in job.shards) + sum(later.values()),
-            diverged=sum(store.shards[number]["diverged"] for number in there),
+            diverged=sum(store.shards[number].diverged for number in there),
         )
         self._last = time.perf_counter()
         self.show()
@@ -517,34 +540,80 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
 def _experiment_in(path: Path) -> Experiment:
     """The experiment that a folder was made for.
 
+    It is there twice, and its fingerprint is in the manifest: where one of the two is missing or damaged, it is
+    made again of the other. Nobody edits `resolved.json`, so what differs from the fingerprint in it is damage;
+    in `experiment.toml` it may be a wish.
+
     Raises:
         InputError: what the folder says of it, or the file that it was read from, is not what it was.
     """
     manifest = storage.read_manifest(path)
-    data = _read_json(path / RESOLVED)
-    given = Experiment.load(path / GIVEN) if (path / GIVEN).exists() else None
-    if data is None:
-        if given is None or (manifest and manifest["fingerprint"] != given.fingerprint):
-            raise InputError(f"{path / RESOLVED} is missing or damaged, and {GIVEN} is another experiment")
-        storage.write_json(path / RESOLVED, given.data())
-        _warn(f"{RESOLVED} was missing or damaged: it is made again, of {GIVEN}")
-        return given
-    experiment = Experiment.from_data(data)
-    if given is None:
-        storage.write(path / GIVEN, experiment.to_toml())
-        _warn(f"{GIVEN} was missing: it is made again, of {RESOLVED}")
-    elif changed := difference(data, given.data()):
-        raise InputError(f"{path / GIVEN} was changed since: {'; '.join(changed)}; put it back to go on")
-    if manifest and manifest["fingerprint"] != experiment.fingerprint:
+    begun_with = manifest and manifest["fingerprint"]
+    data = storage.read_json(path / RESOLVED)
+    resolved = _understood(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
+    given = None
+    if storage.is_file(path / GIVEN):
+        with storage.said(path / GIVEN, "read"):
+            (path / GIVEN).read_bytes()
+        given = _understood(lambda: Experiment.load(path / GIVEN))
+    if resolved and begun_with in (None, resolved.fingerprint):
+        experiment = resolved
+        if given is None:
+            _warn_of_a_new(path / GIVEN, f"made again, of {RESOLVED}")
+            storage.write(path / GIVEN, experiment.to_toml())
+        elif changed := difference(experiment.data(), given.data()):
+            raise InputError(f"{path / GIVEN} was changed since: {'; '.join(changed)}; put it back to go on")
+    elif given and begun_with in (None, given.fingerprint):
+        experiment = given
+        _warn_of_a_new(path / RESOLVED, f"made again, of {GIVEN}")
+        storage.write_json(path / RESOLVED, experiment.data())
+    elif resolved or given:
         raise InputError(
-            f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed since"
+            f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed or damaged since"
         )
-    source = (_read_json(path / PROVENANCE) or {}).get("file")
-    if source and Path(source).is_file() and (changed := _changed(source, data)):
+    else:
+        raise InputError(f"there is no experiment in {path} any more: {GIVEN} and {RESOLVED} are damaged")
+    source = (_records_in(path) or {}).get("file")
+    if source and Path(source).is_file() and (changed := _changed(source, experiment.data())):
         raise InputError(
             f"{source} was changed since: {changed}; put it back, or rename it to go on with what it was"
         )
     return experiment
+
+
+def _understood(read: Callable[[], Experiment]) -> Experiment | None:
+    """The experiment, or None where what is read is none."""
+    try:
+        return read()
+    except Exception:  # there is no end to what a flipped bit makes of data
+        return None
+
+
+def _warn_of_a_new(file: Path, then: str) -> None:
+    """Says that a file is made again; what is there now is set aside."""
+    if os.path.lexists(file):
+        _warn(storage.set_aside(file, file.parent, then))
+    else:
+        _warn(f"{file.name} is missing: it is {then}")
+
+
+def _records_in(path: Path) -> dict[str, Any] | None:
+    """The records of all sessions in a folder; None where they are missing or damaged."""
+    records = storage.read_json(path / PROVENANCE)
+    if not isinstance(records, dict) or records.keys() != {"file", "sessions"}:
+        return None
+    if not isinstance(records["file"], str | None) or not isinstance(records["sessions"], list):
+        return None
+    return records if all(map(_is_session, records["sessions"])) else None
+
+
+def _is_session(found: Any) -> bool:
+    """Whether data are the record of a session, with what is looked at later."""
+    return (
+        isinstance(found, dict)
+        and isinstance(found.get("command"), str)
+        and isinstance(found.get("started"), str)
+    )
 
 
 def _changed(source: str, data: Mapping[str, Any]) -> str:
@@ -557,9 +626,9 @@ def _changed(source: str, data: Mapping[str, Any]) -> str:
 
 def _records(store: Store) -> dict[str, Any]:
     """The records of the processes that computed."""
-    records = _read_json(store.path / PROVENANCE)
+    records = _records_in(store.path)
     if records is None:
-        _warn(f"{PROVENANCE} is missing or damaged: a new one is begun")
+        _warn_of_a_new(store.path / PROVENANCE, "begun anew")
         records = {"file": None, "sessions": []}
     return records
 
@@ -585,7 +654,7 @@ def _machine() -> dict[str, Any]:
     return {
         "surroundings": provenance.surroundings(),
         "python": platform.python_version(),
-        "device": devices[0].device_kind if devices[0].platform != "cpu" else _processor(),
+        "processor": devices[0].device_kind if devices[0].platform != "cpu" else _processor(),
         "devices": len(devices),
         "platform": platform.platform(),
         "git_commit": provenance.git_commit(),
@@ -611,16 +680,18 @@ def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> 
     if outcome.fresh:
         files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
         files.append(_write_table(folder / SELECTION, selection(outcome)))
-    scratch = folder / f"pictures{storage.UNFINISHED}"
+    scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
+    names = storage.file_names(outcome.envs)
     try:
         with storage.said(folder):
             for label, env in outcome.envs.items():
-                place = scratch / "pictures" / label if len(outcome.envs) > 1 else scratch
+                place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
                 plot.save_all(outcome.of(label), env, place)
             report.write(scratch, outcome.datasets, outcome.envs, _about(store, records), outcome.fresh)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
-            goal.parent.mkdir(parents=True, exist_ok=True)
+            with storage.said(goal):
+                goal.parent.mkdir(parents=True, exist_ok=True)
             with storage.writing(goal) as unfinished:
                 file.replace(unfinished)
             files.append(goal)
@@ -691,6 +762,8 @@ def selection(outcome: Outcome) -> "pd.DataFrame":
 
 def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
     """How the results came about, for the report."""
+    with storage.said(store.path / GIVEN, "read"):
+        given = (store.path / GIVEN).read_text(encoding="utf-8", errors="replace")
     first, last = records["sessions"][0], records["sessions"][-1]
     sessions, origins = len(records["sessions"]), _origins(store)
     computed = _recorded(records, origins)
@@ -698,24 +771,23 @@ def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
     now = one["surroundings"]
     return {
         "command": first["command"],
-        "experiment": (store.path / GIVEN).read_text(encoding="utf-8"),
+        "experiment": given,
         "fingerprint": store.fingerprint,
         "started": first["started"],
         "finished": _now(),
         **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
         **({"mixed": _mixture(computed)} if len(origins) > 1 else {}),
-        "versions": {name: now[name] for name in provenance.installed()} | {"python": one["python"]},
+        "versions": {name: now[name] for name in provenance.installed()} | {"python": one.get("python")},
         "XLA flags": now["XLA_FLAGS"],
-        "computed on": f"{one['device']}, {one['devices']} devices, {one['platform']}",
-        **({"git commit": one["git_commit"]} if one["git_commit"] else {}),
+        "computed on": f"{one.get('processor')}, {one.get('devices')} devices, {one.get('platform')}",
+        **({"git commit": one["git_commit"]} if one.get("git_commit") else {}),
     }
 
 
-def _read_json(file: Path) -> Any:
-    """What is in the file; None where it is missing or damaged."""
-    with contextlib.suppress(OSError, ValueError):
-        return json.loads(file.read_bytes())
-    return None
+def _warn_of_what_was(store: Store) -> None:
+    """Warns of what was damaged or missing, once."""
+    while store.found:
+        _warn(store.found.pop(0))
 
 
 def _warn(line: str) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from typing import Any, NamedTuple, cast
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxrl_tab import batch, planning, rng
-from jaxrl_tab.axes import DRAW, spread, swept_names
+from jaxrl_tab.axes import DRAW, check_settings, spread, swept_names
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.results import SweepResult, label, parameters
@@ -26,6 +27,7 @@ from jaxrl_tab.types import (
     check_pytree,
     is_whole,
     nearest,
+    repeated,
     shown,
 )
 
@@ -177,7 +179,12 @@ def prepare(
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
-    axes, configs = configurations(cls, grid or {}, num_draws, seed)
+    axes, configs = configurations(cls, {} if grid is None else grid, num_draws, seed)
+    if len(configs) * num_seeds >= 2**31:
+        raise InputError(
+            f"{len(configs):,} settings x {num_seeds:,} seeds are more than the 2**31 runs that can be numbered: "
+            "take fewer seeds or settings"
+        )
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
@@ -256,7 +263,7 @@ def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
     if not isinstance(algorithm, type) or not dataclasses.is_dataclass(algorithm):
         raise InputError(
             "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
-            f"(got {algorithm!r})"
+            f"(got {shown(algorithm)})"
         )
     return algorithm
 
@@ -271,6 +278,8 @@ def configurations(
     name = _name_in(METHODS, cls)
     if not isinstance(grid, Mapping):
         raise InputError(f"grid must be a dict from hyperparameters to values, not {shown(grid)}")
+    if wrong := [key for key in grid if not isinstance(key, str)]:
+        raise InputError(f"the keys of grid must be names of hyperparameters, not {shown(wrong[0])}")
     axes, single = {}, {}
     for parameter, values in spread(grid, num_draws, seed, name).items():
         if isinstance(values, Sequence | np.ndarray | jax.Array) and np.ndim(values) > 0:
@@ -283,12 +292,12 @@ def configurations(
         else:
             single[parameter] = _plain(values)
     for parameter, values in axes.items():
-        labels = [label(v) for v in values]
-        repeated = [v for i, v in enumerate(labels) if v in labels[:i]]
         if not values:
             raise InputError(f"the grid of {parameter} is empty")
-        if repeated and parameter != DRAW:
-            raise InputError(f"the grid of {parameter} holds {repeated[0]} more than once")
+        if parameter != DRAW and (again := repeated(map(label, values))):
+            raise InputError(f"the grid of {parameter} holds {shown(again[0])} more than once")
+    sizes = [len(values) for values in axes.values()]
+    check_settings(math.prod(sizes), f"{' x '.join(map(str, sizes))} values of {', '.join(axes)}")
     names = [name for name in axes if name != DRAW]
 
     def instance(point: tuple) -> Algorithm:

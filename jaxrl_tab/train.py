@@ -5,6 +5,7 @@ words of a step (`rng`) depend on its number alone, so the learner's path does n
 """
 
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab import planning, policies, rng, tables
+from jaxrl_tab import planning, policies, rng, schedules, tables
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.prediction import METHODS
@@ -147,6 +148,8 @@ def train(
     check_budget(num_steps, num_episodes, log_every)
     rng.check_key(key)
     check_pytree("algorithm", algorithm, METHODS)
+    if is_dataclass(algorithm):
+        schedules.check_single(type(algorithm).__name__, algorithm)
     check_pytree("env", env, ENVS)
     if exact:
         planning.check_finite(env)

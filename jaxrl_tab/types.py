@@ -7,9 +7,12 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 import dataclasses
 import difflib
 import inspect
+import re
 import reprlib
+import sys
 from collections.abc import Iterable, Mapping
 from numbers import Integral
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar, dataclass_transform, runtime_checkable
 
 import jax
@@ -31,6 +34,7 @@ class RunError(RuntimeError):
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
+SHOWN = 120  # characters of a value, at most
 
 
 def shown(value: Any) -> str:
@@ -38,13 +42,22 @@ def shown(value: Any) -> str:
     if isinstance(value, np.ndarray | jax.Array) and value.ndim:
         if value.ndim > 1 or concrete(value) is None:
             return f"an array of shape {value.shape}"
-        return np.array2string(np.asarray(value), max_line_width=1000, threshold=8)
-    return " ".join(_SHORT.repr(value).split())
+        return one_line(np.array2string(np.asarray(value[:9]), max_line_width=1000, threshold=8))
+    try:
+        return one_line(_SHORT.repr(value))
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return f"a number of more than {sys.get_int_max_str_digits()} digits"
 
 
-def nearest(name: str, names: Iterable[str]) -> str:
+def one_line(text: str) -> str:
+    """`text` in one line that is not long: the end is cut off where it would be."""
+    line = " ".join(text.split())
+    return line if len(line) <= SHOWN else line[: SHOWN - 4] + " ..."
+
+
+def nearest(name: Any, names: Iterable[str]) -> str:
     """Returns "did you mean 'x'?" for the name most like `name`, or one that begins so; else all `names`."""
-    names, name = list(names), name.lower().replace("_", "-")
+    names, name = list(names), str(name).lower().replace("_", "-")
     begins = [x for x in names if name and x.startswith(name)]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5) or begins
     return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
@@ -59,8 +72,20 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
     known = [f.name for f in dataclasses.fields(cls)]  # pyright: ignore[reportArgumentType]
     for parameter in parameters:
         if parameter not in known:
-            raise InputError(f"{name} has no parameter {parameter!r}; {nearest(parameter, known)}")
+            raise InputError(f"{name} has no parameter {shown(parameter)}; {nearest(parameter, known)}")
     return cls(**parameters)
+
+
+def as_path(what: str, given: Any) -> Path:
+    """`given` as a path. Raises InputError unless it is one, written in what can be stored as UTF-8."""
+    if not isinstance(given, str | Path) or not is_text(str(given)):
+        raise InputError(f"{what} must be named by a text in UTF-8, or a Path, not {shown(given)}")
+    return Path(given)
+
+
+def is_text(text: str) -> bool:
+    """Whether `text` can be stored as UTF-8, and named to the system: bytes of no meaning and NUL cannot."""
+    return "\0" not in text and not re.search(r"[\ud800-\udfff]", text)
 
 
 TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds written as 0.333 do not
@@ -74,6 +99,17 @@ def is_distribution(prob: np.ndarray) -> Any:
 def first(wrong: np.ndarray) -> Any:
     """The index of the first True, as a tuple of int, or None: what a message about an array names."""
     return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
+
+
+def repeated(values: Iterable[Any]) -> list[Any]:
+    """Those of `values` that were there before, in their order."""
+    seen, again = set(), []
+    for value in values:
+        key = value if type(value).__hash__ else repr(value)
+        if key in seen:
+            again.append(value)
+        seen.add(key)
+    return again
 
 
 def is_whole(value: Any, least: int = 1) -> bool:
@@ -108,6 +144,9 @@ def check_pytree(what: str, obj: Any, registry: Mapping[str, type] | None = None
         raise InputError(f"{what} must be an instance, such as {cls.__name__}(), not {shown(obj)}")
     if isinstance(obj, type):
         raise InputError(f"{what} must be an instance, such as {obj.__name__}(), not the class")
+    if hasattr(obj, "unwrapped") or hasattr(obj, "step_env"):
+        library = "gymnasium" if hasattr(obj, "unwrapped") else "gymnax"
+        raise InputError(f"{what} is an environment of {library}: rl.interop.from_{library} imports it")
     if jax.tree_util.all_leaves([obj]):
         raise InputError(f"{what} is no JAX pytree: decorate its class with jaxrl_tab.types.pytree")
 

@@ -222,9 +222,12 @@ def test_folders_of_earlier_versions_are_refused_unless_they_are_finished(whole,
 
 def test_a_setting_that_cannot_be_set_is_refused(folder):
     """In a block of `jax.enable_x64`, which is stronger than what `resume` sets."""
-    with jax.enable_x64(True), pytest.raises(InputError, match="jax_enable_x64 was False, and is True"):
+    with (
+        jax.enable_x64(True),
+        pytest.raises(InputError, match="jax_enable_x64 must be False, and is set otherwise"),
+    ):
         rl.resume(folder)
-    assert not provenance.settings()["jax_enable_x64"]
+    assert not list(folder.glob("set-aside/*")) and not provenance.settings()["jax_enable_x64"]
 
 
 # --- what is compared --------------------------------------------------------------------------------
