@@ -179,7 +179,7 @@ def plan(
 
 def gives(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Any:
     """The shapes of what a run gives: its table, and its Log. Nothing is compiled."""
-    return _needs(budget, *_signature((root, np.uint32(0), algorithm, env))).results
+    return _needs(budget, _signature((root, np.uint32(0), algorithm, env))).results
 
 
 def forecast(

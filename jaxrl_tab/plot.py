@@ -1,8 +1,9 @@
 """Pictures of sweeps and of grids.
 
 A function that draws takes the `Axes` to draw on; `overview` and `save_all` make their own figures. Nothing
-here touches pyplot, so it needs no display and leaves no figure open. Colours are Okabe and Ito's, which
-people with any colour vision can tell apart; methods also differ in their markers.
+here touches pyplot, so it needs no display and leaves no figure open. Bands and bars are 95% intervals of the
+mean, each point for itself (pointwise); for whole curves there is `stats.simultaneous_interval`. Colours are
+Okabe and Ito's, which people with any colour vision can tell apart; methods also differ in their markers.
 
 Datasets are those of `SweepResult.to_xarray`, one for each method, by the name that the legend shows.
 """
@@ -25,9 +26,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from jaxrl_tab import memory, planning, stats
+from jaxrl_tab import memory, planning, policies, stats
 from jaxrl_tab.envs.base import COMPASS, Finite, Grid
-from jaxrl_tab.types import Environment, InputError
+from jaxrl_tab.types import Environment, InputError, available_actions
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -63,7 +64,7 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
         by_steps = "num_steps" in ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
-        mean, low, high = (_from_origin(x) for x in stats.progress_interval(ds, spread)[:3])
+        mean, low, high = (_from_origin(x.clip(min=0)) for x in stats.progress_interval(ds, spread)[:3])
         other = _from_origin(stats.episode_curve(ds.isel(seed=0))[exact])
         points = (other, mean) if by_steps else (mean, other)
         ax.plot(*points, lw=2, ms=5, markevery=max(1, len(mean) // 8), label=label, **style)
@@ -75,7 +76,7 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
     ax.legend(loc="upper left", frameon=False)
 
 
-def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
+def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **given: Any) -> None:
     """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
 
     Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
@@ -108,19 +109,22 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
         ax.text(0.5, 0.3, "too few episodes for a curve", transform=ax.transAxes, ha="center", color=GREY)
     ax.set_xlim(0, 1.03 * end)
     tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
-    _return_axis(ax, shown, _common_optimum(datasets))
+    _return_axis(ax, shown, _common_optimum(datasets), soft)
     ax.legend(loc="best", framealpha=0.8, edgecolor="none")
 
 
-def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
+def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft: float = np.nan) -> None:
     """Mean return of the last tenth against a hyperparameter, with 95% intervals and the exact optimum.
 
     Of methods of prediction it is the mean RMS error of V over all rows. Other swept hyperparameters stay at
-    the method's best combination. A point is hollow where seeds that finished no episode in the last tenth
-    are missing from it. A method that did not sweep the parameter is drawn at the one value that it had.
-    Schedules and policies, and numbers beside them, stand side by side in the order in which they come.
-    Where the parameter was drawn at random there is a point for each draw, in which what was drawn with it
-    is another, too.
+    the method's best combination. The intervals are those of `stats.score_interval`. A point is hollow where
+    some runs finished no episode in the last tenth, and so count with what they collected there. A method
+    that did not sweep the parameter is drawn at the one value that it had. Schedules and policies, and
+    numbers beside them, stand side by side in the order in which they come. Where the parameter was drawn at
+    random there is a point for each draw, in which what was drawn with it is another, too.
+
+    Args:
+        soft: as in `learning_curves`.
 
     Raises:
         InputError: no method swept the parameter.
@@ -141,16 +145,14 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
             if parameter not in stats.fixed(ds):
                 continue
             ds = ds.expand_dims({parameter: [stats.fixed(ds)[parameter]]})
-        score = stats.score(ds) if prediction else stats.mean_return(ds, stats.last_tenth(ds))
-        interval = stats.mean_interval(score)
-        few = (interval.n < ds.sizes["seed"]).values
-        series[name] = label, ds[parameter].values, interval, few
+        late = xr.zeros_like(ds[parameter], bool) if prediction else stats.unfinished(ds).any("seed")
+        series[name] = label, ds[parameter].values, stats.score_interval(ds), late.values
     place = _places(ax, [x for _, x, _, _ in series.values()])
     shown, incomplete = [], False
     for name, style in zip(datasets, _styles(), strict=False):
         if name not in series:
             continue
-        label, x, interval, few = series[name]
+        label, x, interval, late = series[name]
         x, mean, low, high = place(x), *(part.values for part in interval[:3])
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
@@ -158,19 +160,19 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
             x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, color=style["color"]
         )
         ax.plot(x, mean, lw=2, ms=7, label=label, **style)
-        ax.plot(x[few], mean[few], ls="none", ms=3.5, marker=style["marker"], color="white", zorder=5)
+        ax.plot(x[late], mean[late], ls="none", ms=3.5, marker=style["marker"], color="white", zorder=5)
         shown += [mean, low, high]
-        incomplete |= bool(few.any())
+        incomplete |= bool(late.any())
     if incomplete:
         hollow = {"marker": "o", "mfc": "white", "mec": INK, "mew": 1.5}
-        ax.plot([], [], ls="none", **hollow, label="hollow: some seeds finish no episode")
+        ax.plot([], [], ls="none", **hollow, label="hollow: some runs unfinished")
     what = "step size α" if parameter == "alpha" else GREEK.get(parameter, parameter)
     if prediction:
         tidy(ax, what, "RMS error of V, mean over the run")
         _error_axis(ax, shown[::3])
     else:
         tidy(ax, what, "mean return, last tenth")
-        _return_axis(ax, shown, _common_optimum(datasets))
+        _return_axis(ax, shown, _common_optimum(datasets), soft)
     ax.legend(loc="best", framealpha=0.8, edgecolor="none")
 
 
@@ -211,7 +213,7 @@ def _error_axis(ax: Axes, means: list[np.ndarray]) -> None:
 
 
 def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, **line: Any) -> None:
-    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its 95% interval.
+    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its pointwise 95% interval.
 
     Args:
         ax: where to draw.
@@ -291,20 +293,31 @@ def _common_optimum(datasets: Datasets) -> float:
     return float(values[0]) if np.ptp(values) < 1e-6 * max(1, abs(values[0])) else np.nan
 
 
-def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float) -> None:
-    """The y axis of returns, and the optimum as a dashed line.
+def _common_soft_optimum(datasets: Datasets, env: Environment) -> float:
+    """What the best policy is worth that explores as the best settings do, if that is one number, else NaN."""
+    if stats.is_prediction(*datasets.values()):
+        return np.nan
+    settings = [stats.fixed(ds) | stats.named(ds, stats.best(ds)) for ds in datasets.values()]
+    explored = [{key: setting.get(key) for key in ("epsilon", "gamma", "behaviour")} for setting in settings]
+    return stats.soft_optimum(env, explored[0]) if all(x == explored[0] for x in explored) else np.nan
+
+
+def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float) -> None:
+    """The y axis of returns, the optimum as a dashed line, and as a dotted one that of who explores.
 
     Early returns can be a hundred times the last ones, and the distance from these to the optimum is what
     matters. Where all are negative and differ by more than a factor of five, the axis is one of ratios.
     """
-    values = np.concatenate([*shown, [optimum]])
+    values = np.concatenate([*shown, [optimum, soft]])
     values = values[np.isfinite(values)]
-    if np.isfinite(optimum):
-        ax.axhline(optimum, color=INK, ls=(0, (5, 3)), lw=1.3, zorder=1)
-        text = f"exact optimum {_number(optimum)}"
-        place = ax.get_yaxis_transform()
-        label = ax.annotate(text, (0.02, optimum), (0, 3), place, "offset points", va="bottom", zorder=6)
-        label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
+    lines = (("exact optimum", optimum, (0, (5, 3)), 3, "bottom"), ("best ε-soft", soft, ":", -3, "top"))
+    for name, y, style, offset, side in lines:
+        if np.isfinite(y):
+            ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1)
+            place = ax.get_yaxis_transform()
+            text = f"{name} {_number(y)}"
+            label = ax.annotate(text, (0.02, y), (0, offset), place, "offset points", va=side, zorder=6)
+            label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
     if not values.size:
         return
     low, high = values.min(), values.max()
@@ -347,7 +360,8 @@ def greedy_path(
     """
     moves = _Moves.of(env)
     path, arrives = moves.path(q, env.start_state)
-    prefers = (q.max(-1) > q.min(-1)) & ~moves.terminal & moves.reachable
+    least = q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
+    prefers = (q.max(-1) > least) & ~moves.terminal & moves.reachable
     _draw_grid(ax, env, moves)
     rows, columns = np.divmod(path, env.shape[1])
     arrows = _greedy(q) & prefers[:, None]
@@ -652,7 +666,9 @@ def _uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
     gamma, *others = {stats.fixed(ds).get("gamma", np.nan) for ds in datasets.values()}
     if given or others or np.isnan(gamma):
         return None
-    uniform = np.full((env.num_states, env.num_actions), 1 / env.num_actions)
+    available = available_actions(env)
+    there = np.ones((env.num_states, env.num_actions)) if available is None else np.asarray(available, float)
+    uniform = there / there.sum(1, keepdims=True)
     try:
         return planning.evaluate(env, uniform, gamma)
     except InputError:  # not finite everywhere
@@ -671,8 +687,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
     """
     curves = _curves(datasets, env)
     if isinstance(env, Grid) and not stats.is_prediction(*datasets.values()):
-        table = stats.summary(datasets)
-        winner = table.method[table.last_tenth_return.fillna(-np.inf).argmax()]
+        winner = stats.ranked(datasets)[0]
         curves["greedy_path"] = lambda ax: _median_path(ax, env, winner, datasets[winner])
     columns = 3 if len(curves) in (3, 5, 6) else min(2, len(curves))
     rows = -(-len(curves) // columns)
@@ -732,12 +747,14 @@ def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], 
     curves: dict[str, Callable[[Axes], None]] = {}
     if not prediction:
         curves["episodes"] = lambda ax: episodes_against_steps(ax, datasets)
-    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets)
+    soft = _common_soft_optimum(datasets, env)
+    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets, soft=soft)
     names = (name for ds in datasets.values() for name in stats.hyperparameters(ds) + stats.drawn(ds))
     swept = dict.fromkeys(name for name in names if name != "draw")
     for i, name in enumerate(sorted(swept, key=lambda name: name != "alpha")):
         key = f"sensitivity_{name}" if i else "sensitivity"
-        curves[key] = lambda ax, name=name: sensitivity(ax, datasets, name)
+        line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
+        curves[key] = lambda ax, name=name, line=line: sensitivity(ax, datasets, name, soft=line)
     if prediction and not (isinstance(env, Finite) and env.panels()):
         curves["values"] = lambda ax: state_values(ax, datasets, env)
     return curves
@@ -824,7 +841,7 @@ def _caption(datasets: Datasets, env: Environment) -> str:
     lines = textwrap.wrap(", ".join(settings), LINE, break_on_hyphens=False)
     what = "\n".join(lines).replace("\xa0", " ")
     seeds = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
-    return f"{what}\nmean and 95% interval over {seeds} seeds"
+    return f"{what}\nmean over {seeds} seeds, and its 95% interval at each point"
 
 
 def unusual(env: Environment) -> list[str]:

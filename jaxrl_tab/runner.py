@@ -29,7 +29,7 @@ import jax
 import numpy as np
 
 import jaxrl_tab
-from jaxrl_tab import batch, provenance, rng, storage
+from jaxrl_tab import batch, provenance, storage
 from jaxrl_tab.executors import Executor, Local
 from jaxrl_tab.experiment import Experiment, PartPlan, Plan, difference
 from jaxrl_tab.memory import Results, free, size, words
@@ -76,7 +76,7 @@ class Progress(NamedTuple):
         steps: steps taken since it began, or was resumed.
         seconds: the time since then.
         left: how many more seconds it will take, about; None where nothing can be said yet.
-        diverged: runs in which a number has become infinite or NaN.
+        diverged: runs in which a number became infinite or NaN, or grew beyond any possible return.
     """
 
     label: str
@@ -348,9 +348,9 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
 
 
 def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: those that follow."""
+    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
     one = [part.configs[config]]
-    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=part.num_seeds)
+    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
 
 
 def _split(name: str, part: Part) -> Iterator[Shard]:
@@ -392,9 +392,11 @@ def _compute(
     meter.begin(store, job, missing, later)
     with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
         for number, arrays in finished:
-            diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
-            facts = {"setting": job.setting(job.shards[number]), "surroundings": origin.name}
-            store.write(number, arrays, diverged=diverged, **facts)
+            part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
+            largest = part.largest_values[_runs(part, job.shards[number]) // part.num_seeds]
+            diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
+            setting = job.setting(job.shards[number])
+            store.write(number, arrays, diverged, setting, origin.name)
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)
 
@@ -416,7 +418,7 @@ def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
 def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
     """(shape, dtype) of each array of a shard."""
     method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
-    q, log = batch.gives(part.env, method, rng.key(part.seed), part.budget)
+    q, log = batch.gives(part.env, method, part.root, part.budget)
     of_one = {"q": q, **{name: x for name, x in log._asdict().items() if x is not None}}
     shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in of_one.items()}
     return shapes | {"seconds": ((2,), np.dtype(float))}
@@ -528,7 +530,7 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
     for part in parts.values():
         instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
         runs = min(part.runs, _shard_runs(part))
-        planned = batch.plan(part.env, instances, rng.key(part.seed), runs, part.budget, limit)
+        planned = batch.plan(part.env, instances, part.root, runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
     if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
         raise InputError(

@@ -133,7 +133,7 @@ def test_one_task_in_every_form(seed, num_states, num_actions):
 
 
 def test_values_are_those_of_the_arrays():
-    """By plain sweeps over the arrays. Broken once: s' and s exchanged in sparse matrices."""
+    """By plain sweeps over the arrays."""
     p, r = random_table(3, 6, 3)
     v = np.zeros(6)
     for _ in range(400):
@@ -174,7 +174,7 @@ def test_a_state_that_ends_and_goes_on_gets_a_second_number():
 
 
 def test_a_long_corridor_takes_no_more_than_its_length():
-    """10^5 states in about a second; it was quadratic, some 300. Broken once: one more state a sweep -> fails."""
+    """10^5 states in about a second; it was 7 s for 16,000. Broken once: state by state -> fails."""
     n = 100_000
     outcomes = [[[(1.0, max(s - 1, 0), -1.0)], [(1.0, min(s + 1, n - 1), -1.0)]] for s in range(n)]
     began = time.process_time()
@@ -228,12 +228,15 @@ def two(outcome):
         ),
         (
             lambda: FiniteMDP.from_outcomes({0: {0: [], 2: []}}),
-            "the actions of s = 0 must have the keys 0 to 1, not [0, 2]",
+            "the keys of the actions of s = 0 must be 0 to 2, and 1 is missing",
         ),
-        (lambda: FiniteMDP.from_outcomes({1: {0: []}}), "outcomes must have the keys 0 to 0, not [1]"),
+        (
+            lambda: FiniteMDP.from_outcomes({1: {0: []}}),
+            "the keys of outcomes must be 0 to 1, and 0 is missing",
+        ),
         (
             lambda: FiniteMDP.from_outcomes({(0, 0): []}),
-            "outcomes must have the keys 0 to 0, not [(0, 0)]",
+            "the keys of outcomes must be whole numbers, not (0, 0)",
         ),
         (
             lambda: FiniteMDP.from_outcomes({0: {0: [], 1: []}, 1: {0: []}}),
@@ -241,13 +244,16 @@ def two(outcome):
         ),
         (
             lambda: FiniteMDP.from_outcomes(P),
-            "an outcome after (s, a) = (0, 0) must be (p, s', reward) or (p, s', reward, terminated), "
-            "not np.float64({first!r}); FiniteMDP(probabilities, rewards) takes arrays",
+            "outcomes must be lists of (p, s', reward); FiniteMDP.from_arrays takes arrays and matrices",
         ),
         (
-            lambda: FiniteMDP.from_outcomes(SPARSE[0]),
-            "outcomes must be a list, or a dict with the keys 0, 1, 2 ..., not {sparse}; "
-            "FiniteMDP.from_arrays takes sparse matrices",
+            lambda: FiniteMDP.from_outcomes([[[1.0, 0.0]]]),
+            "an outcome after (s, a) = (0, 0) must be (p, s', reward) or (p, s', reward, terminated), not 1.0; "
+            "FiniteMDP(probabilities, rewards) takes arrays",
+        ),
+        (
+            lambda: FiniteMDP.from_outcomes(SPARSE),
+            "outcomes must be lists of (p, s', reward); FiniteMDP.from_arrays takes arrays and matrices",
         ),
         (
             lambda: FiniteMDP(SPARSE, R),
@@ -256,7 +262,7 @@ def two(outcome):
         ),
         (
             lambda: FiniteMDP({0: {0: []}}),
-            "probabilities must be an array [S, A, S'], with rewards beside it; "
+            "probabilities must be an array, with rewards beside it; "
             "FiniteMDP.from_outcomes takes tables of outcomes",
         ),
         (
@@ -297,8 +303,6 @@ def two(outcome):
 def test_error(call, message):
     with pytest.raises(rl.InputError) as error:
         call()
-    message = message.replace("{first!r}", repr(float(P[0, 0, 0])))
-    message = message.replace("{sparse}", str(error.value).split("not ")[-1].split("; ")[0])
     assert str(error.value) == f"FiniteMDP: {message}"
 
 

@@ -1,6 +1,5 @@
 """What the built-in environments share: they state their outcomes, and sampling follows from that."""
 
-import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from numbers import Integral
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import policies, tables
-from jaxrl_tab.types import InputError, Outcome, concrete
+from jaxrl_tab.types import InputError, Outcome, concrete, shown
 
 MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so that every episode ends
 
@@ -80,7 +79,9 @@ class Finite:
         prob, outcome = jax.vmap(jax.vmap(self.outcomes, (None, 0)), (0, None))(states, actions)
         count = prob.shape[-1]
         prob, reward = prob.reshape(-1, count), outcome.reward.ravel()
-        entered = (2 * outcome.s_next + outcome.terminal).ravel()  # one load for both
+        entered = (
+            2 * outcome.s_next + outcome.terminal.astype(outcome.s_next.dtype)
+        ).ravel()  # one load for both
 
         def step(key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
             i = s * self.num_actions + a
@@ -171,9 +172,7 @@ def numbers(name: str, what: str, value: Any) -> Any:
     if array is None:
         return value
     if array.dtype.kind not in "biuf":
-        raise InputError(
-            f"{name}: {what} must be numbers, in rows of equal length, not {reprlib.repr(value)}"
-        )
+        raise InputError(f"{name}: {what} must be numbers, in rows of equal length, not {shown(value)}")
     return array
 
 

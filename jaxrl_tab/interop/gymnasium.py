@@ -47,14 +47,17 @@ def from_gymnasium(env: Any, **parameters: Any) -> FiniteMDP:
         InputError: the name or a parameter is wrong; the environment has no table, or one that is wrong; or what
             it does is not what the table says.
     """
-    if isinstance(env, str):
+    if isinstance(env, str | EnvSpec):
         env = _make(env, parameters)
     elif parameters:
         raise InputError(f"{', '.join(parameters)}: parameters go with the name of an environment")
     if isinstance(env, gymnasium.vector.VectorEnv):
         raise InputError("env is a vector of environments, and one is wanted: give its name, or env.envs[0]")
     if not isinstance(env, gymnasium.Env):
-        raise InputError(f"env must be the name of an environment of Gymnasium, or one, not {shown(env)}")
+        hint = "; FiniteMDP.from_outcomes takes a table by itself" if isinstance(env, Mapping) else ""
+        raise InputError(
+            f"env must be the name of an environment of Gymnasium, or one, not {shown(env)}{hint}"
+        )
     inner = env.unwrapped
     name = env.spec.id if env.spec else type(inner).__name__
     limit = _limit(name, env)
@@ -73,13 +76,15 @@ def from_gymnasium(env: Any, **parameters: Any) -> FiniteMDP:
     return mdp
 
 
-def _make(name: str, parameters: Mapping[str, Any]) -> gymnasium.Env:
+def _make(name: str | EnvSpec, parameters: Mapping[str, Any]) -> gymnasium.Env:
     try:
         return gymnasium.make(name, **parameters)
     except gymnasium.error.Error as error:
         raise InputError(f"gymnasium: {' '.join(str(error).split())}") from None
     except Exception as error:  # whatever its constructor makes of them
-        raise InputError(f"{name}: {' '.join(str(error).split()) or type(error).__name__}") from None
+        raise InputError(
+            f"{getattr(name, 'id', name)}: {' '.join(str(error).split()) or type(error).__name__}"
+        ) from None
 
 
 def _limit(name: str, env: gymnasium.Env) -> int:
@@ -115,19 +120,20 @@ def _check_spaces(name: str, inner: gymnasium.Env, num_states: int, num_actions:
     """Raises InputError unless the spaces of `inner`, where it has some, are as large as its table."""
     for what, size in (("observation", num_states), ("action", num_actions)):
         space = getattr(inner, f"{what}_space", None)
-        if space is not None and space != spaces.Discrete(size):
+        if space is not None and not (
+            isinstance(space, spaces.Discrete) and (space.start, space.n) == (0, size)
+        ):
             raise InputError(f"{name}: its table has {size} {what}s, and its {what}_space is {shown(space)}")
 
 
 def _check_steps(name: str, inner: gymnasium.Env, limit: int) -> None:
     """Raises InputError where some steps of `inner` do what is not in its table.
 
-    Environments of Gymnasium itself, and of ours, draw their steps from the table.
+    Environments of Gymnasium itself, and of ours, draw their steps from the table; one that has no `step` has
+    nothing to compare.
     """
-    drawn = type(inner).__module__.startswith("gymnasium.envs.toy_text.") or type(inner) is Tabular
-    if (
-        drawn or type(inner).step is gymnasium.Env.step
-    ):  # the latter is a table, and nothing that could be played
+    draws = type(inner).__module__.startswith("gymnasium.envs.toy_text.") or type(inner) is Tabular
+    if draws or type(inner).step is gymnasium.Env.step:
         return
     hint = (
         "FiniteMDP.from_outcomes takes env.unwrapped.P alone, with start=env.unwrapped.initial_state_distrib"
