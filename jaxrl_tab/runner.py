@@ -32,7 +32,7 @@ import jaxrl_tab
 from jaxrl_tab import batch, provenance, storage
 from jaxrl_tab.executors import Executor, Local
 from jaxrl_tab.experiment import Experiment, PartPlan, Plan, difference
-from jaxrl_tab.memory import Results, free, size, words
+from jaxrl_tab.memory import Results, free, let_go, size, words
 from jaxrl_tab.results import is_diverged, save
 from jaxrl_tab.storage import Store
 from jaxrl_tab.sweep import Computed, Part, compute, leaves_as_arrays, result
@@ -134,7 +134,7 @@ def run(
     """
     if not isinstance(experiment, Experiment):
         raise InputError(f"run takes an Experiment, not {shown(experiment)}")
-    command = shlex.join(sys.argv) if command is None else command
+    command = _typed(command)
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
@@ -177,13 +177,19 @@ def resume(
         raise InputError(f"{path} is no folder" if path.exists() else f"there is no folder {path}")
     if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
-    command = shlex.join(sys.argv) if command is None else command
+    command = _typed(command)
     with storage.lock(path):
         return _go_on(path, _experiment_in(path), executor, memory, progress, command, mixed=mixed)
 
 
+def _typed(command: str | None) -> str:
+    """What was typed, as text that can be written: names of files need not be text in UTF-8."""
+    command = shlex.join(sys.argv) if command is None else command
+    return command.encode(errors="backslashreplace").decode()
+
+
 def _path(folder: Any) -> Path:
-    if not isinstance(folder, str | os.PathLike) or "\0" in os.fspath(folder):
+    if not isinstance(folder, str | os.PathLike) or "\0" in str(folder):
         raise InputError(f"the name of a folder must be text, as paths are, not {shown(folder)}")
     return Path(os.path.normpath(folder))
 
@@ -397,6 +403,7 @@ def _compute(
             diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
             setting = job.setting(job.shards[number])
             store.write(number, arrays, diverged, setting, origin.name)
+            let_go()
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)
 
