@@ -329,7 +329,7 @@ def _solve(argv: list[str]) -> int:
             key: {
                 "start_value": planning.start_value(env, v),
                 "v": v.tolist(),
-                "q": np.where(q == policies.UNAVAILABLE, None, q).tolist(),
+                "q": [[None if x == policies.UNAVAILABLE else x for x in row] for row in q.tolist()],
                 "policy": policy.tolist(),
             }
             for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
@@ -408,18 +408,18 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
         for row, title, (_, v, q) in zip(grid, titles, solutions.values(), strict=True):
             best = np.array([np.isin(np.arange(env.num_actions), _best_actions(x)) for x in q])
             plot.panels(row, env, v, best, title)
-        figure.savefig(folder / "values.png")
+        plot.save(figure, folder / "values.png")
         return
-    height = 1.6 + 6.2 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 4
-    figure = plot.canvas(8, height * len(solutions))
+    height = 1.2 + 5.8 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 3.6
+    figure = plot.canvas(plot.WIDTH, height * len(solutions))
     axes = np.ravel(figure.subplots(len(solutions)))
     for ax, title, (_, v, q) in zip(axes, titles, solutions.values(), strict=True):
         if isinstance(env, Grid):
             plot.values(ax, env, v, q)
         else:
             plot.action_values(ax, env, np.where(q == policies.UNAVAILABLE, np.nan, q))
-        ax.set_title(title)
-    figure.savefig(folder / "values.png")
+        ax.set_title(title, fontsize=plot.TITLE)
+    plot.save(figure, folder / "values.png")
 
 
 # --- sweep -------------------------------------------------------------------------------------------
@@ -820,7 +820,7 @@ def _print_summary(
     if prediction:
         decimals = max(decimals, _decimals(scores, 3))
     digits = f"{{:.{decimals}f}}".format
-    notes, edges, few = [], [], False
+    notes, edges, few = [], {}, False
     for method, rows in table.groupby("method", sort=False):
         choice = len(rows[score].drop_duplicates()) > 1
         for row in rows.to_dict("records"):
@@ -850,7 +850,8 @@ def _print_summary(
         view.add_section()
         own = datasets[str(method)]
         at_edge = stats.at_edge(own, stats.best(own)) if choice else {}
-        edges += [f"the best {name} of {method} is the {end} that was tried" for name, end in at_edge.items()]
+        for name, end in at_edge.items():
+            edges.setdefault(f"the best {name} is the {end} that was tried", []).append(str(method))
     out = _console()
     out.print(", ".join([f"[bold]{environment}[/]", *setting, f"{ds.sizes['seed']} seeds, {length} each"]))
     out.print(view)
@@ -859,7 +860,7 @@ def _print_summary(
         say("RMS error of V over the states, exact; averaged over the rows of the log, and at the end")
     if varied and len(table[score].drop_duplicates()) > 1:
         say("* the best of its method on these seeds; chosen for its mean, which so flatters it")
-        if table["tied"].sum() > table["best"].sum():
+        if sum(table["tied"]) > sum(table["best"]):
             say("~ not told apart from the best: these seeds do not say which of them is better")
     if late:
         say(
@@ -870,11 +871,11 @@ def _print_summary(
         say(
             f"! rests on few bad runs, and may be worse: {stats.unseen(seeds)} stuck, which {seeds} seeds need not show"
         )
-    for line in [*notes, *edges]:
+    for line in [*notes, *(f"{end}: {', '.join(methods)}" for end, methods in edges.items())]:
         say(line)
     if not prediction:
         for name, value in _soft_optima(datasets, env).items():
-            say(f"{name}: the best policy that explores so is worth {six_digits(value)}")
+            say(f"exploring with {name}: the best policy is worth {six_digits(value)}")
     if exact:
         say(
             "worth of the greedy policy: exact value at the end, median over seeds; -inf: goes round for ever"
@@ -931,7 +932,7 @@ class Figure:
     all: Switch = False
     """Make all figures; with --out, also index.html, which shows them."""
     out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
-    """New folder for the picture and the data."""
+    """New folder for the picture, as PNG and as PDF, and the data."""
     json: Switch = False
     """Print the numbers as JSON."""
     quiet: Switch = False
@@ -955,7 +956,7 @@ def _figure(argv: list[str]) -> int:
             with _busy(f"{name}: numbers and picture", options.quiet):
                 checked[name] = figure, [number.check(datasets) for number in figure.numbers]
                 if folder:
-                    figure.draw(datasets).savefig(folder / f"{name}.png")
+                    _draw_figure(figure, datasets, folder / name)
             if not options.json:
                 _console().print(_check_table(*checked[name]))
         if folder and options.all:
@@ -970,6 +971,15 @@ def _figure(argv: list[str]) -> int:
     elif options.out:
         _say_where(options.out, groups[0])
     return 0 if all(c.ok for _, checks in checked.values() for c in checks) else 1
+
+
+def _draw_figure(figure: PublishedFigure, datasets: "Mapping[str, xr.Dataset]", file: Path) -> None:
+    """As PNG, to look at, and as PDF, which is sharp at any size."""
+    from jaxrl_tab import plot
+
+    picture = figure.draw(datasets)
+    for ending in (".png", ".pdf"):
+        plot.save(picture, file.with_suffix(ending))
 
 
 def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:

@@ -47,8 +47,8 @@ OF_PREDICTION = {
 
 # As measured, see `stats.score_interval`; of 10, 30 and 100 seeds.
 COVERAGE = (
-    "of 10, 30 and 100 seeds, 94 to 96 of 100 such intervals were right; where 1 or 2 runs in 100 get stuck, at "
-    "least 82, 94 and 96."
+    "and 10, 30 and 100 seeds, 94 to 96 of 100 such intervals were right; where 1 or 2 runs in 100 get stuck, at "
+    "least 82, 94 and 96 were."
 )
 
 Datasets = Mapping[str, xr.Dataset]
@@ -242,7 +242,7 @@ def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) 
     judged = fresh if len(fresh) == len(datasets) else datasets
     differences = _differences({row.method: judged[row.method] for row in stars}, view)
     return Chapter(
-        label=label,
+        label=describe.title(label),
         about=describe.summary(type(env)),
         unusual=", ".join(plot.unusual(env)),
         methods=list(datasets),
@@ -273,7 +273,8 @@ def _rows(method: str, ds: xr.Dataset, env: Environment) -> list[Row]:
     """All settings of a method, in the order of its axes."""
     names, constant = stats.hyperparameters(ds), stats.fixed(ds)
     score, diverged, prediction = stats.score(ds), ds.diverged, stats.is_prediction(ds)
-    mean, low, high, _ = stats.score_interval(ds)
+    known = lambda _: score
+    mean, low, high, _ = stats.score_interval(ds, by=known)
     runs = stats.possible(stats.tolerance_interval(score), score, ds)
     if prediction:
         end = ds.v_error.isel(row=-1).astype(float).where(~diverged).mean("seed")
@@ -294,10 +295,10 @@ def _rows(method: str, ds: xr.Dataset, env: Environment) -> list[Row]:
         "episodes": ds.episodes.sum("row").where(~diverged & ("num_steps" in ds.attrs)).mean("seed"),
         "end": end,
         "optimum": stats.optimum(ds).broadcast_like(mean),
-        "tied": stats.tied(ds),
+        "tied": stats.tied(ds, known),
     }
     flat = {name: x.transpose(*names).values.ravel().tolist() for name, x in numbers.items()}
-    best = stats.best(ds)
+    best = stats.best(ds, known)
     rows = []
     for i, values in enumerate(product(*(ds[name].values.tolist() for name in names))):
         place = dict(zip(names, values, strict=True))
@@ -413,7 +414,7 @@ def _chosen_table(
     head += ["difference from the first", "p"] if differences else []
     rows = [
         [
-            row.method,
+            describe.title(row.method),
             _setting(row, view) or "as given",
             _mean_cell(row, view),
             *([_mean_cell(again[row.method], view) if row.method in again else "–"] if again else []),
@@ -443,7 +444,7 @@ def _settings_table(ranked: Sequence[Row], view: View) -> Table:
     ]
     rows = [
         [
-            f"{row.method} ★" if star else f"{row.method} ≈" if row.tied and not row.star else row.method,
+            f"{describe.title(row.method)}{' ★' if star else ' ≈' if row.tied and not row.star else ''}",
             *(plot.written(row.setting[name]) if name in row.setting else "–" for name in view.varied),
             _number(row.mean, view.decimals),
             _between(row.low, row.high, view) + _doubt(row),
@@ -513,7 +514,7 @@ def _setting(row: Row, view: View) -> str:
 
 
 def _setting_of(row: Row, view: View) -> str:
-    return ", ".join(filter(None, [row.method, _setting(row, view)]))
+    return ", ".join(filter(None, [describe.title(row.method), _setting(row, view)]))
 
 
 # --- pictures ----------------------------------------------------------------------------------------
@@ -526,7 +527,7 @@ def _pictures(
     if isinstance(env, Grid) and not view.prediction:
         figures["values"] = plot.value_tables(datasets, env)
     captions = CAPTIONS | (OF_PREDICTION if view.prediction else {})
-    ends = ", ".join(f"{row.method} {_number(row.mean, view.decimals)}" for row in stars)
+    ends = ", ".join(f"{describe.title(row.method)} {_number(row.mean, view.decimals)}" for row in stars)
     what = view.what if view.prediction else f"{view.what} at the end"
     optimum = stars[0].optimum
     known = "" if view.prediction or np.isnan(optimum) else f"; exact optimum {_number(optimum)}"
@@ -564,9 +565,9 @@ def _method(name: str) -> str:
 
 
 def _title(datasets: Datasets, chapters: Sequence[Chapter]) -> str:
-    methods = list(dict.fromkeys(method for chapter in chapters for method in chapter.methods))
+    methods = dict.fromkeys(describe.title(method) for chapter in chapters for method in chapter.methods)
     labels = [chapter.label for chapter in chapters]
-    return f"{_list(methods, 'methods')} in {_list(labels, 'environments')}"
+    return f"{_list(list(methods), 'methods')} in {_list(labels, 'environments')}"
 
 
 def _list(names: Sequence[str], what: str) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from made_up import make_result
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, describe, options, planning, plot, runner, stats
@@ -89,7 +90,7 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
         lines = [line.split("│") for line in printed.out.splitlines() if f"│ {method} " in line]
         assert [float(line[2]) for line in lines] == [0.5, 1.0]
         np.testing.assert_allclose([float(line[3]) for line in lines], rows.episodes, atol=0.05)
-        bounds = [line[5].replace("–", "nan to nan").split(" to ") for line in lines]
+        bounds = [line[5].replace("–", "nan to nan").strip(" !").split(" to ") for line in lines]
         means = [line[4].replace("–", "nan") for line in lines]
         shown = [[float(mean), *map(float, ends)] for mean, ends in zip(means, bounds, strict=True)]
         columns = rows[["last_tenth_return", "last_tenth_low", "last_tenth_high"]]
@@ -103,12 +104,32 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
     assert main([*argv, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["folder"] is None
-    frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second")
+    frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second").replace({None: np.nan})
     expected = summary.drop(columns="steps_per_second")
     pd.testing.assert_frame_equal(frame, expected, check_dtype=False)
 
     assert main([*argv, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
+
+
+def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
+    """Eight seeds; at the best alpha, the largest tried, one run is unfinished: -400 in the last two rows."""
+    ds = make_result(windy, np.zeros((70, 4)), seeds=8).to_xarray()
+    ds["episodes"][2, 0, -2:] = 0
+    ds["returns"][2, 0, -2:] = 0
+    ds["returns"][1] = ds.returns[2] + 0.1 * ds.episodes[2]
+    ds["episodes"][1] = ds.episodes[2]
+    cli._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    out = capsys.readouterr().out
+    marks = [line.split("│")[1].strip() for line in out.splitlines() if "│ sarsa" in line]
+    assert marks == ["sarsa", "sarsa *", "sarsa ~"]
+    assert "unfinished runs end no episode in the last tenth" in out
+    assert "up to 38% of all runs may be stuck, which 8 seeds need not show" in out
+    assert "! sarsa: median -1" in out
+    assert "exploring with epsilon 0.1, gamma 1: the best policy is worth -17.0483" in out
+    ds = ds.isel(alpha=[0, 2])
+    cli._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    assert "the best alpha is the largest that was tried: sarsa" in capsys.readouterr().out
 
 
 @pytest.fixture

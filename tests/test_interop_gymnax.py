@@ -529,12 +529,16 @@ def test_round_trip():
 
 
 def test_the_example(capsys):
-    """Within four standard errors, and what 100 steps cost: that can only be less."""
+    """The games within four standard errors of what is exact with their limit of steps.
+
+    Broken once: as many backups as the limit and one more step for each, 200 -> fails.
+    """
     names = runpy.run_path(str(Path(__file__).parent.parent / "examples" / "imported_environments.py"))
-    best, exact, played = names["lake_success"].values()
+    best, exact, in_time, played = names["lake_success"].values()
     assert best == pytest.approx(14 / 17)
     assert best - 0.01 < exact <= best + 1e-9
-    assert exact - 0.1 < played < exact + 4 * 0.4 / 1000**0.5
+    assert in_time < exact - 0.05
+    assert abs(played - in_time) < 4 * (in_time * (1 - in_time) / 1000) ** 0.5
     assert names["catch_value"]["at best"] == pytest.approx(1)
     assert names["catch_value"]["as learned"] > 0.99
     assert capsys.readouterr().out.count("reward -100.0, and again in state 36") == 2

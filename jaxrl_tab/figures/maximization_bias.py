@@ -25,22 +25,21 @@ def _share(method, first, last=None):
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab import describe, plot
 
-    canvas = plot.canvas(7.5, 5)
+    canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
-        plot.mean_curve(ax, ds.row + 1, 100 * _left(ds), method, color)
+        plot.mean_curve(ax, ds.row + 1, 100 * _left(ds), describe.title(method), color)
     least = 100 * EPSILON / 2
     ax.axhline(least, color=plot.INK, ls="--", lw=1.2, label=f"optimal but for exploration: {least:g}%")
     plot.tidy(ax, "episodes", "% of runs that go left from A")
     ax.set(ylim=(0, 100), xlim=(0, None))
     seeds = datasets[METHODS[0]].sizes["seed"]
-    ax.set_title(
-        f"maximization-bias, α = {ALPHA}, ε = {EPSILON}: mean and 95% interval over {seeds} seeds",
-        fontsize=plot.TITLE,
+    plot.head(
+        canvas, f"Maximization bias, α = {ALPHA}, ε = {EPSILON}\nmean and 95% interval over {seeds} seeds"
     )
-    ax.legend(loc="upper right", frameon=False)
+    plot.legend(ax, loc="upper right")
     return canvas
 
 
