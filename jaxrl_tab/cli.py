@@ -329,7 +329,7 @@ def _solve(argv: list[str]) -> int:
             key: {
                 "start_value": planning.start_value(env, v),
                 "v": v.tolist(),
-                "q": np.where(q == policies.UNAVAILABLE, None, q).tolist(),
+                "q": [[None if x == policies.UNAVAILABLE else x for x in row] for row in q.tolist()],
                 "policy": policy.tolist(),
             }
             for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)

@@ -147,20 +147,27 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
             del chosen["draw"]
         chosen.pop(parameter, None)
         label = _label(name, stats.named(ds, chosen))
+        late = xr.zeros_like(ds.episodes.isel(seed=0, row=0), bool)
+        if not prediction:
+            late = stats.unfinished(ds).any("seed")
+        parts = [part.sel(chosen) for part in (*stats.score_interval(ds), late)]
         ds = ds.sel(chosen)
         if name not in drawn and parameter not in ds.dims:
             if parameter not in stats.fixed(ds):
                 continue
             ds = ds.expand_dims({parameter: [stats.fixed(ds)[parameter]]})
-        late = xr.zeros_like(ds[parameter], bool) if prediction else stats.unfinished(ds).any("seed")
-        series[name] = label, ds[parameter].values, stats.score_interval(ds), late.values
-    place = _places(ax, [x for _, x, _, _ in series.values()])
+            parts = [part.expand_dims(parameter) for part in parts]
+        series[name] = label, ds[parameter].values, parts
+    place = _places(ax, [x for _, x, _ in series.values()])
     shown, incomplete = [], False
     for name, style in zip(datasets, _styles(), strict=False):
         if name not in series:
             continue
-        label, x, interval, late = series[name]
-        x, mean, low, high = place(x), *(part.values for part in interval[:3])
+        label, x, parts = series[name]
+        x, (*interval, _, late) = place(x), (part.values for part in parts)
+        mean, low, high = (
+            np.where(np.isfinite(part), part, np.nan) for part in interval
+        )  # it may have diverged
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
         ax.errorbar(

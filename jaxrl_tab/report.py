@@ -273,7 +273,8 @@ def _rows(method: str, ds: xr.Dataset, env: Environment) -> list[Row]:
     """All settings of a method, in the order of its axes."""
     names, constant = stats.hyperparameters(ds), stats.fixed(ds)
     score, diverged, prediction = stats.score(ds), ds.diverged, stats.is_prediction(ds)
-    mean, low, high, _ = stats.score_interval(ds)
+    known = lambda _: score
+    mean, low, high, _ = stats.score_interval(ds, by=known)
     runs = stats.possible(stats.tolerance_interval(score), score, ds)
     if prediction:
         end = ds.v_error.isel(row=-1).astype(float).where(~diverged).mean("seed")
@@ -294,10 +295,10 @@ def _rows(method: str, ds: xr.Dataset, env: Environment) -> list[Row]:
         "episodes": ds.episodes.sum("row").where(~diverged & ("num_steps" in ds.attrs)).mean("seed"),
         "end": end,
         "optimum": stats.optimum(ds).broadcast_like(mean),
-        "tied": stats.tied(ds),
+        "tied": stats.tied(ds, known),
     }
     flat = {name: x.transpose(*names).values.ravel().tolist() for name, x in numbers.items()}
-    best = stats.best(ds)
+    best = stats.best(ds, known)
     rows = []
     for i, values in enumerate(product(*(ds[name].values.tolist() for name in names))):
         place = dict(zip(names, values, strict=True))

@@ -340,7 +340,7 @@ def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
 def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
     """(shape, dtype) of each array of a shard."""
     method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
-    q, log = batch.gives(part.env, method, jax.random.key(part.seed), part.budget)
+    q, log = batch.gives(part.env, method, part.root, part.budget)
     of_one = {"q": q, **{name: x for name, x in log._asdict().items() if x is not None}}
     shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in of_one.items()}
     return shapes | {"seconds": ((2,), np.dtype(float))}

@@ -987,6 +987,8 @@ def _gamma(ds: xr.Dataset) -> xr.DataArray:
 def _discounts(late: xr.Dataset) -> xr.DataArray:
     """The mean discount gamma^t of the steps of each row, t = 0 at the first of these rows; 1 at gamma = 1."""
     gamma, steps = _gamma(late), late.steps.astype(float)
+    if (gamma == 1).all():
+        return xr.ones_like(gamma)
     rate = gamma.where(gamma < 1, 0.0)
     mean = rate ** (steps.cumsum("row") - steps) * (1 - rate**steps) / ((1 - rate) * steps.clip(min=1))
     return mean.where(gamma < 1, 1.0)
@@ -1327,7 +1329,7 @@ def at_edge(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, str]:
     return found
 
 
-def score_interval(ds: xr.Dataset, confidence: float = 0.95) -> Interval:
+def score_interval(ds: xr.Dataset, confidence: float = 0.95, by: Measure = score) -> Interval:
     """The mean `score` of each setting over all its seeds, with its interval, [*hyperparameters].
 
     It is that of `mean_interval`, but where the mean rests on few bad runs (`seeds_wanted`): there the bad
@@ -1357,8 +1359,9 @@ def score_interval(ds: xr.Dataset, confidence: float = 0.95) -> Interval:
     Args:
         ds: a sweep.
         confidence: the coverage aimed at, between 0 and 1.
+        by: gives the scores; or another measure of returns, or errors.
     """
-    x = score(ds)
+    x = by(ds)
     good = -x if is_prediction(ds) else x
     mean, low, high, n = mean_interval(good, confidence=confidence)
     if (few := seeds_wanted(good) > n).any():
@@ -1481,10 +1484,8 @@ def selection(ds: xr.Dataset, fresh: xr.Dataset, by: Measure = score, confidence
             and not (isinstance(got, float) and typed(got) == value)  # as on an axis beside schedules
         ):
             raise InputError(f"the fresh runs must have {name} = {value}, not {got}")
-    if by is score:
-        promised, found = (score_interval(data, confidence) for data in (ds.sel(setting), at))
-    else:
-        promised, found = (mean_interval(by(data), confidence=confidence) for data in (ds.sel(setting), at))
+    promised = Interval(*(part.sel(setting) for part in score_interval(ds, confidence, by)))
+    found = score_interval(at, confidence, by)
     off = (promised.estimate - found.estimate, promised.estimate - found.high, promised.estimate - found.low)
     return Selection(setting, promised, found, Interval(*off, found.n))
 
@@ -1529,7 +1530,8 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
     for method, ds in datasets.items():
         swept, constant = hyperparameters(ds), fixed(ds)
         names |= dict.fromkeys([*swept, *drawn(ds), *constant])
-        x, prediction, chosen = score(ds), is_prediction(ds), best(ds)
+        x, prediction = score(ds), is_prediction(ds)
+        known = lambda _, x=x: x
         results: dict[str, Any] = {"episodes": ds.episodes.sum("row").mean("seed")}
         if prediction:
             late = mean_interval(final_return(ds))
@@ -1538,7 +1540,7 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
             )
         kind = "v_error" if prediction else "last_tenth"
         found = {
-            "v_error" if prediction else "last_tenth_return": score_interval(ds),
+            "v_error" if prediction else "last_tenth_return": score_interval(ds, by=known),
             f"{kind}_median": median_interval(x),
             f"{kind}_iqm": iqm_interval(x.where(np.isfinite(x))),
         }
@@ -1551,8 +1553,8 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
             "unfinished": xr.zeros_like(x, int).sum("seed") if prediction else unfinished(ds).sum("seed"),
             **({"diverged": ds.diverged.sum("seed")} if "diverged" in ds else {}),
             "seeds_wanted": seeds_wanted(x, higher_is_better=not prediction),
-            "best": _is_at(x, chosen),
-            "tied": tied(ds),
+            "best": _is_at(x, best(ds, known)),
+            "tied": tied(ds, known),
         }
         difference = compared.get(method)
         here = results["best"].where(difference is not None, False)

@@ -223,7 +223,8 @@ class Store:
                 for left in list(folder.glob(f".*{UNFINISHED}")):
                     shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
         self._manifest = self._read_manifest()
-        self.shards = {_number(name): Facts(**facts) for name, facts in self._manifest["shards"].items()}
+        known = self._manifest["shards"].items()
+        self.shards = {int(Path(name).stem): Facts(**facts) for name, facts in known}
         self._take_stock()
         self._write_manifest()
 

@@ -371,7 +371,7 @@ def check_available(what: str, available: Any, num_states: int, num_actions: int
         return
     if not np.isin(there, (0, 1)).all():
         raise InputError(f"{what} must be True or False in each place, not {shown(there)}")
-    if (s := first(~there.astype(bool).any(1))) is not None:
+    if (s := first(np.asarray(~there.any(1)))) is not None:
         raise InputError(f"{what} must name an action in every state, in terminal ones too; {s[0]} has none")
 
 

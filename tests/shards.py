@@ -46,6 +46,7 @@ def begun_on_ray(task):
     import psutil
 
     node = psutil.Process().parent()
+    assert node
     listens = {
         one.laddr.ip
         for process in (node, *node.children(recursive=True))

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from made_up import make_result
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, describe, options, planning, plot, runner, stats
@@ -103,12 +104,32 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
     assert main([*argv, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["folder"] is None
-    frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second")
+    frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second").replace({None: np.nan})
     expected = summary.drop(columns="steps_per_second")
     pd.testing.assert_frame_equal(frame, expected, check_dtype=False)
 
     assert main([*argv, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
+
+
+def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
+    """Eight seeds; at the best alpha, the largest tried, one run is unfinished: -400 in the last two rows."""
+    ds = make_result(windy, np.zeros((70, 4)), seeds=8).to_xarray()
+    ds["episodes"][2, 0, -2:] = 0
+    ds["returns"][2, 0, -2:] = 0
+    ds["returns"][1] = ds.returns[2] + 0.1 * ds.episodes[2]
+    ds["episodes"][1] = ds.episodes[2]
+    cli._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    out = capsys.readouterr().out
+    marks = [line.split("│")[1].strip() for line in out.splitlines() if "│ sarsa" in line]
+    assert marks == ["sarsa", "sarsa *", "sarsa ~"]
+    assert "unfinished runs end no episode in the last tenth" in out
+    assert "up to 38% of all runs may be stuck, which 8 seeds need not show" in out
+    assert "! sarsa: median -1" in out
+    assert "exploring with epsilon 0.1, gamma 1: the best policy is worth -17.0483" in out
+    ds = ds.isel(alpha=[0, 2])
+    cli._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    assert "the best alpha is the largest that was tried: sarsa" in capsys.readouterr().out
 
 
 @pytest.fixture

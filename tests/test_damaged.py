@@ -38,6 +38,7 @@ def make_folders(path):
         (path / "half" / name).unlink()
     (path / "half" / "shards" / "000001.npz").unlink()
     manifest = storage.read_manifest(path / "half")
+    assert manifest
     del manifest["shards"]["000001.npz"]
     storage._write_manifest(path / "half", manifest | {"files": {}})
     return [path / "finished", path / "half"], tiny.numbers(path / "finished")
@@ -136,9 +137,9 @@ DAMAGES = [
 OUTSIDE: list[Path] = []
 
 
-def try_one(seed, folders, expected, scratch):
+def try_one(seed, made, scratch):
     """One file of a copy is damaged; then it is resumed, twice if it was refused. What happened, in words."""
-    rng = np.random.default_rng(seed)
+    (folders, expected), rng = made, np.random.default_rng(seed)
     path = scratch / str(seed) / "a" / "run"
     shutil.copytree(folders[rng.integers(2)], path)
     outside = path.parent.parent / "outside.txt"
@@ -171,7 +172,7 @@ def try_one(seed, folders, expected, scratch):
 def test_damaged_folders(folders, tmp_path):
     """Broken once: names in the manifest not looked at, links followed, shapes not compared -> each fails."""
     with tiny.small():
-        refused = ["refused" in try_one(seed, *folders, tmp_path) for seed in range(TRIALS)]
+        refused = ["refused" in try_one(seed, folders, tmp_path) for seed in range(TRIALS)]
     assert sum(refused) < TRIALS / 3  # most are mended
 
 
@@ -188,6 +189,6 @@ if __name__ == "__main__":
         made = make_folders(Path(place) / "made")
         for seed in range(int(sys.argv[1]), int(sys.argv[1]) + int(sys.argv[2])):
             try:
-                print(try_one(seed, *made, Path(place)), flush=True)
+                print(try_one(seed, made, Path(place)), flush=True)
             except AssertionError:
                 traceback.print_exc()

@@ -142,6 +142,15 @@ def test_sensitivity(ax, datasets):
     assert "exact optimum −15" in texts(ax)
 
 
+def test_what_explores_has_its_own_optimum(datasets, windy):
+    """-17.0483, see GROUND_TRUTH.md: dotted, beside the optimum."""
+    _, curves, alphas, _ = plot.overview(datasets, windy).axes
+    for ax in (curves, alphas):
+        (dotted,) = [line for line in ax.get_lines() if line.get_linestyle() == ":"]
+        assert dotted.get_ydata()[0] == pytest.approx(-17.0483, abs=1e-4)
+        assert "best ε-soft −17.0483" in texts(ax)
+
+
 def test_sensitivity_marks_settings_that_lose_seeds(ax, datasets):
     ds = datasets["sarsa"].copy(deep=True)
     ds["episodes"][1, 0, -2:] = 0

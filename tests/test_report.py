@@ -198,6 +198,29 @@ def test_diverged_runs_are_counted_and_score_as_the_worst(windy, windy_sets, und
     assert [row[1] for row in rows] == ["0.05", "0.9", "0.2"]  # the best first: where the fewest diverge
 
 
+def test_it_says_what_a_mean_rests_on(windy, windy_sets, undrawn, tmp_path):
+    """One run of the best setting is unfinished and stands still: -400 in its last two rows."""
+    ds = windy_sets["windy/sarsa"].isel(alpha=[0, 2]).copy(deep=True)
+    ds["episodes"][1, 0, -2:] = 0
+    ds["returns"][1, 0, -2:] = 0
+    page = read(report.write(tmp_path, {"windy/sarsa": ds}, {"windy": windy}, {}))
+    head, row = page.tables[0]
+    assert row[head.index("unfinished")] == "1"
+    others = stats.score(ds).sel(alpha=0.9)[1:]
+    assert numbers(row[2])[0] == pytest.approx((float(others.sum()) - 400) / 5, abs=0.6)
+    assert row[2].endswith(" !")
+    for said in (
+        "! The mean of sarsa, α = 0.9 rests on few bad runs and may be worse than it looks: 5 seeds were run, and 125",
+        "The middle of the runs is sure: median −1",
+        "1 of 5 runs of sarsa, α = 0.9 finished no episode in the last tenth",
+        "The best α of sarsa is the largest that was tried",
+        "up to 60% of all runs may be stuck",
+        "the difference seed by seed decides",
+    ):
+        assert said in page.text
+    assert "nobody knows" not in page.text
+
+
 def test_draws_are_known_by_what_was_drawn(windy, windy_sets, undrawn, tmp_path):
     ds = windy_sets["windy/sarsa"].rename(alpha="draw").drop_vars("draw")
     ds = ds.assign_coords(draw=[0, 1, 2], alpha=("draw", [*ALPHAS]), q0=("draw", [0.0, -1.0, -2.0]))

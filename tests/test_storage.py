@@ -222,12 +222,13 @@ def test_names_in_a_manifest_lead_nowhere_else(folder):
     """Even where its checksum is right. Broken once: names not looked at -> outside.txt is set aside."""
     outside = folder.parent / "outside.txt"
     outside.write_text("outside")
-    for names in ({"files": {"../outside.txt": "0" * 64}}, {"files": {str(outside): "0" * 64}}):
-        storage._write_manifest(folder, storage.read_manifest(folder) | names)
+    shard = {"../../outside.txt": {"sha256": "0" * 64, "diverged": 0, "setting": None}}
+    files = ({"../outside.txt": "0" * 64}, {str(outside): "0" * 64})
+    for names in (*({"files": x} for x in files), {"shards": shard}):
+        manifest = storage.read_manifest(folder)
+        assert manifest
+        storage._write_manifest(folder, manifest | names)
         assert Store(folder, "abc").found[0].startswith("manifest.json is damaged")
-    shards = {"../../outside.txt": {"sha256": "0" * 64, "diverged": 0, "setting": None}}
-    storage._write_manifest(folder, storage.read_manifest(folder) | {"shards": shards})
-    assert Store(folder, "abc").found[0].startswith("manifest.json is damaged")
     assert outside.read_text() == "outside"
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -322,6 +323,7 @@ def test_records_of_another_kind_are_begun_anew(folder, caplog, text):
 
 
 def test_what_is_no_experiment_or_no_name_is_refused(tmp_path):
+    wrong: Any
     for wrong in (None, "experiment.toml", {}):
         with pytest.raises(InputError, match="run takes an Experiment, not"):
             rl.run(wrong, tmp_path / "run")
