@@ -163,7 +163,7 @@ def test_merge_rows(ds):
 def test_best_counts_unfinished_runs(ds):
     """Alpha 0.5: -7, -9 and, with no episode in the last tenth, the -10 of its ten steps there: -8.67 on average.
 
-    Broken once: left out -> the mean is -8; not counted where another setting has all -> 0.1 is best.
+    Broken once: left out -> fails.
     """
     np.testing.assert_array_equal(stats.unfinished(ds), [[False] * 3, [False, False, True]])
     np.testing.assert_array_equal(stats.score(ds), [[-18, -20, -22], [-7, -9, -10]])

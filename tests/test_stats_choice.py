@@ -103,7 +103,7 @@ def test_an_error_that_diverged_is_infinite_and_loses():
 def test_the_choice_gets_better_with_more_seeds(cliff):
     """It was right in 94, 93, 87, 65 and 20% with 10, 30, 100, 300 and 1000 seeds; what there is: stats.best.
 
-    Broken once: settings with unfinished runs passed over -> 61% with 300 seeds.
+    Broken once: unfinished runs left out -> fails.
     """
     population = stats.score(cliff).values
     assert population.mean(1).argmax() == 1
@@ -219,7 +219,7 @@ def test_no_interval_reaches_what_is_impossible():
 def test_identical_methods_are_told_apart_in_5_percent_at_most(settings):
     """Some p was below 5% in 5.0, 6.0, 8.7, 13.2, 9.5 and 18.4%, for the best was compared with the others.
 
-    All experiments at once, as `differences` does with each. Broken once: pairs = 1 -> fails from three methods on.
+    All experiments at once, as `differences` does with each. Broken once: one pair -> fails but for two methods.
     """
     rng, trials = np.random.default_rng(0), 2000
     methods = [rng.normal(-30, 5, (k, trials, 20)) for k in settings]
