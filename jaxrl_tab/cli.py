@@ -52,12 +52,12 @@ from jaxrl_tab.options import (
     option_of,
     parameters,
     parse,
-    path,
+    place,
     real,
     size,
-    text,
     values,
     whole,
+    word,
     words,
 )
 from jaxrl_tab.prediction import PREDICTION
@@ -162,7 +162,16 @@ def _prepare_streams() -> None:
 
 
 LOOKALIKES = {"↑": "^", "→": ">", "↓": "v", "←": "<", "↗": "ne", "↘": "se", "↙": "sw", "↖": "nw", "·": "."}
-LOOKALIKES |= {"–": "-", "−": "-", "±": "+-", "×": "x", "ε": "epsilon", "α": "alpha", "λ": "lambda", "γ": "gamma"}
+LOOKALIKES |= {
+    "–": "-",
+    "−": "-",
+    "±": "+-",
+    "×": "x",
+    "ε": "epsilon",
+    "α": "alpha",
+    "λ": "lambda",
+    "γ": "gamma",
+}
 
 
 def _lookalikes(error: UnicodeError) -> tuple[str, int]:
@@ -297,7 +306,7 @@ class Solve:
     """Discount rate, in [0, 1]."""
     epsilon: Annotated[float | None, real(0, 1), arg(help_behavior_hint="")] = None
     """Also find the best policy among those that take a random action with this probability."""
-    out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
     """New folder for a picture (PNG)."""
     json: Switch = False
     """Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A]."""
@@ -422,7 +431,7 @@ class Where:
 
     executor: Annotated[str, arg(metavar="NAME")] = "local"
     """local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see docs/scaling.md."""
-    address: Annotated[str | None, text("HOST:PORT"), arg(help_behavior_hint="")] = None
+    address: Annotated[str | None, word("HOST:PORT"), arg(help_behavior_hint="")] = None
     """Of the Ray cluster, or of process 0 of a distributed job."""
     processes: Annotated[int | None, whole(1), arg(help_behavior_hint="")] = None
     """How many processes a distributed job has."""
@@ -512,7 +521,7 @@ class Sweep(Where):
     exact: Switch = False
     """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
     (The error of methods of prediction is always recorded.)"""
-    out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
     dry_run: Switch = False
     """Show what would be run, in how much memory, and stop."""
@@ -603,7 +612,7 @@ class Resume(Where):
       jaxrl-tab resume runs/windy
     """
 
-    folder: Annotated[Positional[Path | None], path("DIR"), arg(help_behavior_hint="")] = None
+    folder: Annotated[Positional[Path | None], place("DIR"), arg(help_behavior_hint="")] = None
     """The folder of the sweep: what --out named."""
     memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
     """How much memory it may take, such as 4GB."""
@@ -876,7 +885,7 @@ class Figure:
     """Name of the figure; see `jaxrl-tab list`."""
     all: Switch = False
     """Make all figures; with --out, also index.html, which shows them."""
-    out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
     """New folder for the picture and the data."""
     json: Switch = False
     """Print the numbers as JSON."""

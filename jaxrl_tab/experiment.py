@@ -824,4 +824,3 @@ def _is_there(data: Any, path: Sequence[Any]) -> bool:
         except (LookupError, TypeError):
             return False
     return True
-

@@ -25,10 +25,19 @@ from jax import lax
 from jax.custom_batching import sequential_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrl_tab import policies
-from jaxrl_tab.types import Environment, FiniteEnvironment, InputError, check_pytree, first, is_distribution
+from jaxrl_tab import memory, policies
+from jaxrl_tab.types import (
+    Environment,
+    FiniteEnvironment,
+    InputError,
+    check_pytree,
+    first,
+    is_distribution,
+    shown,
+)
 
 GAIN = 1e-11  # policy iteration changes an action for more than this, relative to the largest value
+BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
 TRACED_SWEEPS = 10_000  # of value iteration inside `train`
 
@@ -87,6 +96,7 @@ def exact_model(env: Environment) -> Model:
     """
     check_finite(env)
     check_pytree(_name(env), env)
+    _check_size(env)
     # In 64 bits from the first operation on, or 1/3 would be a float32 third. An environment that is written
     # for 32 bits mixes in some 64-bit constants then, which is all right here.
     with jax.enable_x64(), jax.numpy_dtype_promotion("standard"):
@@ -95,6 +105,16 @@ def exact_model(env: Environment) -> Model:
         model = jax.tree.map(np.asarray, _enumerate_jit(env))
     _check_model(_name(env), model)
     return model
+
+
+def _check_size(env: Any) -> None:
+    """Raises InputError where all outcomes, of one for each state and action at least, do not fit in memory."""
+    pairs = env.num_states * env.num_actions
+    if pairs >= 2**31 or BYTES_OF_OUTCOME * pairs > memory.free():
+        raise InputError(
+            f"{_name(env)}: {env.num_states:,} states with {env.num_actions:,} actions each are more than fit in "
+            "memory; make it smaller"
+        )
 
 
 _enumerate_jit = jax.jit(enumerate_model)
@@ -283,7 +303,7 @@ def value_iteration(
     """
     check_rate("gamma", gamma)
     if not (isinstance(tol, Real) and tol > 0):
-        raise InputError(f"tol must be greater than 0, not {tol!r}")
+        raise InputError(f"tol must be greater than 0, not {shown(tol)}")
     model = exact_model(env)
     q, converged, caught = _sweeps(model, gamma, tol, max_sweeps)
     _refuse_endless(env, caught, "no policy")
@@ -594,7 +614,7 @@ def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
 def check_rate(name: str, value: float) -> None:
     """Raises InputError unless `value` is a number in [0, 1]."""
     if not (isinstance(value, Real) and 0 <= value <= 1):
-        raise InputError(f"{name} must be between 0 and 1, not {value!r}")
+        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
 
 
 def _refuse_endless(env: Environment, caught: np.ndarray, who: str) -> None:

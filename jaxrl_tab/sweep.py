@@ -27,6 +27,7 @@ from jaxrl_tab.types import (
     check_pytree,
     is_whole,
     nearest,
+    one_line,
     repeated,
     shown,
 )
@@ -258,7 +259,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
 def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
     if isinstance(algorithm, str):
         if algorithm not in METHODS:
-            raise InputError(f"no method is called {algorithm!r}; {nearest(algorithm, METHODS)}")
+            raise InputError(f"no method is called {shown(algorithm)}; {nearest(algorithm, METHODS)}")
         return METHODS[algorithm]
     if not isinstance(algorithm, type) or not dataclasses.is_dataclass(algorithm):
         raise InputError(
@@ -295,7 +296,7 @@ def configurations(
         if not values:
             raise InputError(f"the grid of {parameter} is empty")
         if parameter != DRAW and (again := repeated(map(label, values))):
-            raise InputError(f"the grid of {parameter} holds {shown(again[0])} more than once")
+            raise InputError(f"the grid of {parameter} holds {one_line(str(again[0]))} more than once")
     sizes = [len(values) for values in axes.values()]
     check_settings(math.prod(sizes), f"{' x '.join(map(str, sizes))} values of {', '.join(axes)}")
     names = [name for name in axes if name != DRAW]

@@ -12,7 +12,7 @@ from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.episode import Episode
 from jaxrl_tab.policies import Greedy, Policy, check_coverage
 from jaxrl_tab.schedules import Clock, Rate, sample_average
-from jaxrl_tab.types import InputError, Transition, nearest, pytree, static
+from jaxrl_tab.types import InputError, Transition, nearest, pytree, shown, static
 
 WEIGHTINGS = ("weighted", "ordinary", "per-decision")
 
@@ -84,7 +84,7 @@ class OffPolicyMonteCarlo(OffPolicyControl):
         super().__post_init__()
         if self.weighting not in WEIGHTINGS:
             hint = nearest(str(self.weighting), WEIGHTINGS)
-            raise InputError(f"{type(self).__name__}: weighting {self.weighting!r} is unknown; {hint}")
+            raise InputError(f"{type(self).__name__}: weighting {shown(self.weighting)} is unknown; {hint}")
         check_coverage(type(self).__name__, self.pi, self.selection)
 
     @property

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from jaxrl_tab import schedules, tables
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.schedules import Clock, check_number
-from jaxrl_tab.types import InputError, Transition, nearest, pytree, static
+from jaxrl_tab.types import InputError, Transition, nearest, pytree, shown, static
 
 # The part of its trace that a pair keeps when it comes again with step size alpha, before 1 is added.
 KEPT = {
@@ -58,7 +58,7 @@ class TraceControl(TDControl):
         check_number(self, "lam", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
         if not isinstance(self.trace, str) or self.trace not in self.traces:
             wanted = nearest(str(self.trace), self.traces)
-            raise InputError(f"{type(self).__name__}: trace {self.trace!r} is unknown; {wanted}")
+            raise InputError(f"{type(self).__name__}: trace {shown(self.trace)} is unknown; {wanted}")
 
     def init(self, num_states: int, num_actions: int) -> Any:
         """A TraceState; a method that remembers more makes its own state of it."""

@@ -16,7 +16,7 @@ from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.two_doors import TwoDoors
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
-from jaxrl_tab.types import InputError, build, nearest
+from jaxrl_tab.types import InputError, build, nearest, shown
 
 ENVS = {
     "windy-gridworld": WindyGridworld,
@@ -39,7 +39,7 @@ def make(name: str, **parameters: Any):
         InputError: the name, a parameter or a value is wrong.
     """
     if name not in ENVS:
-        raise InputError(f"no environment is called {name!r}; {nearest(str(name), ENVS)}")
+        raise InputError(f"no environment is called {shown(name)}; {nearest(str(name), ENVS)}")
     return build(ENVS[name], name, parameters)
 
 

@@ -1,6 +1,5 @@
 """What the built-in environments share: they state their outcomes, and sampling follows from that."""
 
-import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from numbers import Integral
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import policies, tables
-from jaxrl_tab.types import InputError, Outcome, concrete
+from jaxrl_tab.types import InputError, Outcome, concrete, shown
 
 MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so that every episode ends
 
@@ -171,9 +170,7 @@ def numbers(name: str, what: str, value: Any) -> Any:
     if array is None:
         return value
     if array.dtype.kind not in "biuf":
-        raise InputError(
-            f"{name}: {what} must be numbers, in rows of equal length, not {reprlib.repr(value)}"
-        )
+        raise InputError(f"{name}: {what} must be numbers, in rows of equal length, not {shown(value)}")
     return array
 
 
@@ -201,7 +198,7 @@ def check_shape(name: str, shape: Sequence[int], least: tuple[int, int] = (1, 1)
     pair = _pair(shape)
     if pair is None or pair[0] < least[0] or pair[1] < least[1]:
         raise InputError(
-            f"{name}: shape must be (rows, columns), at least {least[0]} x {least[1]}, not {shape!r}"
+            f"{name}: shape must be (rows, columns), at least {least[0]} x {least[1]}, not {shown(shape)}"
         )
     return pair
 
@@ -210,7 +207,7 @@ def check_cell(name: str, what: str, cell: Sequence[int], shape: tuple[int, int]
     """`cell` as (row, column). Raises InputError unless it is inside `shape`."""
     pair = _pair(cell)
     if pair is None:
-        raise InputError(f"{name}: {what} must be a cell (row, column), not {cell!r}")
+        raise InputError(f"{name}: {what} must be a cell (row, column), not {shown(cell)}")
     if not (0 <= pair[0] < shape[0] and 0 <= pair[1] < shape[1]):
         raise InputError(
             f"{name}: {what} {pair} is outside the grid; rows are 0 to {shape[0] - 1}, "

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_grid, numbers, unbatched
-from jaxrl_tab.types import InputError, Outcome, check_switches, nearest, pytree, static, whole
+from jaxrl_tab.types import InputError, Outcome, check_switches, nearest, pytree, shown, static, whole
 
 NAME = "windy-gridworld"
 MOVES = {"four": 4, "king": 8, "king+stay": 9}
@@ -42,7 +42,9 @@ class WindyGridworld(Grid):
 
     def __post_init__(self):
         if not isinstance(self.moves, str) or self.moves not in MOVES:
-            raise InputError(f"{NAME}: moves {self.moves!r} is unknown; {nearest(str(self.moves), MOVES)}")
+            raise InputError(
+                f"{NAME}: moves {shown(self.moves)} is unknown; {nearest(str(self.moves), MOVES)}"
+            )
         check_switches(NAME, self)
         shape, start, goal = check_grid(NAME, self.shape, self.start, self.goal)
         wind = _whole_cells(self.wind)
