@@ -15,7 +15,6 @@ values are finite.
 
 from collections.abc import Callable
 from functools import partial
-from numbers import Real
 from typing import Any, NamedTuple
 
 import jax
@@ -30,6 +29,7 @@ from jaxrl_tab.types import (
     Environment,
     FiniteEnvironment,
     InputError,
+    as_array,
     check_pytree,
     first,
     is_distribution,
@@ -234,14 +234,24 @@ def start_value(env: Environment, v: Float[np.ndarray, " S"]) -> float:
 def greedy_policy(q: Float[np.ndarray, "S A"]) -> Float[np.ndarray, "S A"]:
     """The policy that is greedy to `q`: the maximal actions of a state equally likely, float64 [S, A]."""
     with jax.enable_x64():
-        return np.asarray(jax.vmap(policies.greedy)(jnp.asarray(q, float)))
+        return np.asarray(jax.vmap(policies.greedy)(jnp.asarray(_action_values(q))))
 
 
 def epsilon_greedy_policy(q: Float[np.ndarray, "S A"], epsilon: float) -> Float[np.ndarray, "S A"]:
     """The policy that is epsilon-greedy to `q`, ties split equally, float64 [S, A] (book, section 5.4)."""
     check_rate("epsilon", epsilon)
     with jax.enable_x64():
-        return np.asarray(jax.vmap(partial(policies.epsilon_greedy, epsilon=epsilon))(jnp.asarray(q, float)))
+        return np.asarray(
+            jax.vmap(partial(policies.epsilon_greedy, epsilon=epsilon))(jnp.asarray(_action_values(q)))
+        )
+
+
+def _action_values(q: Any) -> np.ndarray:
+    """`q` as float64 [S, A]."""
+    values = _numbers("q", q)
+    if values.ndim != 2 or not values.size:
+        raise InputError(f"q must be action values [S, A], not of shape {values.shape}")
+    return values
 
 
 # --- exact answers -----------------------------------------------------------------------------------
@@ -302,7 +312,7 @@ def value_iteration(
             earns more than it costs; or `max_sweeps` were not enough.
     """
     check_rate("gamma", gamma)
-    if not (isinstance(tol, Real) and tol > 0):
+    if not (isinstance(tol, int | float | np.number) and tol > 0):
         raise InputError(f"tol must be greater than 0, not {shown(tol)}")
     model = exact_model(env)
     q, converged, caught = _sweeps(model, gamma, tol, max_sweeps)
@@ -589,8 +599,16 @@ def _name(env: Any) -> str:
     return type(env).__name__
 
 
+def _numbers(name: str, value: Any) -> np.ndarray:
+    """`value` in float64. Raises InputError unless it is numbers in a rectangular array."""
+    array = as_array(value)
+    if array is None or array.dtype.kind not in "biuf":
+        raise InputError(f"{name} must be numbers, in rows of equal length, not {shown(value)}")
+    return array.astype(np.float64)
+
+
 def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
-    probs = np.asarray(policy_probs, np.float64)
+    probs = _numbers("policy_probs", policy_probs)
     shape = model.prob.shape[:2]
     if probs.shape != shape:
         raise InputError(f"policy_probs must have shape [S, A] = {shape}, not {probs.shape}")
@@ -603,7 +621,7 @@ def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
 
 def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
     """`values` in float64: v [S], or q [S, A]."""
-    array = np.asarray(values, np.float64)
+    array = _numbers(name, values)
     shape = model.prob.shape[: 1 if name == "v" else 2]
     if array.shape != shape:
         each = f"{shape[0]} states" + "".join(f" and {n} actions" for n in shape[1:])
@@ -613,7 +631,7 @@ def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
 
 def check_rate(name: str, value: float) -> None:
     """Raises InputError unless `value` is a number in [0, 1]."""
-    if not (isinstance(value, Real) and 0 <= value <= 1):
+    if not (isinstance(value, int | float | np.number) and 0 <= value <= 1):
         raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
 
 

@@ -39,7 +39,7 @@ from jaxrl_tab.results import is_diverged, save
 from jaxrl_tab.storage import Store
 from jaxrl_tab.sweep import Computed, Part, compute, leaves_as_arrays, result
 from jaxrl_tab.train import Log
-from jaxrl_tab.types import Environment, InputError, RunError
+from jaxrl_tab.types import Environment, InputError, RunError, as_path, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import
     import pandas as pd
@@ -133,13 +133,15 @@ def run(
         InputError: something given is wrong; nothing was computed.
         RunError: there was not enough memory, or room on the disk. What is finished is kept.
     """
+    if not isinstance(experiment, Experiment):
+        raise InputError(f"what is run must be an Experiment(...), not {shown(experiment)}")
     command = shlex.join(sys.argv) if command is None else command
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
             _begin(path, experiment, memory)
             return _go_on(path, experiment, executor, memory, progress, command, keep=False)
-    path = Path(os.path.normpath(folder))
+    path = Path(os.path.normpath(as_path("the folder", folder)))
     _begin(path, experiment, memory)
     with storage.lock(path):
         return _go_on(path, experiment, executor, memory, progress, command)
@@ -166,9 +168,10 @@ def resume(
             experiment was changed: the message says in what.
         RunError: as in `run`.
     """
-    path = Path(os.path.normpath(folder))
-    if not path.is_dir():
-        raise InputError(f"{path} is no folder" if path.exists() else f"there is no folder {path}")
+    path = Path(os.path.normpath(as_path("the folder", folder)))
+    if not os.path.isdir(path):
+        name = one_line(str(path))
+        raise InputError(f"{name} is no folder" if os.path.exists(path) else f"there is no folder {name}")
     if not (path / GIVEN).exists() and not (path / RESOLVED).exists():
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
     command = shlex.join(sys.argv) if command is None else command

@@ -261,7 +261,11 @@ def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
         if algorithm not in METHODS:
             raise InputError(f"no method is called {shown(algorithm)}; {nearest(algorithm, METHODS)}")
         return METHODS[algorithm]
-    if not isinstance(algorithm, type) or not dataclasses.is_dataclass(algorithm):
+    if (
+        not isinstance(algorithm, type)
+        or not dataclasses.is_dataclass(algorithm)
+        or not hasattr(algorithm, "update")
+    ):
         raise InputError(
             "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
             f"(got {shown(algorithm)})"
@@ -283,10 +287,10 @@ def configurations(
         raise InputError(f"the keys of grid must be names of hyperparameters, not {shown(wrong[0])}")
     axes, single = {}, {}
     for parameter, values in spread(grid, num_draws, seed, name).items():
-        if isinstance(values, Sequence | np.ndarray | jax.Array) and np.ndim(values) > 0:
-            if np.ndim(values) > 1:
+        if _is_list(values):
+            if any(map(_is_list, values)):
                 raise InputError(
-                    f"the grid of {parameter} must be a flat list, not of shape {np.shape(values)}; "
+                    f"the grid of {parameter} must be a flat list, not {shown(values)}; "
                     "probabilities [S, A] are one value where they are a policies.Table"
                 )
             axes[parameter] = tuple(_plain(value) for value in values)
@@ -306,6 +310,12 @@ def configurations(
         return build(cls, name, single | dict(zip(names, values, strict=True)) | trial)
 
     return axes, [instance(point) for point in itertools.product(*axes.values())]
+
+
+def _is_list(value: Any) -> bool:
+    if isinstance(value, np.ndarray | jax.Array):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def _plain(value: Any) -> Any:

@@ -57,10 +57,16 @@ def one_line(text: str) -> str:
 
 def nearest(name: Any, names: Iterable[str]) -> str:
     """Returns "did you mean 'x'?" for the name most like `name`, or one that begins so; else all `names`."""
-    names, name = list(names), str(name).lower().replace("_", "-")
+    names, name = list(names), (name if isinstance(name, str) else "").lower().replace("_", "-")
     begins = [x for x in names if name and x.startswith(name)]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5) or begins
     return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
+
+
+def check_choice(name: str, what: str, value: Any, choices: Iterable[str]) -> None:
+    """Raises InputError unless `value` is one of the texts in `choices`; the message names the nearest."""
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"{name}: {what} {shown(value)} is unknown; {nearest(value, choices)}")
 
 
 def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
@@ -185,6 +191,14 @@ def pytree(cls: type[T]) -> type[T]:
 def concrete(x: Any) -> np.ndarray | None:
     """The value of `x` as a NumPy array, or None where it is a tracer and has no value yet."""
     return None if isinstance(x, Tracer) else np.asarray(x)
+
+
+def as_array(x: Any) -> np.ndarray | None:
+    """`concrete(x)`; what cannot become an array, such as rows of unlike lengths, is an empty one of objects."""
+    try:
+        return concrete(x)
+    except (TypeError, ValueError, OverflowError):
+        return np.empty(0, object)
 
 
 # --- what environments and methods exchange ----------------------------------------------------------

@@ -12,7 +12,15 @@ from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.td import TDState, check_learning
 from jaxrl_tab.policies import Table
 from jaxrl_tab.schedules import Clock, Rate
-from jaxrl_tab.types import InputError, Transition, concrete, first, is_distribution, pytree, shown
+from jaxrl_tab.types import (
+    InputError,
+    Transition,
+    as_array,
+    first,
+    is_distribution,
+    pytree,
+    shown,
+)
 
 
 class ManyTargetsState(NamedTuple):
@@ -68,7 +76,7 @@ class ManyTargets:
                 "ManyTargets: behaviour must be policies.Table(b), for there is no one Q to choose by, not "
                 f"{shown(self.behaviour)}"
             )
-        if (pi := concrete(self.targets)) is None:
+        if (pi := as_array(self.targets)) is None:
             return
         if pi.ndim != 3 or not pi.size or pi.dtype.kind not in "biuf":
             raise InputError(f"ManyTargets: targets must be numbers [P, S, A], not of shape {pi.shape}")

@@ -38,8 +38,8 @@ def make(name: str, **parameters: Any):
     Raises:
         InputError: the name, a parameter or a value is wrong.
     """
-    if name not in ENVS:
-        raise InputError(f"no environment is called {shown(name)}; {nearest(str(name), ENVS)}")
+    if not isinstance(name, str) or name not in ENVS:
+        raise InputError(f"no environment is called {shown(name)}; {nearest(name, ENVS)}")
     return build(ENVS[name], name, parameters)
 
 

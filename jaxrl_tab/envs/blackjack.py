@@ -18,7 +18,14 @@ from jaxrl_tab.envs.cards import (
     hands_panel,
     tabulate,
 )
-from jaxrl_tab.types import InputError, nearest, pytree, shown, static, whole
+from jaxrl_tab.types import (
+    InputError,
+    check_choice,
+    pytree,
+    shown,
+    static,
+    whole,
+)
 
 NAME = "blackjack"
 MAX_STEPS = 32  # no hand can take more than 20 cards: the sums 12 to 21 with a usable ace, then without
@@ -65,10 +72,7 @@ class Blackjack(CardGame):
     max_steps: int = static(default=MAX_STEPS)
 
     def __post_init__(self):
-        if not isinstance(self.rules, str) or self.rules not in RULES:
-            raise InputError(
-                f"{NAME}: rules {shown(self.rules)} are unknown; {nearest(str(self.rules), RULES)}"
-            )
+        check_choice(NAME, "rules", self.rules, RULES)
         assign(self, max_steps=whole(NAME, "max_steps", self.max_steps))
 
     @property
