@@ -176,6 +176,11 @@ def plan(
     return Plan(memory.Results(results, runs, on_disk), device)
 
 
+def gives(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Any:
+    """The shapes of what a run gives: its table, and its Log. Nothing is compiled."""
+    return _needs(budget, *_signature((root, np.uint32(0), algorithm, env))).results
+
+
 def forecast(
     env: Environment,
     algorithm: Algorithm,

@@ -36,9 +36,9 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, executors, planning, programs, runner
+from jaxrl_tab import batch, describe, executors, planning, policies, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.envs.base import Finite, Grid, Panel
 from jaxrl_tab.executors import Executor
 from jaxrl_tab.experiment import Experiment, plan, template
@@ -63,7 +63,7 @@ from jaxrl_tab.options import (
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import label, save
 from jaxrl_tab.sweep import METHODS
-from jaxrl_tab.types import InputError, RunError, build, is_text, nearest, one_line, shown
+from jaxrl_tab.types import Environment, InputError, RunError, build, is_text, nearest, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -262,8 +262,8 @@ def _list(argv: list[str]) -> int:
         out.print()
     out.print(escape(about(HYPERPARAMETERS)), "\n", soft_wrap=True)
     out.print("[bold]figures[/]\n")
-    for name, text in figures.items():
-        out.print(f"  [bold cyan]{name}[/]  {escape(text)}")
+    for name, title in figures.items():
+        out.print(f"  [bold cyan]{name}[/]  {escape(title)}")
     return 0
 
 
@@ -329,7 +329,7 @@ def _solve(argv: list[str]) -> int:
             key: {
                 "start_value": planning.start_value(env, v),
                 "v": v.tolist(),
-                "q": q.tolist(),
+                "q": np.where(q == policies.UNAVAILABLE, None, q).tolist(),
                 "policy": policy.tolist(),
             }
             for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
@@ -393,7 +393,7 @@ def _panel(panel: Panel, cells: Sequence[str], wind: Any) -> Table:
 
 def _best_actions(q: np.ndarray) -> np.ndarray:
     """The actions whose values are maximal but for rounding, int [n], from values [A]."""
-    return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q).max()))
+    return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q.max())))
 
 
 def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:
@@ -417,7 +417,7 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
         if isinstance(env, Grid):
             plot.values(ax, env, v, q)
         else:
-            plot.action_values(ax, env, q)
+            plot.action_values(ax, env, np.where(q == policies.UNAVAILABLE, np.nan, q))
         ax.set_title(title)
     figure.savefig(folder / "values.png")
 
@@ -709,12 +709,13 @@ def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
         own = outcome.of(environment)
         with _busy("summing up"):
             table = stats.summary(own)
-        _print_summary(environment, table, own)
+        _print_summary(environment, table, own, outcome.envs[environment])
     if outcome.fresh:
         _print_selection(runner.selection(outcome))
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
-        _console().print(f"{diverged} of {runs} runs diverged: a number became infinite or NaN")
+        why = "a number became infinite, or NaN, or grew beyond any possible return"
+        _console().print(f"{diverged} of {runs} runs diverged: {why}")
     if folder:
         name = next(iter(outcome.datasets))
         _say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])
@@ -782,8 +783,10 @@ def _run(
     return datasets
 
 
-def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]") -> None:
-    """The summary for people: what all rows share stands above the table."""
+def _print_summary(
+    environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]", env: Environment
+) -> None:
+    """The summary for people: what all rows share stands above the table, what the marks mean below it."""
     from jaxrl_tab import stats
 
     ds = next(iter(datasets.values()))
@@ -796,15 +799,14 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     length = f"{ds.attrs[f'num_{unit}']} {unit}"
     setting = [f"{h} {words(value)}" for h, value in shared.items()]
     prediction = stats.is_prediction(*datasets.values())
-    # some seeds finished no episode in the last tenth
-    few = not prediction and bool((table["seeds"] < ds.sizes["seed"]).any())
-    score, bounds, score_head = "last_tenth_return", "last_tenth_", "mean return,\nlast tenth"
+    late = bool(table["unfinished"].any())
+    score, kind, score_head = "last_tenth_return", "last_tenth", "mean return,\nlast tenth"
     if prediction:
-        score, bounds, score_head = "v_error", "v_error_", "RMS error,\nwhole run"
+        score, kind, score_head = "v_error", "v_error", "RMS error,\nwhole run"
     exact = "greedy_value" in columns
     view = Table(
         *["method", *varied, "episodes", score_head, "95% interval\nof the mean"],
-        *(["seeds\ncounted"] if few else []),
+        *(["unfinished\nruns"] if late else []),
         *(["RMS error\nat the end"] if prediction else []),
         *["million\nsteps/s"],
         *(["worth of the\ngreedy policy"] if exact else []),
@@ -813,41 +815,84 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     for column in view.columns[1:]:
         column.justify = "right"
     # Two digits of the narrowest interval; of errors also three of the smallest.
-    scores, low, high = (table[column].to_numpy(float) for column in (score, bounds + "low", bounds + "high"))
+    scores, low, high = (table[column].to_numpy(float) for column in (score, f"{kind}_low", f"{kind}_high"))
     decimals = _decimals((high - low) / 2, 2)
     if prediction:
         decimals = max(decimals, _decimals(scores, 3))
     digits = f"{{:.{decimals}f}}".format
+    notes, edges, few = [], [], False
     for method, rows in table.groupby("method", sort=False):
-        best, differ = stats.best(datasets[str(method)]), len(rows[score].drop_duplicates()) > 1
+        choice = len(rows[score].drop_duplicates()) > 1
         for row in rows.to_dict("records"):
-            star = bool(best) and differ and all(row[name] == value for name, value in best.items())
-            low, high = row[bounds + "low"], row[bounds + "high"]
+            star, doubtful = choice and row["best"], row["seeds_wanted"] > row["seeds"]
+            mark = " *" if star else " ~" if choice and row["tied"] else ""
+            few |= doubtful
             view.add_row(
-                f"{method} *" if star else str(method),
+                f"{method}{mark}",
                 *(_cell(row[h], words) for h in varied),
                 f"{row['episodes']:.1f}",
                 _cell(row[score], digits),
-                _interval(low, high, digits),
-                *([str(row["seeds"])] if few else []),
+                _interval(row[f"{kind}_low"], row[f"{kind}_high"], digits) + (" !" if doubtful else ""),
+                *([str(row["unfinished"])] if late else []),
                 *([_cell(row["final_v_error"], digits)] if prediction else []),
                 f"{row['steps_per_second'] / 1e6:.1f}",
                 *([_cell(row["greedy_value"], six_digits)] if exact else []),
                 _cell(row["optimum"], six_digits),
                 style="bold" if star else None,
             )
+            if doubtful and row["best"]:
+                ends = [
+                    f"{name} {_cell(row[f'{kind}_{key}'], digits)} ("
+                    f"{_interval(row[f'{kind}_{key}_low'], row[f'{kind}_{key}_high'], digits)})"
+                    for name, key in (("median", "median"), ("interquartile mean", "iqm"))
+                ]
+                notes.append(f"! {method}: {', '.join(ends)}; {row['seeds_wanted']} seeds wanted")
         view.add_section()
+        own = datasets[str(method)]
+        at_edge = stats.at_edge(own, stats.best(own)) if choice else {}
+        edges += [f"the best {name} of {method} is the {end} that was tried" for name, end in at_edge.items()]
     out = _console()
     out.print(", ".join([f"[bold]{environment}[/]", *setting, f"{ds.sizes['seed']} seeds, {length} each"]))
     out.print(view)
+    say = lambda line: out.print(line, markup=False)
     if prediction:
-        out.print("RMS error of V over the states, exact; averaged over the rows of the log, and at the end")
+        say("RMS error of V over the states, exact; averaged over the rows of the log, and at the end")
     if varied and len(table[score].drop_duplicates()) > 1:
-        out.print("* the best of its method on these seeds; chosen for its mean, which so flatters it")
+        say("* the best of its method on these seeds; chosen for its mean, which so flatters it")
+        if table["tied"].sum() > table["best"].sum():
+            say("~ not told apart from the best: these seeds do not say which of them is better")
+    if late:
+        say(
+            "unfinished runs end no episode in the last tenth: they score the rewards collected there, as if cut off"
+        )
+    if few:
+        seeds = ds.sizes["seed"]
+        say(
+            f"! rests on few bad runs, and may be worse: {stats.unseen(seeds)} stuck, which {seeds} seeds need not show"
+        )
+    for line in [*notes, *edges]:
+        say(line)
+    if not prediction:
+        for name, value in _soft_optima(datasets, env).items():
+            say(f"{name}: the best policy that explores so is worth {six_digits(value)}")
     if exact:
-        out.print(
+        say(
             "worth of the greedy policy: exact value at the end, median over seeds; -inf: goes round for ever"
         )
+
+
+def _soft_optima(datasets: "Mapping[str, xr.Dataset]", env: Environment) -> dict[str, float]:
+    """What the best policy earns that explores as the best settings do: "epsilon 0.1" -> value."""
+    from jaxrl_tab import stats
+
+    found = {}
+    for ds in datasets.values():
+        setting = stats.fixed(ds) | stats.named(ds, stats.best(ds))
+        by = "behaviour" if setting.get("behaviour") else "epsilon"
+        name = ", ".join(f"{key} {words(setting[key])}" for key in (by, "gamma") if key in setting)
+        if name not in found:
+            found[name] = stats.soft_optimum(env, setting)
+    return {name: value for name, value in found.items() if not np.isnan(value)}
 
 
 def _decimals(x: np.ndarray, digits: int) -> int:
@@ -959,7 +1004,9 @@ def _known(kind: str, name: str, names: Collection[str]) -> str:
     if not name:
         raise InputError(f"name {kind}: {', '.join(names)}")
     if name not in names:
-        raise InputError(f"{shown(name)} is not {kind}; {nearest(name, names)}")
+        raise InputError(
+            f"{shown(name)} is not {kind}; {instead(name) if names is ENVS else nearest(name, names)}"
+        )
     return name
 
 

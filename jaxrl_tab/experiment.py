@@ -40,7 +40,7 @@ import numpy as np
 
 from jaxrl_tab import axes, batch, describe, memory, policies, schedules
 from jaxrl_tab.axes import DRAW
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.prediction import METHODS, PREDICTION
 from jaxrl_tab.sweep import Part, configurations, leaves_as_arrays, prepare
 from jaxrl_tab.train import default_log_every
@@ -234,7 +234,8 @@ class Selection:
 
     Attributes:
         by: "score": the mean return of the last tenth, of prediction the error (see `stats.score`).
-        fresh_seeds: how many seeds it is then run on.
+        fresh_seeds: how many seeds it is then run on. They have a root of their own (see `sweep.Part`), so no
+            other sweep has them, be it ever so large.
     """
 
     by: str = "score"
@@ -539,8 +540,11 @@ def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[st
             with _at("name"):
                 name = table["name"]
                 if not isinstance(name, str) or name not in registry:
-                    one = "an environment" if kind == "environment" else "a method"
-                    raise InputError(f"{shown(name)} is not {one}; {nearest(name, registry)}")
+                    if registry is ENVS:
+                        raise InputError(
+                            f"{shown(name)} is not an environment; {instead(name if isinstance(name, str) else shown(name))}"
+                        )
+                    raise InputError(f"{shown(name)} is not a method; {nearest(name, registry)}")
             with _at("label"):
                 label = table.get("label", name)
                 _check_label(label)

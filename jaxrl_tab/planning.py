@@ -2,9 +2,15 @@
 
 The environment is enumerated once into a `Model` (every outcome of every action in every state), and all else
 is sums over it (book, chapter 4). For people the model is float64 NumPy. Inside `train`, where the value of
-the greedy policy is asked for at every log row, it is JAX arrays at the ambient precision. The formulas are
-written once, with operators that both understand; only loops (`_loop`) and linear systems (`_solve`) tell
-them apart.
+the greedy policy is asked for at every log row, it is JAX arrays, in float64 too (`doubled`), although the
+learner beside it is in float32. The formulas are written once, with operators that both understand; only
+loops (`_loop`), what leads where (`_reaching`) and linear systems (`_solve`) tell them apart.
+
+**Every state is judged by its own numbers.** A state in which rewards are a million million times larger
+changes no answer elsewhere, unless it can be reached from there. So linear systems are solved without
+exchanging rows: elimination then combines a state with those that it leads to and with no others, and it is
+stable, for each row is dominated by its diagonal (Higham 2002, Accuracy and Stability of Numerical
+Algorithms, theorems 8.12 and 9.9). And what counts as rounding is measured state by state, see `_Values`.
 
 **gamma = 1.** An infinite sum of rewards then need not exist, and what decides that is which states lead to
 which, not numbers: `_fate` follows the arrows of the graph. Under a policy, a state is *settled* where
@@ -13,15 +19,15 @@ nothing is earned or paid ever again (a terminal state; a loop without rewards):
 values are finite.
 """
 
-from collections.abc import Callable
-from functools import partial
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.custom_batching import sequential_vmap
+from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab import memory, policies
@@ -30,16 +36,18 @@ from jaxrl_tab.types import (
     FiniteEnvironment,
     InputError,
     as_array,
+    available_actions,
     check_pytree,
     first,
+    foreign,
     is_distribution,
     shown,
 )
 
-GAIN = 1e-11  # policy iteration changes an action for more than this, relative to the largest value
 BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
+ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
+PATH_SWEEPS = 100  # of `largest_return`
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
-TRACED_SWEEPS = 10_000  # of value iteration inside `train`
 
 Measure = Callable[[Float[Array, "S A"]], tuple[Float[Array, ""], Float[Array, ""]]]
 
@@ -53,6 +61,8 @@ class Model(NamedTuple):
         reward: their rewards, float [S, A, K].
         terminal: whether they end the episode, bool [S, A, K].
         start: the distribution of the start state, float [S].
+        available: which actions there are, bool [S, A]; None for all. The outcomes of another action are
+            those of one that there is, so that it leads nowhere else; its value is UNAVAILABLE.
     """
 
     prob: Float[Any, "S A K"]
@@ -60,6 +70,7 @@ class Model(NamedTuple):
     reward: Float[Any, "S A K"]
     terminal: Bool[Any, "S A K"]
     start: Float[Any, " S"]
+    available: Bool[Any, "S A"] | None = None
 
 
 # --- the model ---------------------------------------------------------------------------------------
@@ -69,7 +80,7 @@ def check_finite(env: Environment) -> None:
     """Raises InputError where `env` can only be sampled, so that nothing exact can be said about it."""
     if not isinstance(env, FiniteEnvironment):
         raise InputError(
-            f"{_name(env)} can only be sampled; exact values need one with `outcomes` and `initial`"
+            f"{_name(env)} can only be sampled; exact values need one with `outcomes` and `initial`{foreign(env)}"
         )
 
 
@@ -77,13 +88,19 @@ def enumerate_model(env: Any) -> Model:
     """The Model of a finite environment in JAX arrays of the ambient precision, under `jit` too."""
     states = jnp.arange(env.num_states, dtype=jnp.int32)
     actions = jnp.arange(env.num_actions, dtype=jnp.int32)
-    prob, outcome = jax.vmap(jax.vmap(env.outcomes, (None, 0)), (0, None))(states, actions)
+    available = available_actions(env)
+    if available is not None:
+        another = jnp.where(available, actions[None], env.num_actions - 1).min(1, keepdims=True)
+        actions = jnp.where(available, actions[None], another)
+    of_states = None if available is None else 0
+    prob, outcome = jax.vmap(jax.vmap(env.outcomes, (None, 0)), (0, of_states))(states, actions)
     return Model(
         prob.astype(float),
         outcome.s_next.astype(jnp.int32),
         outcome.reward.astype(float),
         outcome.terminal,
         env.initial().astype(float),
+        available,
     )
 
 
@@ -97,8 +114,7 @@ def exact_model(env: Environment) -> Model:
     check_finite(env)
     check_pytree(_name(env), env)
     _check_size(env)
-    # In 64 bits from the first operation on, or 1/3 would be a float32 third. An environment that is written
-    # for 32 bits mixes in some 64-bit constants then, which is all right here.
+    # In 64 bits from the first operation on, or 1/3 would be a float32 third.
     with jax.enable_x64(), jax.numpy_dtype_promotion("standard"):
         # A copy, for a live program that closes over an array makes JAX 0.10 remember its value in 32 bits.
         env = jax.tree.map(lambda x: x.copy() if isinstance(x, np.ndarray) else x, env)
@@ -121,7 +137,7 @@ _enumerate_jit = jax.jit(enumerate_model)
 
 
 def _check_model(name: str, model: Model) -> None:
-    prob, s_next, reward, terminal, start = model
+    prob, s_next, reward, terminal, start, _ = model
     num_states = len(prob)
     if prob.ndim != 3 or {x.shape for x in model[:4]} != {prob.shape} or start.shape != (num_states,):
         shapes = ", ".join(str(x.shape[2:]) for x in model[:4])
@@ -154,22 +170,21 @@ def terminal_states(model: Model) -> Bool[Any, " S"]:
 
 def reachable(model: Model) -> Bool[Any, " S"]:
     """Which states some policy can come to from the start, bool [S]."""
-    namespace, states = _namespace(model), np.arange(len(model.start))
-
-    def spread(reached):
-        entered = namespace.where(reached[:, None, None] & (model.prob > 0), model.s_next, -1)
-        return reached | namespace.isin(states, entered)
-
-    return _settle(model, spread, model.start > 0)
+    possible = model.prob > 0
+    if _namespace(model) is np:
+        return spread(np.nonzero(possible)[0], model.s_next[possible], model.start > 0)
+    return _settle(lambda x: x.at[model.s_next].max(x[:, None, None] & possible), model.start > 0)
 
 
-def backup(model: Model, v: Float[Any, " S"], gamma: Any) -> Float[Any, "S A"]:
-    """q(s, a) = sum over outcomes of p (r + gamma' v(s')), float [S, A] (book, equation 4.6).
+def backup(model: Model, v: Float[Any, "... S"], gamma: Any) -> Float[Any, "... S A"]:
+    """q(s, a) = sum over outcomes of p (r + gamma' v(s')), float [..., S, A] (book, equation 4.6).
 
-    `model` and `v` are either NumPy or JAX arrays; gamma' is 0 where the outcome is terminal.
+    `model` and `v` are either NumPy or JAX arrays; gamma' is 0 where the outcome is terminal. The value of an
+    action that is not available is UNAVAILABLE.
     """
-    v_next = _namespace(model).where(model.terminal, 0, v[model.s_next])
-    return (model.prob * (model.reward + gamma * v_next)).sum(-1)
+    over = model.terminal | (model.prob == 0)  # 0 x -inf is nothing here
+    v_next = _namespace(model).where(over, 0, v[..., model.s_next])
+    return _among(model, (model.prob * (model.reward + gamma * v_next)).sum(-1))
 
 
 def expectation_backup(
@@ -205,7 +220,7 @@ def optimality_backup(
     """
     check_rate("gamma", gamma)
     model = exact_model(env)
-    return backup(model, checked_values(model, "q", q).max(1), gamma)
+    return backup(model, _largest(checked_values(model, "q", q)), gamma)
 
 
 def evaluation_backup(
@@ -231,27 +246,25 @@ def start_value(env: Environment, v: Float[np.ndarray, " S"]) -> float:
 # --- policies of a table of action values ------------------------------------------------------------
 
 
-def greedy_policy(q: Float[np.ndarray, "S A"]) -> Float[np.ndarray, "S A"]:
-    """The policy that is greedy to `q`: the maximal actions of a state equally likely, float64 [S, A]."""
-    with jax.enable_x64():
-        return np.asarray(jax.vmap(policies.greedy)(jnp.asarray(_action_values(q))))
+def greedy_policy(q: Float[np.ndarray, "... S A"]) -> Float[np.ndarray, "... S A"]:
+    """The policy that is greedy to `q`: the maximal actions of a state equally likely, float64 [..., S, A].
+
+    Args:
+        q: a table of action values [S, A], or many [..., S, A], such as `result.q` or `ds.q`.
+
+    Raises:
+        InputError: `q` is no such table, or an entry is not a number.
+    """
+    return _greedy(_checked_table(q))
 
 
-def epsilon_greedy_policy(q: Float[np.ndarray, "S A"], epsilon: float) -> Float[np.ndarray, "S A"]:
-    """The policy that is epsilon-greedy to `q`, ties split equally, float64 [S, A] (book, section 5.4)."""
+def epsilon_greedy_policy(q: Float[np.ndarray, "... S A"], epsilon: float) -> Float[np.ndarray, "... S A"]:
+    """The policy that is epsilon-greedy to `q`, ties split equally, float64 [..., S, A] (book, section 5.4).
+
+    Args and errors: as `greedy_policy`; and `epsilon` must be in [0, 1].
+    """
     check_rate("epsilon", epsilon)
-    with jax.enable_x64():
-        return np.asarray(
-            jax.vmap(partial(policies.epsilon_greedy, epsilon=epsilon))(jnp.asarray(_action_values(q)))
-        )
-
-
-def _action_values(q: Any) -> np.ndarray:
-    """`q` as float64 [S, A]."""
-    values = _numbers("q", q)
-    if values.ndim != 2 or not values.size:
-        raise InputError(f"q must be action values [S, A], not of shape {values.shape}")
-    return values
+    return _greedy(_checked_table(q), epsilon)
 
 
 # --- exact answers -----------------------------------------------------------------------------------
@@ -273,7 +286,7 @@ def evaluate(
     """
     check_rate("gamma", gamma)
     model = exact_model(env)
-    v, caught = _policy_value(model, _checked_policy(model, policy_probs), gamma)
+    v, _, caught = _policy_value(model, _checked_policy(model, policy_probs), gamma)
     if caught.any():
         raise InputError(
             f"{_name(env)}: from state {first(caught)[0]} this policy never ends and rewards go on, so at "
@@ -292,7 +305,7 @@ def policy_value(env: Environment, policy_probs: Float[np.ndarray, "S A"], gamma
     """
     check_rate("gamma", gamma)
     model = exact_model(env)
-    return float(_from_start(model, _policy_value(model, _checked_policy(model, policy_probs), gamma)[0]))
+    return float(_from_start(model, _policy_value(model, _checked_policy(model, policy_probs), gamma).v))
 
 
 def value_iteration(
@@ -300,11 +313,18 @@ def value_iteration(
 ) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S A"]]:
     """The optimal values v* and q* (book, section 4.4), float64 [S] and [S, A]; 0 at terminal states.
 
+    It starts from the values that policy iteration finds, for from 0 a corridor of S states would need S
+    sweeps, and at gamma = 1 waiting for nothing may look better than it is. Sweeps then show how far these
+    are from v*.
+
     Args:
         env: an environment with `outcomes`.
         gamma: discount rate, in [0, 1].
-        tol: how far the values may be from v*. A bound for gamma below 1; at gamma = 1 an estimate, as if the
-            changes went on shrinking at the slower of the last two rates.
+        tol: how far the value of any state may be from v*, whatever other states are worth. A bound for gamma
+            below 1; at gamma = 1 an estimate, as if the changes went on shrinking at the slower of the last
+            two rates. Where float64 does not allow it, for values and rewards of 1e9, say, a state is as
+            good as rounding makes it: a sweep changes it by less than a few units in the last place of the
+            numbers that are added up for it.
         max_sweeps: how many sweeps to make at most.
 
     Raises:
@@ -315,14 +335,23 @@ def value_iteration(
     if not (isinstance(tol, int | float | np.number) and tol > 0):
         raise InputError(f"tol must be greater than 0, not {shown(tol)}")
     model = exact_model(env)
-    q, converged, caught = _sweeps(model, gamma, tol, max_sweeps)
-    _refuse_endless(env, caught, "no policy")
-    if not converged:
-        raise InputError(
-            f"{_name(env)}: value iteration did not converge in {max_sweeps} sweeps; raise max_sweeps, or "
-            "use policy_iteration, which finds a round trip that earns more than it costs"
-        )
-    return q.max(1), q
+    found = _solved(env, model, 0.0, gamma)
+    v, terms = found.v, (found.probs * backup(_sizes(model), abs(found.v), gamma)).sum(1)
+    rounding = ROUNDING * np.finfo(v.dtype).eps * terms
+    old, ratio = np.inf, 1.0
+    for _ in range(max_sweeps):
+        new_v = _largest(backup(model, v, gamma))
+        changes = abs(new_v - v)
+        change = changes[changes > rounding].max(initial=0)
+        rate = gamma if gamma < 1 else max(ratio, change / old)
+        v = new_v
+        if change * rate <= tol * (1 - rate):
+            q = backup(model, v, gamma)
+            return _largest(q), q
+        old, ratio = change, change / old
+    raise InputError(
+        f"{_name(env)}: value iteration did not converge in {max_sweeps} sweeps; raise max_sweeps"
+    )
 
 
 def policy_iteration(
@@ -330,13 +359,15 @@ def policy_iteration(
 ) -> tuple[Float[np.ndarray, "S A"], Float[np.ndarray, " S"], Float[np.ndarray, "S A"]]:
     """An optimal policy [S, A], v* [S] and q* [S, A], float64 (book, section 4.3).
 
-    Of several best actions the policy takes any mixture, but at gamma = 1 one that ends where it must to
-    be optimal. (To take the first of several best actions may be to go round for ever.)
+    In no state is another action better by more than rounding, judged by the numbers that the values of the
+    two are added up from, and not by what other states are worth. Of several best actions the policy takes
+    any mixture, but at gamma = 1 one that ends where it must to be optimal. (To take the first of several
+    best actions may be to go round for ever.)
 
     Raises:
         InputError: as `value_iteration`.
     """
-    return _policy_iteration(env, 0.0, gamma)
+    return epsilon_soft(env, 0.0, gamma)
 
 
 def epsilon_soft(
@@ -345,47 +376,93 @@ def epsilon_soft(
     """The best policy that takes every action with probability epsilon / A or more (book, section 5.4).
 
     Returns:
-        The policy [S, A], its values [S] and its action values [S, A], float64.
+        The policy [S, A], its values [S] and its action values [S, A], float64; as good as those of
+        `policy_iteration`.
 
     Raises:
         InputError: epsilon is not in [0, 1], or as `value_iteration`.
     """
     check_rate("epsilon", epsilon)
-    return _policy_iteration(env, epsilon, gamma)
-
-
-def _policy_iteration(env: Environment, epsilon: float, gamma: float):
-    """Policy iteration among the epsilon-soft policies.
-
-    Only actions that are better by more than rounding replace old ones. So at gamma = 1 no improved policy
-    can be caught, unless in a loop that earns more than it costs: along a loop without gain all actions were
-    equal, and stayed.
-    """
     check_rate("gamma", gamma)
+    found = _solved(env, exact_model(env), epsilon, gamma)
+    return found.probs, found.v, found.q
+
+
+def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
+    """The largest |R_1 + gamma R_2 + ...| that so many steps or fewer can give, if chance and actions will.
+
+    What the steps after the first `PATH_SWEEPS` can add is bounded by what the last of these could: with each
+    step more a path can gain no more than with the step before.
+
+    Args:
+        env: an environment with `outcomes`.
+        gamma: discount rate, in [0, 1].
+        steps: the number of steps, at least 1.
+        anywhere: whether the first step may be in any state, or only where one can come from the start.
+    """
     model = exact_model(env)
-    uniform = np.full(model.prob.shape[:2], 1 / model.prob.shape[1])
-    probs = uniform if epsilon else _ending_policy(model)
-    v, caught = _policy_value(model, probs, gamma)
-    _refuse_endless(env, caught, "no epsilon-soft policy" if epsilon else "no policy")
-    for _ in range(MAX_ROUNDS):
-        q = backup(model, v, gamma)
-        best = epsilon * q.mean(1) + (1 - epsilon) * q.max(1)
-        better = best > v + GAIN * abs(v).max()
-        if not better.any():
-            return probs, v, q
-        probs = np.where(better[:, None], epsilon_greedy_policy(q, epsilon), probs)
-        v, caught = _policy_value(model, probs, gamma)
-        if caught.any():
-            raise InputError(
-                f"{_name(env)}: from state {first(caught)[0]} a round trip earns more than it costs, so at "
-                "gamma = 1 the optimal value is not finite; take gamma below 1"
-            )
-    raise InputError(
-        f"{_name(env)}: policy iteration did not settle in {MAX_ROUNDS} rounds; use value_iteration"
-    )
+    begin = np.full(len(model.start), True) if anywhere else reachable(model)
+    reward, goes_on = np.where(model.prob > 0, model.reward, 0), (model.prob > 0) & ~model.terminal
+    most, left, change = np.zeros((2, len(begin))), steps, 0.0  # of the rewards, and of the costs
+    while left and left > steps - PATH_SWEEPS:
+        later = gamma * np.where(goes_on, most[:, model.s_next], 0)
+        new = np.maximum(0, (np.stack([reward, -reward]) + later).max((2, 3)))
+        change, most, left = (new - most)[:, begin].max(), new, left - 1
+        if not change:
+            break
+    more = left if gamma == 1 else gamma * (1 - gamma**left) / (1 - gamma)
+    return float(most[:, begin].max() + change * more)
+
+
+def _solved(env: Environment, model: Model, epsilon: float, gamma: float) -> "_Round":
+    """The last round of policy iteration. Raises InputError where there is no finite answer."""
+    found = _policy_iteration(model, epsilon, gamma)
+    if found.caught.any():
+        where, who = f"{_name(env)}: from state {first(found.caught)[0]}", "epsilon-soft " if epsilon else ""
+        said = (
+            "a round trip earns more than it costs"
+            if found.n
+            else f"no {who}policy ever ends and rewards go on"
+        )
+        raise InputError(
+            f"{where} {said}, so at gamma = 1 the optimal value is not finite; take gamma below 1"
+        )
+    if found.better.any():
+        raise InputError(f"{_name(env)}: policy iteration did not settle in {MAX_ROUNDS} rounds")
+    return found
 
 
 # --- inside a compiled program -----------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def doubled() -> Iterator[None]:
+    """What is traced within is in float64, whatever the program around it is in.
+
+    An environment that is written for 32 bits mixes in some 64-bit constants then, which is all right here.
+    A TPU has no float64: there everything stays at the ambient precision.
+    """
+    with contextlib.ExitStack() as stack:
+        if jax.default_backend() != "tpu":
+            stack.enter_context(jax.enable_x64())
+        stack.enter_context(jax.numpy_dtype_promotion("standard"))
+        yield
+
+
+def _traced_model(env: Any) -> Model:
+    """The Model of an environment inside a compiled program, of the states that matter.
+
+    Those that cannot be reached from the start are made terminal: whatever they pay then has no part in
+    anything. Probabilities that are thirds of float32 are made to add up to 1.
+    """
+    model = enumerate_model(jax.tree.map(lambda x: x.copy() if isinstance(x, np.ndarray) else x, env))
+    out = ~reachable(model)[:, None, None]
+    return model._replace(
+        prob=model.prob / model.prob.sum(-1, keepdims=True),
+        s_next=jnp.where(out, jnp.arange(len(out), dtype=jnp.int32)[:, None, None], model.s_next),
+        reward=jnp.where(out, 0, model.reward),
+        terminal=model.terminal | out,
+    )
 
 
 def measurer(env: Environment, gamma: Any) -> Measure:
@@ -394,13 +471,13 @@ def measurer(env: Environment, gamma: Any) -> Measure:
     greedy_value is the exact value, from the start distribution, of the policy that is greedy to Q with ties
     split; -inf where gamma is 1 and that policy may be caught for ever while rewards go on. q_error is the
     largest |Q - Q*| over the states that can be reached from the start and are not terminal, never visited
-    ones included; NaN where Q* is not finite, or not found in TRACED_SWEEPS sweeps of value iteration. Both
-    are NaN where Q holds a NaN.
+    ones included; NaN where Q* is not finite in one of them. Both are NaN where Q holds a NaN.
 
-    Everything is at the ambient precision, usually float32. Both numbers then have a relative error of about
-    1e-7 times the expected number of steps to the end (of the greedy and of the optimal policy): 1e-6 is
-    usual, and a policy that dithers for 10 000 steps may be off by 1e-3. Under `jax.enable_x64()` that is
-    1e-16 times the steps.
+    Everything is computed in float64, also where the program around it is in float32, and comes back in the
+    precision of Q. So both have the relative error of a float32, 6e-8, and in addition that of float64, 1e-16
+    times the expected number of steps to the end, of the numbers that they are added up from. What `env` and
+    `gamma` hold is taken as it is: a tracer in float32 holds 0.99 to 1e-8 only, while 1 - 0.99 is then right
+    to 1e-6. (`train` hands on in full what is no tracer when it is called.)
 
     Args:
         env: an environment with `outcomes`; its leaves may be tracers.
@@ -410,19 +487,23 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         InputError: `env` can only be sampled.
     """
     check_finite(env)
-    model = enumerate_model(env)
-    gamma = jnp.asarray(gamma, model.prob.dtype)
-    q_star, converged, _ = _sweeps(model, gamma, 0.0, TRACED_SWEEPS)
-    matters = reachable(model) & ~terminal_states(model)
+    with doubled():
+        model = _traced_model(env)
+        gamma = jnp.asarray(gamma, model.prob.dtype)
+        best = _policy_iteration(model, 0.0, gamma)
+        found = ~(best.caught.any() | best.better.any())
+        matters = ~terminal_states(model)
 
     def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        v, _ = _policy_value(model, jax.vmap(policies.greedy)(q), gamma)
         counts = matters[:, None] & (q > policies.UNAVAILABLE)
-        error = jnp.where(counts, abs(q - q_star), 0).max()
         # Said by itself: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
         sound = ~jnp.isnan(q).any()
-        value = jnp.where(sound, _from_start(model, v), jnp.nan)
-        return value, jnp.where(sound & converged, error, jnp.nan)
+        with doubled():
+            exact_q = q.astype(model.prob.dtype)
+            v = _policy_value(model, _greedy(exact_q), gamma).v
+            error = jnp.where(counts, abs(exact_q - best.q), 0).max().astype(q.dtype)
+            value = _from_start(model, v).astype(q.dtype)
+        return jnp.where(sound, value, jnp.nan), jnp.where(sound & found, error, jnp.nan)
 
     return measure
 
@@ -431,7 +512,7 @@ def value_measurer(env: Environment, policy_probs: Any, gamma: Any) -> Callable[
     """A function from V [S] to the root of its mean squared error as v_pi, for use under `jit` and `vmap`.
 
     The mean is over the states that can be reached from the start and are not terminal; NaN where v_pi is not
-    finite in one of them.
+    finite in one of them. In float64, as `measurer`.
 
     Args:
         env: an environment with `outcomes`; its leaves may be tracers.
@@ -442,13 +523,18 @@ def value_measurer(env: Environment, policy_probs: Any, gamma: Any) -> Callable[
         InputError: `env` can only be sampled.
     """
     check_finite(env)
-    model = enumerate_model(env)
-    v_pi, _ = _policy_value(model, policy_probs, jnp.asarray(gamma, model.prob.dtype))
-    matters = reachable(model) & ~terminal_states(model)
+    with doubled():
+        model = _traced_model(env)
+        pi, gamma = (jnp.asarray(x, model.prob.dtype) for x in (policy_probs, gamma))
+        v_pi = _policy_value(model, pi / pi.sum(1, keepdims=True), gamma).v
+        matters = ~terminal_states(model)
+        finite = jnp.isfinite(jnp.where(matters, v_pi, 0)).all()
 
     def measure(v: Float[Array, " S"]) -> Float[Array, ""]:
-        error = jnp.sqrt(jnp.where(matters, (v - v_pi) ** 2, 0).sum() / matters.sum())
-        return jnp.where(jnp.isfinite(jnp.where(matters, v_pi, 0)).all(), error, jnp.nan)
+        with doubled():
+            squares = jnp.where(matters, (v.astype(v_pi.dtype) - v_pi) ** 2, 0)
+            error = jnp.sqrt(squares.sum() / matters.sum()).astype(v.dtype)
+        return jnp.where(finite, error, jnp.nan)
 
     return measure
 
@@ -469,46 +555,141 @@ def _loop(model: Model, go_on: Callable[[Any], Any], body: Callable[[Any], Any],
     return carry
 
 
-def _settle(model: Model, change: Callable[[Any], Any], states: Any) -> Bool[Any, " S"]:
+def _among(model: Model, q: Float[Any, "... S A"]) -> Float[Any, "... S A"]:
+    """`q` with UNAVAILABLE in place of what the model does not have."""
+    return q if model.available is None else _namespace(model).where(model.available, q, policies.UNAVAILABLE)
+
+
+def _largest(q: Float[Any, "... S A"]) -> Float[Any, "... S"]:
+    """max over the actions of each state, [..., S]: the only place where planning takes it."""
+    return q.max(-1)
+
+
+def _greedy(q: Float[Any, "... S A"], epsilon: float = 0.0) -> Float[Any, "... S A"]:
+    """The policy that is epsilon-greedy to `q`, ties split equally, as `policies.epsilon_greedy`."""
+    best = (q == _largest(q)[..., None]).astype(q.dtype)
+    greedy = best / best.sum(-1, keepdims=True)
+    if not epsilon:
+        return greedy
+    there = (q > policies.UNAVAILABLE).astype(q.dtype)
+    return epsilon * there / there.sum(-1, keepdims=True) + (1 - epsilon) * greedy
+
+
+def _sizes(model: Model) -> Model:
+    """The same with all rewards taken as positive: to see how large the numbers are that are added up."""
+    return model._replace(reward=abs(model.reward))
+
+
+# What leads where.
+
+
+def _settle(change: Callable[[Any], Any], states: Any) -> Bool[Any, " S"]:
     """Applies `change`, which only adds or only removes, to a set of states, bool [S], until it stays."""
     carry = states, change(states)
-    return _loop(model, lambda c: (c[0] != c[1]).any(), lambda c: (c[1], change(c[1])), carry)[1]
+    return lax.while_loop(lambda c: (c[0] != c[1]).any(), lambda c: (c[1], change(c[1])), carry)[1]
+
+
+def spread(
+    source: Int[np.ndarray, " N"], target: Int[np.ndarray, " N"], states: Bool[np.ndarray, " S"]
+) -> Bool[np.ndarray, " S"]:
+    """What can be reached from `states` along arrows from `source` to `target`, bool [S], and they."""
+    from scipy import sparse  # here, because it takes 0.3 s
+    from scipy.sparse.csgraph import breadth_first_order
+
+    n, begin = len(states), np.flatnonzero(states)  # one more node, n, leads to all with which it begins
+    rows, columns = np.append(source, np.full(len(begin), n)), np.append(target, begin)
+    graph = sparse.csr_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(n + 1, n + 1))
+    graph.data[:] = 1  # not the number of parallel arrows, which might be 256, or 0
+    reached = breadth_first_order(graph, n, return_predecessors=False)
+    return np.isin(np.arange(n), reached)
+
+
+def _reaching(model: Model, taken: Bool[Any, "S A K"], states: Bool[Any, " S"]) -> Bool[Any, " S"]:
+    """The states from which `states` can be reached along the outcomes `taken`, bool [S], and they."""
+    if _namespace(model) is np:
+        return spread(model.s_next[taken], np.nonzero(taken)[0], states)
+    return _settle(lambda x: x | (taken & x[model.s_next]).any((1, 2)), states)
+
+
+def _home(model: Model, free: Bool[Any, "S A"]) -> Bool[Any, " S"]:
+    """The states in which one can stay for ever with actions that are `free`, bool [S]."""
+    if _namespace(model) is jnp:
+        stays = lambda x: free & ((model.prob == 0) | x[model.s_next]).all(-1)
+        return _settle(lambda x: stays(x).any(-1), free.any(-1))
+    # State by state: what leads to one that is lost is lost too, if it has nothing else that is free.
+    s, a, k = np.nonzero((model.prob > 0) & free[:, :, None])
+    entered, pair = model.s_next[s, a, k], s * free.shape[1] + a
+    order = np.argsort(entered, kind="stable")
+    leading, begin = pair[order].tolist(), np.searchsorted(entered[order], np.arange(len(free) + 1)).tolist()
+    left, use = free.sum(1).tolist(), free.ravel().tolist()
+    lost = [state for state, count in enumerate(left) if not count]
+    while lost:
+        state = lost.pop()
+        for i in leading[begin[state] : begin[state + 1]]:
+            if use[i]:
+                use[i] = False
+                left[i // free.shape[1]] -= 1
+                if not left[i // free.shape[1]]:
+                    lost.append(i // free.shape[1])
+    return np.array(left) > 0
 
 
 def _fate(model: Model, probs: Float[Any, "S A"]) -> tuple[Any, Any, Any]:
     """The states settled under a policy, those caught, and those that may end up caught, bool [S] each."""
     taken = (probs > 0)[:, :, None] & (model.prob > 0)
-
-    def reaching(states):
-        return _settle(model, lambda x: x | (taken & x[model.s_next]).any((1, 2)), states)
-
-    settled = ~reaching((taken & (model.reward != 0)).any((1, 2)))
-    caught = ~reaching(settled)
-    return settled, caught, reaching(caught)
+    settled = ~_reaching(model, taken, (taken & (model.reward != 0)).any((1, 2)))
+    caught = ~_reaching(model, taken, settled)
+    return settled, caught, _reaching(model, taken, caught)
 
 
-def _policy_value(model: Model, probs: Float[Any, "S A"], gamma: Any) -> tuple[Any, Any]:
-    """The values of a policy, float [S], and where they are not finite because it is caught, bool [S].
+# The values of a policy.
 
-    From states that may come to be caught the value is -inf. (gamma below 1 catches nothing.)
+
+class _Values(NamedTuple):
+    """The values of a policy, and how sure they are.
+
+    Attributes:
+        v: float [S]; -inf from states that may come to be caught.
+        size: how large the numbers are that each is added up from: |v(s)|, and the expected sum over all
+            later steps of the discounted |r| + |v|. The rounding error of v(s) is a few units in the last
+            place of that (the elimination keeps to what can be reached), [S].
+        caught: where the value is not finite because the policy is caught, bool [S]; gamma below 1 catches
+            nothing.
     """
+
+    v: Float[Any, " S"]
+    size: Float[Any, " S"]
+    caught: Bool[Any, " S"]
+
+
+def _policy_value(model: Model, probs: Float[Any, "S A"], gamma: Any) -> _Values:
     where = _namespace(model).where
     settled, caught, doomed = _fate(model, probs)
     doomed = doomed & (gamma == 1)
     weight = probs[:, :, None] * model.prob
     reward = (weight * model.reward).sum((1, 2))
+    earned = (weight * abs(model.reward)).sum((1, 2))
     known = (settled | doomed)[model.s_next]  # terminal states are settled; without these it is regular
-    v = _solve(model, where(known, 0, gamma * weight), reward)
-    return where(doomed, -np.inf, v), caught & (gamma == 1)
+    v, later = _solve(model, where(known, 0, gamma * weight), reward, earned)
+    size = where(doomed, 0, abs(v) + later)
+    return _Values(where(doomed, -np.inf, v), size, caught & (gamma == 1))
 
 
-def _solve(model: Model, weight: Float[Any, "S A K"], reward: Float[Any, " S"]) -> Any:
-    """Solves v(s) = reward(s) + sum over (a, k) of weight v(s_next): dense in JAX, sparse in NumPy."""
-    n = len(reward)
+def _solve(model: Model, weight: Float[Any, "S A K"], constant: Any, size: Any) -> tuple[Any, Any]:
+    """Solves v = constant + W v, and u = size + W (|v| + u), where W adds up the weights; [S] each.
+
+    Dense in JAX, sparse in NumPy. Neither exchanges rows: see the head of this module.
+    """
+    n = len(constant)
     if _namespace(model) is jnp:
         rows = np.arange(n)[:, None, None]
-        return _solve_dense(jnp.eye(n).at[rows, model.s_next].add(-weight), reward)
-    return solve_sparse(from_state_to_state(model, weight), reward)
+        return _solve_dense(
+            jnp.zeros((n, n), weight.dtype).at[rows, model.s_next].add(weight), constant, size
+        )
+    chain = from_state_to_state(model, weight)
+    solve = sparse_solver(chain)
+    v = solve(constant)
+    return v, solve(size + chain @ abs(v))
 
 
 def from_state_to_state(model: Model, weight: Float[np.ndarray, "S A K"]) -> Any:
@@ -526,66 +707,121 @@ def from_state_to_state(model: Model, weight: Float[np.ndarray, "S A K"]) -> Any
     return matrix
 
 
-def solve_sparse(matrix: Any, constant: Float[np.ndarray, " S"]) -> Any:
-    """Solves x = constant + matrix x, for a sparse matrix [S, S]; float64 [S]."""
+def sparse_solver(matrix: Any) -> Callable[[Float[np.ndarray, " S"]], Float[np.ndarray, " S"]]:
+    """A function that solves x = constant + matrix x for x [S]; NaN where that has no one solution.
+
+    `matrix` is sparse [S, S], without negative entries. Rows are not exchanged.
+    """
     from scipy import sparse
-    from scipy.sparse.linalg import spsolve
+    from scipy.sparse.linalg import splu
 
-    return spsolve(sparse.eye_array(len(constant), format="csc") - matrix, constant)
+    n = matrix.shape[0]
+    system = sparse.csc_array(sparse.eye_array(n, format="csc") - matrix)
+    in_place = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    try:
+        return splu(system, **in_place).solve
+    except RuntimeError:  # "Factor is exactly singular"
+        return lambda constant: np.full(n, np.nan)
 
 
-@sequential_vmap
-def _solve_dense(matrix: Float[Array, "S S"], b: Float[Array, " S"]) -> Float[Array, " S"]:
-    """Solves matrix x = b, one lane after another.
+@custom_vmap
+def _solve_dense(
+    chain: Float[Array, "S S"], constant: Float[Array, " S"], size: Float[Array, " S"]
+) -> tuple[Float[Array, " S"], Float[Array, " S"]]:
+    """`_solve` for a matrix that is not sparse.
+
+    LAPACK looks for its pivots in columns, so it is given the transpose: there the diagonal is the largest.
+    """
+    factors = jax.scipy.linalg.lu_factor((jnp.eye(len(chain), dtype=chain.dtype) - chain).T)
+    v = jax.scipy.linalg.lu_solve(factors, constant, trans=1)
+    return v, jax.scipy.linalg.lu_solve(factors, size + chain @ abs(v), trans=1)
+
+
+@_solve_dense.def_vmap
+def _solve_dense_rule(axis_size, batched, *args):
+    """One lane after another.
 
     jaxlib spreads a batch of LAPACK calls over the threads that XLA runs programs on, and waits for them.
     With one device for each core every one of these threads is then waiting, and the program hangs.
     """
-    return jnp.linalg.solve(matrix, b)
+    args = (
+        x if b else jnp.broadcast_to(x, (axis_size, *x.shape)) for x, b in zip(args, batched, strict=True)
+    )
+    with doubled():
+        return lax.map(lambda lane: _solve_dense(*lane), tuple(args)), (True, True)
 
 
-def _ending_policy(model: Model) -> Any:
-    """A policy [S, A] that is caught only where every policy is.
+# The best policy.
 
-    Where it can go on for ever without reward it does, with equal probabilities; elsewhere it does anything.
+
+class _Round(NamedTuple):
+    """A policy in policy iteration, and what is better.
+
+    Attributes:
+        probs: the policy [S, A].
+        v, q: its values [S] and action values [S, A].
+        caught: as in `_Values`; if there are some nothing is improved.
+        better: where `improved` is better by more than rounding, bool [S].
+        improved: a policy [S, A].
+        n: how many times it was improved.
     """
+
+    probs: Float[Any, "S A"]
+    v: Float[Any, " S"]
+    q: Float[Any, "S A"]
+    caught: Bool[Any, " S"]
+    better: Bool[Any, " S"]
+    improved: Float[Any, "S A"]
+    n: Any
+
+
+def _policy_iteration(model: Model, epsilon: float, gamma: Any) -> _Round:
+    """Policy iteration among the epsilon-soft policies, until nothing is better or a policy is caught.
+
+    Only actions that are better by more than rounding replace old ones. So at gamma = 1 no improved policy
+    can be caught, unless in a loop that earns more than it costs: along a loop without gain all actions were
+    equal, and stayed.
+    """
+    where, unit = _namespace(model).where, ROUNDING * np.finfo(model.prob.dtype).eps
+
+    def judged(probs, n):
+        v, size, caught = _policy_value(model, probs, gamma)
+        q = backup(model, where(v == -np.inf, 0, v), gamma)  # where some are caught it is not looked at
+        improved = _greedy(q, epsilon)
+        best = (improved * q).sum(-1)
+        sizes = (improved * backup(_sizes(model), size, gamma)).sum(-1)
+        return _Round(probs, v, q, caught, best > v + unit * (size + sizes), improved, n)
+
+    def improve(last):
+        return judged(where(last.better[:, None], last.improved, last.probs), last.n + 1)
+
+    def go_on(last):
+        return last.better.any() & ~last.caught.any() & (last.n < MAX_ROUNDS)
+
+    return _loop(model, go_on, improve, judged(_first_policy(model, epsilon, gamma), np.int32(0)))
+
+
+def _first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]:
+    """A policy [S, A] to improve, which at gamma = 1 is caught only where every policy is.
+
+    Any action, equally likely; but where one can stay for ever for nothing, that, if the rest costs more. For
+    nothing is worth more than a loop that is free, and no single step of improvement would find it: with
+    "wait for 0" or "take 1, then pay 3" waiting looks worth what the rest is worth.
+    """
+    namespace = _namespace(model)
+    there = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
+    anything = there / there.sum(-1, keepdims=True).astype(model.prob.dtype)
+    if epsilon:
+        return anything
     free = ((model.prob == 0) | (model.reward == 0)).all(-1)
-
-    def stays(states):
-        return free & ((model.prob == 0) | states[model.s_next]).all(-1)
-
-    home = _settle(model, lambda x: stays(x).any(-1), free.any(-1))
-    weights = (stays(home) | ~home[:, None]).astype(model.prob.dtype)
-    return weights / weights.sum(1, keepdims=True)
-
-
-def _sweeps(model: Model, gamma: Any, tol: float, max_sweeps: int) -> tuple[Any, Any, Any]:
-    """Value iteration.
-
-    Gives q [S, A]; whether it converged, to `tol` or to the precision of the arrays, bool []; and the states
-    where rewards go on for ever under any policy, bool [S]: if there are some, nothing is iterated.
-
-    It starts from the values of a policy, so at gamma = 1 it climbs to v*. From 0 it would stay above where a
-    loop costs nothing: with "wait for 0" or "take 1, then pay 3", waiting looks worth 1 for ever.
-    """
-    where, maximum = _namespace(model).where, _namespace(model).maximum
-    precision = 4 * np.finfo(model.prob.dtype).eps
-    v, caught = _policy_value(model, _ending_policy(model), gamma)
-
-    def sweep(carry):
-        v, old, ratio, _, n = carry
-        new_v = backup(model, v, gamma).max(1)
-        change = abs(new_v - v).max()
-        rate = where(gamma < 1, gamma, maximum(ratio, change / old))
-        reached = (change * rate <= tol * (1 - rate)) | (change <= precision * abs(new_v).max())
-        return new_v, change, change / old, reached, n + 1
-
-    def go_on(carry):
-        return ~carry[3] & (carry[4] < max_sweeps) & ~caught.any()
-
-    one = v.dtype.type(1)
-    v, _, _, reached, _ = _loop(model, go_on, sweep, (v, one * np.inf, one, np.bool_(False), np.int32(0)))
-    return backup(model, v, gamma), reached, caught
+    home = _home(model, free)
+    staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
+    staying = (staying & there).astype(model.prob.dtype)
+    staying = staying / staying.sum(-1, keepdims=True)
+    v, _, caught = _policy_value(model, anything, gamma)
+    mixed = namespace.where((home & (v < 0))[:, None], staying, anything)
+    lost = caught.any() | _fate(model, mixed)[1].any()
+    return namespace.where(lost, staying, mixed)
 
 
 def _from_start(model: Model, v: Float[Any, " S"]) -> Any:
@@ -616,17 +852,19 @@ def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
         raise InputError(
             f"policy_probs of state {i[0]} are {probs[i].tolist()}; they must be 0 or more and add up to 1"
         )
+    if model.available is not None:
+        policies.check_among("policy_probs", probs, model.available)
     return probs / probs.sum(1, keepdims=True)
 
 
 def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
-    """`values` in float64: v [S], or q [S, A]."""
+    """`values` in float64: v [S], or q [S, A], whatever that says of actions that are not available."""
     array = _numbers(name, values)
     shape = model.prob.shape[: 1 if name == "v" else 2]
     if array.shape != shape:
         each = f"{shape[0]} states" + "".join(f" and {n} actions" for n in shape[1:])
         raise InputError(f"{name} must have one value for each of the {each}, not {array.shape}")
-    return array
+    return array if name == "v" else _among(model, array)
 
 
 def check_rate(name: str, value: float) -> None:
@@ -635,9 +873,14 @@ def check_rate(name: str, value: float) -> None:
         raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
 
 
-def _refuse_endless(env: Environment, caught: np.ndarray, who: str) -> None:
-    if caught.any():
-        raise InputError(
-            f"{_name(env)}: from state {first(caught)[0]} {who} ever ends and rewards go on, so at "
-            "gamma = 1 the optimal value is not finite; take gamma below 1"
-        )
+def _checked_table(q: Any) -> Float[np.ndarray, "... S A"]:
+    """`q` in float64. Raises InputError unless it is a table of numbers, or many."""
+    try:
+        array = np.asarray(q, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"q must be numbers [S, A] or [..., S, A], not {shown(q)}") from None
+    if array.ndim < 2 or not array.size:
+        raise InputError(f"q must be action values [S, A] or [..., S, A], not of shape {array.shape}")
+    if (i := first(np.isnan(array))) is not None:
+        raise InputError(f"q{list(i)} is not a number, so no action is the best there")
+    return array

@@ -1,8 +1,9 @@
 """Pictures of sweeps and of grids.
 
 A function that draws takes the `Axes` to draw on; `overview` and `save_all` make their own figures. Nothing
-here touches pyplot, so it needs no display and leaves no figure open. Colours are Okabe and Ito's, which
-people with any colour vision can tell apart; methods also differ in their markers.
+here touches pyplot, so it needs no display and leaves no figure open. Bands and bars are 95% intervals of the
+mean, each point for itself (pointwise); for whole curves there is `stats.simultaneous_interval`. Colours are
+Okabe and Ito's, which people with any colour vision can tell apart; methods also differ in their markers.
 
 Datasets are those of `SweepResult.to_xarray`, one for each method, by the name that the legend shows.
 """
@@ -25,9 +26,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from jaxrl_tab import planning, stats
+from jaxrl_tab import memory, planning, policies, stats
 from jaxrl_tab.envs.base import COMPASS, Finite, Grid
-from jaxrl_tab.types import Environment, InputError
+from jaxrl_tab.types import Environment, InputError, available_actions
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -61,12 +62,10 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
         InputError: no method swept the hyperparameter, or one that did not at this value.
     """
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-        curve = stats.episode_curve(ds)
         by_steps = "num_steps" in ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
-        interval = stats.mean_interval(curve[spread])
-        mean, low, high = (_from_origin(x) for x in interval[:3])
-        other = _from_origin(curve[exact].isel(seed=0))
+        mean, low, high = (_from_origin(x.clip(min=0)) for x in stats.progress_interval(ds, spread)[:3])
+        other = _from_origin(stats.episode_curve(ds.isel(seed=0))[exact])
         points = (other, mean) if by_steps else (mean, other)
         ax.plot(*points, lw=2, ms=5, markevery=max(1, len(mean) // 8), label=label, **style)
         band = ax.fill_between if by_steps else ax.fill_betweenx
@@ -77,7 +76,7 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
     ax.legend(loc="upper left", frameon=False)
 
 
-def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
+def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **given: Any) -> None:
     """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
 
     Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
@@ -88,7 +87,7 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
     if stats.is_prediction(*datasets.values()):
         for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-            x = stats.episode_curve(ds)["time_steps" if by_steps else "episodes"].mean("seed")
+            x = (ds.steps if by_steps else ds.episodes).mean("seed").cumsum("row")
             line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
             mean_curve(ax, x, ds.v_error, label, **line)
         tidy(ax, "time steps" if by_steps else "episodes", "RMS error of V over states")
@@ -98,9 +97,9 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
         return
     shown, end = [], 0
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-        merged, interval, enough = _readable_curve(ds)
-        curve = stats.episode_curve(merged)
-        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].isel(seed=0).values
+        points, interval, enough = _readable_curve(ds)
+        curve = stats.episode_curve(stats.merge_rows(ds.isel(seed=0), points))
+        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].values
         mean, low, high = (np.where(enough, part, np.nan) for part in interval[:3])
         ax.plot(x, mean, lw=2, ms=4, label=label, **style)
         ax.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
@@ -110,19 +109,22 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
         ax.text(0.5, 0.3, "too few episodes for a curve", transform=ax.transAxes, ha="center", color=GREY)
     ax.set_xlim(0, 1.03 * end)
     tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
-    _return_axis(ax, shown, _common_optimum(datasets))
+    _return_axis(ax, shown, _common_optimum(datasets), soft)
     ax.legend(loc="best", framealpha=0.8, edgecolor="none")
 
 
-def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
+def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft: float = np.nan) -> None:
     """Mean return of the last tenth against a hyperparameter, with 95% intervals and the exact optimum.
 
     Of methods of prediction it is the mean RMS error of V over all rows. Other swept hyperparameters stay at
-    the method's best combination. A point is hollow where seeds that finished no episode in the last tenth
-    are missing from it. A method that did not sweep the parameter is drawn at the one value that it had.
-    Schedules and policies, and numbers beside them, stand side by side in the order in which they come.
-    Where the parameter was drawn at random there is a point for each draw, in which what was drawn with it
-    is another, too.
+    the method's best combination. The intervals are those of `stats.score_interval`. A point is hollow where
+    some runs finished no episode in the last tenth, and so count with what they collected there. A method
+    that did not sweep the parameter is drawn at the one value that it had. Schedules and policies, and
+    numbers beside them, stand side by side in the order in which they come. Where the parameter was drawn at
+    random there is a point for each draw, in which what was drawn with it is another, too.
+
+    Args:
+        soft: as in `learning_curves`.
 
     Raises:
         InputError: no method swept the parameter.
@@ -143,16 +145,14 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
             if parameter not in stats.fixed(ds):
                 continue
             ds = ds.expand_dims({parameter: [stats.fixed(ds)[parameter]]})
-        score = stats.score(ds) if prediction else stats.mean_return(ds, stats.last_tenth(ds))
-        interval = stats.mean_interval(score)
-        few = (interval.n < ds.sizes["seed"]).values
-        series[name] = label, ds[parameter].values, interval, few
+        late = xr.zeros_like(ds[parameter], bool) if prediction else stats.unfinished(ds).any("seed")
+        series[name] = label, ds[parameter].values, stats.score_interval(ds), late.values
     place = _places(ax, [x for _, x, _, _ in series.values()])
     shown, incomplete = [], False
     for name, style in zip(datasets, _styles(), strict=False):
         if name not in series:
             continue
-        label, x, interval, few = series[name]
+        label, x, interval, late = series[name]
         x, mean, low, high = place(x), *(part.values for part in interval[:3])
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
@@ -160,19 +160,19 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
             x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, color=style["color"]
         )
         ax.plot(x, mean, lw=2, ms=7, label=label, **style)
-        ax.plot(x[few], mean[few], ls="none", ms=3.5, marker=style["marker"], color="white", zorder=5)
+        ax.plot(x[late], mean[late], ls="none", ms=3.5, marker=style["marker"], color="white", zorder=5)
         shown += [mean, low, high]
-        incomplete |= bool(few.any())
+        incomplete |= bool(late.any())
     if incomplete:
         hollow = {"marker": "o", "mfc": "white", "mec": INK, "mew": 1.5}
-        ax.plot([], [], ls="none", **hollow, label="hollow: some seeds finish no episode")
+        ax.plot([], [], ls="none", **hollow, label="hollow: some runs unfinished")
     what = "step size α" if parameter == "alpha" else GREEK.get(parameter, parameter)
     if prediction:
         tidy(ax, what, "RMS error of V, mean over the run")
         _error_axis(ax, shown[::3])
     else:
         tidy(ax, what, "mean return, last tenth")
-        _return_axis(ax, shown, _common_optimum(datasets))
+        _return_axis(ax, shown, _common_optimum(datasets), soft)
     ax.legend(loc="best", framealpha=0.8, edgecolor="none")
 
 
@@ -213,7 +213,7 @@ def _error_axis(ax: Axes, means: list[np.ndarray]) -> None:
 
 
 def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, **line: Any) -> None:
-    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its 95% interval.
+    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its pointwise 95% interval.
 
     Args:
         ax: where to draw.
@@ -237,18 +237,15 @@ def tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
     ax.set_axisbelow(True)
 
 
-def _readable_curve(
-    ds: xr.Dataset, points: int = MOST_POINTS
-) -> tuple[xr.Dataset, stats.Interval, np.ndarray]:
-    """The merged log, the interval of its mean returns, and where enough seeds are in it, bool [points].
+def _readable_curve(ds: xr.Dataset, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
+    """At most how many points, the interval of their mean returns, and where enough seeds are, bool [points].
 
-    Of at most so many points; of fewer if that closes gaps in the second half.
+    They are fewer than `points` if that closes gaps in the second half.
     """
-    merged = stats.merge_rows(ds, points)
-    interval = stats.mean_interval(stats.learning_curve(merged))
+    interval = stats.curve_interval(ds, points)
     enough = (interval.n >= MOST_SEEDS * ds.sizes["seed"]).values
     if enough[len(enough) // 2 :].all() or points <= LEAST_POINTS:
-        return merged, interval, enough
+        return points, interval, enough
     return _readable_curve(ds, points // 2)
 
 
@@ -296,20 +293,31 @@ def _common_optimum(datasets: Datasets) -> float:
     return float(values[0]) if np.ptp(values) < 1e-6 * max(1, abs(values[0])) else np.nan
 
 
-def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float) -> None:
-    """The y axis of returns, and the optimum as a dashed line.
+def _common_soft_optimum(datasets: Datasets, env: Environment) -> float:
+    """What the best policy is worth that explores as the best settings do, if that is one number, else NaN."""
+    if stats.is_prediction(*datasets.values()):
+        return np.nan
+    settings = [stats.fixed(ds) | stats.named(ds, stats.best(ds)) for ds in datasets.values()]
+    explored = [{key: setting.get(key) for key in ("epsilon", "gamma", "behaviour")} for setting in settings]
+    return stats.soft_optimum(env, explored[0]) if all(x == explored[0] for x in explored) else np.nan
+
+
+def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float) -> None:
+    """The y axis of returns, the optimum as a dashed line, and as a dotted one that of who explores.
 
     Early returns can be a hundred times the last ones, and the distance from these to the optimum is what
     matters. Where all are negative and differ by more than a factor of five, the axis is one of ratios.
     """
-    values = np.concatenate([*shown, [optimum]])
+    values = np.concatenate([*shown, [optimum, soft]])
     values = values[np.isfinite(values)]
-    if np.isfinite(optimum):
-        ax.axhline(optimum, color=INK, ls=(0, (5, 3)), lw=1.3, zorder=1)
-        text = f"exact optimum {_number(optimum)}"
-        place = ax.get_yaxis_transform()
-        label = ax.annotate(text, (0.02, optimum), (0, 3), place, "offset points", va="bottom", zorder=6)
-        label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
+    lines = (("exact optimum", optimum, (0, (5, 3)), 3, "bottom"), ("best ε-soft", soft, ":", -3, "top"))
+    for name, y, style, offset, side in lines:
+        if np.isfinite(y):
+            ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1)
+            place = ax.get_yaxis_transform()
+            text = f"{name} {_number(y)}"
+            label = ax.annotate(text, (0.02, y), (0, offset), place, "offset points", va=side, zorder=6)
+            label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
     if not values.size:
         return
     low, high = values.min(), values.max()
@@ -352,7 +360,8 @@ def greedy_path(
     """
     moves = _Moves.of(env)
     path, arrives = moves.path(q, env.start_state)
-    prefers = (q.max(-1) > q.min(-1)) & ~moves.terminal & moves.reachable
+    least = q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
+    prefers = (q.max(-1) > least) & ~moves.terminal & moves.reachable
     _draw_grid(ax, env, moves)
     rows, columns = np.divmod(path, env.shape[1])
     arrows = _greedy(q) & prefers[:, None]
@@ -459,17 +468,19 @@ class _Moves(NamedTuple):
         )
 
     def distance(self, q: np.ndarray) -> np.ndarray:
-        """Steps to a terminal state by greedy actions, float [..., S] for `q` [..., S, A]; inf if never."""
-        greedy = _greedy(q)
-        steps = np.where(self.terminal, 0.0, np.full(q.shape[:-1], np.inf))
-        for _ in range(len(self.terminal)):
-            onward = np.where(greedy, steps[..., self.successor], np.inf).min(-1)
-            steps = np.where(self.terminal, 0.0, onward + 1)
-        return steps
+        """Steps to a terminal state by greedy actions, float32 [n, S] for `q` [n, S, A]; inf if never."""
+        cost = np.where(np.moveaxis(_greedy(q), 0, -1), np.float32(1), np.float32(np.inf))  # [S, A, n]
+        cost[self.terminal] = 0
+        steps = np.full((len(cost), len(q)), np.float32(np.inf))
+        steps[self.terminal] = 0
+        while True:
+            before, steps = steps, (steps[self.successor] + cost).min(1)
+            if (steps == before).all():
+                return steps.T
 
     def path(self, q: np.ndarray, s: int) -> tuple[np.ndarray, bool]:
         """The states of the greedy path from `s`, and whether it ends; else its last state is a repeat."""
-        steps, greedy = self.distance(q), _greedy(q)
+        steps, greedy = self.distance(q[None])[0], _greedy(q)
         path = [s]
         while not self.terminal[s] and s not in path[:-1]:
             onward = self.successor[s][greedy[s]]
@@ -478,10 +489,19 @@ class _Moves(NamedTuple):
         return np.array(path), bool(self.terminal[s])
 
 
+def _tables(ds: xr.Dataset) -> Iterable[np.ndarray]:
+    """The tables of all seeds, [n, S, A] of some after others; what is worked out from them may be larger."""
+    q = ds.q.transpose("seed", "state", "action").values
+    for block in memory.blocks(len(q), 16 * q[0].nbytes):
+        yield q[block]
+
+
 def _greedy(q: np.ndarray) -> np.ndarray:
     """Which actions are maximal, up to rounding, bool [..., S, A]."""
     q = np.where(np.isnan(q), -np.inf, q)  # a diverged entry is no maximum
-    return np.isclose(q, q.max(-1, keepdims=True), rtol=1e-6, atol=1e-9)
+    most = q.max(-1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # infinities
+        return (q == most) | (q >= most - (1e-9 + 1e-6 * abs(most)))
 
 
 def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
@@ -646,7 +666,9 @@ def _uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
     gamma, *others = {stats.fixed(ds).get("gamma", np.nan) for ds in datasets.values()}
     if given or others or np.isnan(gamma):
         return None
-    uniform = np.full((env.num_states, env.num_actions), 1 / env.num_actions)
+    available = available_actions(env)
+    there = np.ones((env.num_states, env.num_actions)) if available is None else np.asarray(available, float)
+    uniform = there / there.sum(1, keepdims=True)
     try:
         return planning.evaluate(env, uniform, gamma)
     except InputError:  # not finite everywhere
@@ -665,8 +687,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
     """
     curves = _curves(datasets, env)
     if isinstance(env, Grid) and not stats.is_prediction(*datasets.values()):
-        table = stats.summary(datasets)
-        winner = table.method[table.last_tenth_return.fillna(-np.inf).argmax()]
+        winner = stats.ranked(datasets)[0]
         curves["greedy_path"] = lambda ax: _median_path(ax, env, winner, datasets[winner])
     columns = 3 if len(curves) in (3, 5, 6) else min(2, len(curves))
     rows = -(-len(curves) // columns)
@@ -726,12 +747,14 @@ def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], 
     curves: dict[str, Callable[[Axes], None]] = {}
     if not prediction:
         curves["episodes"] = lambda ax: episodes_against_steps(ax, datasets)
-    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets)
+    soft = _common_soft_optimum(datasets, env)
+    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets, soft=soft)
     names = (name for ds in datasets.values() for name in stats.hyperparameters(ds) + stats.drawn(ds))
     swept = dict.fromkeys(name for name in names if name != "draw")
     for i, name in enumerate(sorted(swept, key=lambda name: name != "alpha")):
         key = f"sensitivity_{name}" if i else "sensitivity"
-        curves[key] = lambda ax, name=name: sensitivity(ax, datasets, name)
+        line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
+        curves[key] = lambda ax, name=name, line=line: sensitivity(ax, datasets, name, soft=line)
     if prediction and not (isinstance(env, Finite) and env.panels()):
         curves["values"] = lambda ax: state_values(ax, datasets, env)
     return curves
@@ -745,11 +768,11 @@ def value_tables(datasets: Datasets, env: Finite) -> Figure:
     """
     learned = {}
     for label, ds in _chosen(datasets, {}):
-        q = ds.q.values
-        often = _greedy(q).mean(0)
-        best = often == often.max(-1, keepdims=True)
-        shown = None if stats.is_prediction(ds) else best
-        learned[f"{label}: mean of {len(q)} seeds"] = q.max(-1).mean(0), shown
+        seeds = ds.sizes["seed"]
+        often = sum(_greedy(q).sum(0) for q in _tables(ds))
+        best = often == np.max(often, -1, keepdims=True)
+        value = sum(q.max(-1).sum(0, dtype=float) for q in _tables(ds)) / seeds
+        learned[f"{label}: mean of {seeds} seeds"] = value, None if stats.is_prediction(ds) else best
     limits = None
     if (exact := _exact_table(datasets, env)) is not None:
         learned["exact"] = exact
@@ -796,7 +819,8 @@ def _median_path(ax: Axes, env: Grid, method: str, ds: xr.Dataset) -> None:
     """The greedy path that is the median over seeds in length, at the best hyperparameters."""
     setting = stats.best(ds)
     label, ds = _label(method, stats.named(ds, setting)), ds.sel(setting)
-    lengths = _Moves.of(env).distance(ds.q.values)[:, env.start_state]
+    moves = _Moves.of(env)
+    lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in _tables(ds)])
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]
     title = f"greedy path of {label}; median of {len(lengths)} seeds"
     greedy_path(ax, env, ds.q.values[median], title, float(stats.optimum(ds)))
@@ -817,7 +841,7 @@ def _caption(datasets: Datasets, env: Environment) -> str:
     lines = textwrap.wrap(", ".join(settings), LINE, break_on_hyphens=False)
     what = "\n".join(lines).replace("\xa0", " ")
     seeds = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
-    return f"{what}\nmean and 95% interval over {seeds} seeds"
+    return f"{what}\nmean over {seeds} seeds, and its 95% interval at each point"
 
 
 def unusual(env: Environment) -> list[str]:

@@ -39,7 +39,7 @@ from jaxrl_tab.results import is_diverged, save
 from jaxrl_tab.storage import Store
 from jaxrl_tab.sweep import Computed, Part, compute, leaves_as_arrays, result
 from jaxrl_tab.train import Log
-from jaxrl_tab.types import Environment, InputError, RunError, as_path, one_line, shown
+from jaxrl_tab.types import Environment, InputError, RunError, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import
     import pandas as pd
@@ -77,7 +77,7 @@ class Progress(NamedTuple):
         steps: steps taken since it began, or was resumed.
         seconds: the time since then.
         left: how many more seconds it will take, about; None where nothing can be said yet.
-        diverged: runs in which a number has become infinite or NaN.
+        diverged: runs in which a number became infinite or NaN, or grew beyond any possible return.
     """
 
     label: str
@@ -134,14 +134,14 @@ def run(
         RunError: there was not enough memory, or room on the disk. What is finished is kept.
     """
     if not isinstance(experiment, Experiment):
-        raise InputError(f"what is run must be an Experiment(...), not {shown(experiment)}")
+        raise InputError(f"run takes an Experiment, not {shown(experiment)}")
     command = shlex.join(sys.argv) if command is None else command
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
             _begin(path, experiment, memory)
             return _go_on(path, experiment, executor, memory, progress, command, keep=False)
-    path = Path(os.path.normpath(as_path("the folder", folder)))
+    path = _path(folder)
     _begin(path, experiment, memory)
     with storage.lock(path):
         return _go_on(path, experiment, executor, memory, progress, command)
@@ -168,15 +168,21 @@ def resume(
             experiment was changed: the message says in what.
         RunError: as in `run`.
     """
-    path = Path(os.path.normpath(as_path("the folder", folder)))
+    path = _path(folder)
     if not os.path.isdir(path):
         name = one_line(str(path))
         raise InputError(f"{name} is no folder" if os.path.exists(path) else f"there is no folder {name}")
-    if not (path / GIVEN).exists() and not (path / RESOLVED).exists():
+    if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
     command = shlex.join(sys.argv) if command is None else command
     with storage.lock(path):
         return _go_on(path, _experiment_in(path), executor, memory, progress, command)
+
+
+def _path(folder: Any) -> Path:
+    if not isinstance(folder, str | os.PathLike) or "\0" in os.fspath(folder):
+        raise InputError(f"the name of a folder must be text, as paths are, not {shown(folder)}")
+    return Path(os.path.normpath(folder))
 
 
 def _go_on(
@@ -190,8 +196,7 @@ def _go_on(
 ) -> Outcome:
     """All that is still to be done in a folder."""
     store = Store(path, experiment.fingerprint)
-    for line in store.found:
-        _warn(line)
+    _warn_of_what_was(store)
     with _session(store, command) as records:
         job, meter, select = Job(json.dumps(experiment.data()), limit), _Meter(report), experiment.select
         later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
@@ -270,9 +275,9 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
 
 
 def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: those that follow."""
+    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
     one = [part.configs[config]]
-    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=part.num_seeds)
+    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
 
 
 def _split(name: str, part: Part) -> Iterator[Shard]:
@@ -307,17 +312,32 @@ def _runs(part: Part, shard: Shard) -> np.ndarray:
 def _compute(store: Store, job: Job, executor: Executor, meter: "_Meter", later: Mapping[str, int]) -> bool:
     """Computes the shards that are not there; whether there were any. `later`: see `_Meter.begin`."""
     missing = [number for number, shard in enumerate(job.shards) if not _is_there(store, job, number, shard)]
+    _warn_of_what_was(store)
     meter.begin(store, job, missing, later)
     with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
         for number, arrays in finished:
-            diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
+            part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
+            largest = part.largest_values[_runs(part, job.shards[number]) // part.num_seeds]
+            diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
             store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)
 
 
 def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
-    return number in store.shards and store.shards[number]["setting"] == job.setting(shard)
+    """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give."""
+    if number not in store.shards or store.shards[number].setting != job.setting(shard):
+        return False
+    return store.keep_if(number, _shapes(job.parts[shard.part], shard))
+
+
+def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
+    """(shape, dtype) of each array of a shard."""
+    method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
+    q, log = batch.gives(part.env, method, jax.random.key(part.seed), part.budget)
+    of_one = {"q": q, **{name: x for name, x in log._asdict().items() if x is not None}}
+    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in of_one.items()}
+    return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
 def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[dict[str, xr.Dataset], int]":
@@ -378,7 +398,7 @@ class _Meter:
         self._state = self._state._replace(
             done=sum(job.shards[number].runs for number in there),
             total=sum(shard.runs for shard in job.shards) + sum(later.values()),
-            diverged=sum(store.shards[number]["diverged"] for number in there),
+            diverged=sum(store.shards[number].diverged for number in there),
         )
         self._last = time.perf_counter()
         self.show()
@@ -426,7 +446,7 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
     for part in parts.values():
         instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
         runs = min(part.runs, _shard_runs(part))
-        planned = batch.plan(part.env, instances, jax.random.key(part.seed), runs, part.budget, limit)
+        planned = batch.plan(part.env, instances, part.root, runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
     if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
         raise InputError(
@@ -438,34 +458,82 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
 def _experiment_in(path: Path) -> Experiment:
     """The experiment that a folder was made for.
 
+    It is there twice, and its fingerprint is in the manifest: where one of the two is missing or damaged, it is
+    made again of the other. Nobody edits `resolved.json`, so what differs from the fingerprint in it is damage;
+    in `experiment.toml` it may be a wish.
+
     Raises:
         InputError: what the folder says of it, or the file that it was read from, is not what it was.
     """
     manifest = storage.read_manifest(path)
-    data = _read_json(path / RESOLVED)
-    given = Experiment.load(path / GIVEN) if (path / GIVEN).exists() else None
-    if data is None:
-        if given is None or (manifest and manifest["fingerprint"] != given.fingerprint):
-            raise InputError(f"{path / RESOLVED} is missing or damaged, and {GIVEN} is another experiment")
-        storage.write_json(path / RESOLVED, given.data())
-        _warn(f"{RESOLVED} was missing or damaged: it is made again, of {GIVEN}")
-        return given
-    experiment = Experiment.from_data(data)
-    if given is None:
-        storage.write(path / GIVEN, experiment.to_toml())
-        _warn(f"{GIVEN} was missing: it is made again, of {RESOLVED}")
-    elif changed := difference(data, given.data()):
-        raise InputError(f"{path / GIVEN} was changed since: {'; '.join(changed)}; put it back to go on")
-    if manifest and manifest["fingerprint"] != experiment.fingerprint:
+    begun_with = manifest and manifest["fingerprint"]
+    data = storage.read_json(path / RESOLVED)
+    resolved = _understood(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
+    given = None
+    if storage.is_file(path / GIVEN):
+        with storage.said(path / GIVEN, "read"):
+            (path / GIVEN).read_bytes()
+        given = _understood(lambda: Experiment.load(path / GIVEN))
+    if resolved and begun_with in (None, resolved.fingerprint):
+        experiment = resolved
+        if given is None:
+            _warn_of_a_new(path / GIVEN, f"made again, of {RESOLVED}")
+            storage.write(path / GIVEN, experiment.to_toml())
+        elif changed := difference(experiment.data(), given.data()):
+            raise InputError(f"{path / GIVEN} was changed since: {'; '.join(changed)}; put it back to go on")
+    elif given and begun_with in (None, given.fingerprint):
+        experiment = given
+        _warn_of_a_new(path / RESOLVED, f"made again, of {GIVEN}")
+        storage.write_json(path / RESOLVED, experiment.data())
+    elif resolved or given:
         raise InputError(
-            f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed since"
+            f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed or damaged since"
         )
-    source = (_read_json(path / PROVENANCE) or {}).get("file")
-    if source and Path(source).is_file() and (changed := _changed(source, data)):
+    else:
+        raise InputError(f"there is no experiment in {path} any more: {GIVEN} and {RESOLVED} are damaged")
+    source = (_records_in(path) or {}).get("file")
+    if source and Path(source).is_file() and (changed := _changed(source, experiment.data())):
         raise InputError(
             f"{source} was changed since: {changed}; put it back, or rename it to go on with what it was"
         )
     return experiment
+
+
+def _understood(read: Callable[[], Experiment]) -> Experiment | None:
+    """The experiment, or None where what is read is none."""
+    try:
+        return read()
+    except Exception:  # there is no end to what a flipped bit makes of data
+        return None
+
+
+def _warn_of_a_new(file: Path, then: str) -> None:
+    """Says that a file is made again; what is there now is set aside."""
+    if os.path.lexists(file):
+        _warn(storage.set_aside(file, file.parent, then))
+    else:
+        _warn(f"{file.name} is missing: it is {then}")
+
+
+def _records_in(path: Path) -> dict[str, Any] | None:
+    """The records of all sessions in a folder; None where they are missing or damaged."""
+    records = storage.read_json(path / PROVENANCE)
+    if not isinstance(records, dict) or records.keys() != {"file", "sessions"}:
+        return None
+    if not isinstance(records["file"], str | None) or not isinstance(records["sessions"], list):
+        return None
+    return records if all(map(_is_session, records["sessions"])) else None
+
+
+def _is_session(found: Any) -> bool:
+    """Whether data are the record of a session, with what is looked at later."""
+    return (
+        isinstance(found, dict)
+        and isinstance(found.get("command"), str)
+        and isinstance(found.get("started"), str)
+        and isinstance(versions := found.get("versions"), dict)
+        and all(isinstance(version, str) for version in versions.values())
+    )
 
 
 def _changed(source: str, data: Mapping[str, Any]) -> str:
@@ -479,16 +547,15 @@ def _changed(source: str, data: Mapping[str, Any]) -> str:
 @contextlib.contextmanager
 def _session(store: Store, command: str) -> Iterator[dict[str, Any]]:
     """Keeps records of one process that computes, which it is given."""
-    file = store.path / PROVENANCE
-    records = _read_json(file)
+    file, records = store.path / PROVENANCE, _records_in(store.path)
     if records is None:
-        _warn(f"{PROVENANCE} is missing or damaged: a new one is begun")
+        _warn_of_a_new(file, "begun anew")
         records = {"file": None, "sessions": []}
     session = {"command": command, "started": _now(), "ended": None, **_surroundings()}
     for name, version in records["sessions"][-1]["versions"].items() if records["sessions"] else ():
-        if version != session["versions"][name]:
+        if version != session["versions"].get(name):
             _warn(
-                f"this was begun with {name} {version} and goes on with {session['versions'][name]}: what is "
+                f"this was begun with {name} {version} and goes on with {session['versions'].get(name)}: what is "
                 "computed now may differ from what it would have been"
             )
     records["sessions"].append(session)
@@ -540,16 +607,18 @@ def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> 
     if outcome.fresh:
         files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
         files.append(_write_table(folder / SELECTION, selection(outcome)))
-    scratch = folder / f"pictures{storage.UNFINISHED}"
+    scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
+    names = storage.file_names(outcome.envs)
     try:
         with storage.said(folder):
             for label, env in outcome.envs.items():
-                place = scratch / "pictures" / label if len(outcome.envs) > 1 else scratch
+                place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
                 plot.save_all(outcome.of(label), env, place)
             report.write(scratch, outcome.datasets, outcome.envs, _about(store, records), outcome.fresh)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
-            goal.parent.mkdir(parents=True, exist_ok=True)
+            with storage.said(goal):
+                goal.parent.mkdir(parents=True, exist_ok=True)
             with storage.writing(goal) as unfinished:
                 file.replace(unfinished)
             files.append(goal)
@@ -620,11 +689,13 @@ def selection(outcome: Outcome) -> "pd.DataFrame":
 
 def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
     """How the results came about, for the report."""
+    with storage.said(store.path / GIVEN, "read"):
+        given = (store.path / GIVEN).read_text(encoding="utf-8", errors="replace")
     first, *_, last = [*records["sessions"], records["sessions"][-1]]
     sessions = len(records["sessions"])
     return {
         "command": first["command"],
-        "experiment": (store.path / GIVEN).read_text(encoding="utf-8"),
+        "experiment": given,
         "fingerprint": store.fingerprint,
         "started": first["started"],
         "finished": _now(),
@@ -636,11 +707,10 @@ def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _read_json(file: Path) -> Any:
-    """What is in the file; None where it is missing or damaged."""
-    with contextlib.suppress(OSError, ValueError):
-        return json.loads(file.read_bytes())
-    return None
+def _warn_of_what_was(store: Store) -> None:
+    """Warns of what was damaged or missing, once."""
+    while store.found:
+        _warn(store.found.pop(0))
 
 
 def _warn(line: str) -> None:

@@ -272,7 +272,8 @@ class Optax:
             raise InputError(f"Optax: schedule must be a function of a count, not {shown(self.schedule)}")
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
-        return jnp.asarray(self.schedule(n - 1), float)
+        with jax.numpy_dtype_promotion("standard"):  # the function is somebody else's
+            return jnp.asarray(self.schedule(n - 1), float)
 
 
 def check_rate(obj, name: str, ok, wanted: str) -> None:

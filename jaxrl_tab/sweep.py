@@ -15,6 +15,7 @@ from jaxtyping import Float
 from jaxrl_tab import batch, planning
 from jaxrl_tab.axes import DRAW, check_settings, spread, swept_names
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.results import SweepResult, label, parameters
 from jaxrl_tab.train import Log, Record, check_budget, default_log_every
@@ -23,14 +24,20 @@ from jaxrl_tab.types import (
     Environment,
     FiniteEnvironment,
     InputError,
+    available_actions,
     build,
     check_pytree,
+    foreign,
     is_whole,
     nearest,
     one_line,
     repeated,
+    restricted,
     shown,
 )
+
+BEYOND = 10  # times the largest possible return: step sizes above 1 and traces go beyond it, and come back
+FRESH = 2**32 - 1  # what is folded into a root for the root of its fresh seeds
 
 
 class Computed(NamedTuple):
@@ -54,6 +61,10 @@ class Part:
     Its runs have numbers, 0 to `runs` - 1: the number of the configuration times `num_seeds` plus the place
     of the seed. A run with the seed at place i has the key `fold_in(key(seed), first_seed + i)`.
 
+    Fresh seeds must be seeds of no other sweep, not even of a larger one of the same root. So they have a
+    root of their own, `fold_in(key(seed), FRESH)`, in place of `key(seed)`: no sweep has a seed with this
+    number, for numbers of seeds are below 2**31.
+
     Attributes:
         env: the environment.
         algorithm: the class of the method.
@@ -62,6 +73,7 @@ class Part:
         num_seeds, first_seed: how many seeds there are, and the first of them.
         seed: the root seed.
         budget: how long each run is and what it records.
+        fresh: whether the seeds are fresh ones, of the root that is kept for them.
     """
 
     env: Environment
@@ -72,10 +84,41 @@ class Part:
     first_seed: int
     seed: int
     budget: batch.Budget
+    fresh: bool = False
+
+    @property
+    def root(self) -> Any:
+        """The key whose folds are those of the runs."""
+        key = jax.random.key(self.seed)
+        return jax.random.fold_in(key, FRESH) if self.fresh else key
 
     @property
     def runs(self) -> int:
         return len(self.configs) * self.num_seeds
+
+    @functools.cached_property
+    def largest_values(self) -> Float[np.ndarray, " configs"]:
+        """Of each configuration, the |Q| beyond which a run has diverged; infinite where that is not judged.
+
+        It is `BEYOND` times what no average of returns exceeds: the initial value, and the largest return of
+        as many steps as the run has. Judged are environments whose rewards are those of their outcomes, and
+        methods that multiply no return by ratios.
+        """
+        budget, env = self.budget, self.env
+        steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps
+        sampled = isinstance(env, Finite) and type(env).step is Finite.step and not hasattr(env, "instance")
+
+        @functools.cache
+        def largest_return(gamma: float, anywhere: bool) -> float:
+            return planning.largest_return(env, gamma, steps, anywhere)
+
+        def largest(config: Any) -> float:
+            if not sampled or getattr(config, "multiplies_returns", False):
+                return np.inf
+            first = abs(getattr(config, "q0", getattr(config, "v0", 0.0)))
+            return BEYOND * (first + largest_return(config.gamma, getattr(config, "exploring_starts", False)))
+
+        return np.array([largest(config) for config in self.configs])
 
     @functools.cached_property
     def programs(self) -> list[np.ndarray]:
@@ -159,8 +202,7 @@ def prepare(
     """All checks of a sweep; nothing is compiled.
 
     Args:
-        first_seed: the first of the `num_seeds` seeds, which follow each other: 100 where fresh seeds are
-            wanted after a sweep over 100.
+        first_seed: the first of the `num_seeds` seeds, which follow each other.
         Others: as in `sweep`.
 
     Raises:
@@ -173,7 +215,9 @@ def prepare(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
     if not isinstance(env, Environment):
-        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
+        raise InputError(
+            f"env must be an environment such as make('windy-gridworld'), not {shown(env)}{foreign(env)}"
+        )
     check_pytree("env", env)
     if exact:
         planning.check_finite(env)
@@ -186,6 +230,9 @@ def prepare(
             f"{len(configs):,} settings x {num_seeds:,} seeds are more than the 2**31 runs that can be numbered: "
             "take fewer seeds or settings"
         )
+    available = available_actions(env)
+    for config in configs:
+        restricted(config, available)  # for what it refuses
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
@@ -207,7 +254,7 @@ def compute(
     Raises:
         InputError: there is not enough memory; nothing was compiled.
     """
-    root = jax.random.key(part.seed)
+    root = part.root
     instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
     total = part.runs if runs is None else len(runs)
     results, room = batch.plan(part.env, instances, root, total, part.budget, memory)
@@ -248,6 +295,8 @@ def result(part: Part, computed: Computed) -> SweepResult:
         optimal_value=_exact_value(part.env, axes, part.configs),
         root_seed=part.seed,
         first_seed=part.first_seed,
+        largest_value=part.largest_values.reshape(shape[:-1]),
+        fresh=part.fresh,
         num_steps=part.budget.num_steps,
         num_episodes=part.budget.num_episodes,
         log_every=part.budget.log_every or default_log_every(part.budget.num_steps),

@@ -23,9 +23,11 @@ from jaxrl_tab.types import (
     Environment,
     InputError,
     Transition,
+    available_actions,
     check_pytree,
     init_learner,
     is_whole,
+    restricted,
     said_of_update,
     shown,
 )
@@ -151,6 +153,7 @@ def train(
     if is_dataclass(algorithm):
         schedules.check_single(type(algorithm).__name__, algorithm)
     check_pytree("env", env, ENVS)
+    restricted(algorithm, available_actions(env))  # for what it refuses
     if exact:
         planning.check_finite(env)
     return _train(key, algorithm, env, num_steps, num_episodes, log_every, bool(exact), record)
@@ -163,6 +166,7 @@ def _train(key, algorithm, env, num_steps, num_episodes, log_every, exact, recor
     stream = rng.stream(key)
     if hasattr(env, "instance"):
         env = env.instance(rng.as_key(rng.word(stream, jnp.int32(0), INSTANCE)))
+    algorithm = restricted(algorithm, available_actions(env))
     measure = _make_measure(algorithm, env, exact, record)
     start = _make_start(algorithm, env)
     step = _make_step(algorithm, env, start)
@@ -197,11 +201,16 @@ def _make_start(algorithm: Algorithm, env: Environment) -> _Start:
         return _Start(env.reset, algorithm.policy)
     planning.check_finite(env)
     states = ~planning.terminal_states(planning.enumerate_model(env))
-    actions = jnp.ones(env.num_actions)
     return _Start(
         lambda key: policies.sample(key, states.astype(float)),
-        lambda key, learner, s: policies.sample(key, actions),
+        lambda key, learner, s: policies.sample(key, _any_action(env, s)),
     )
+
+
+def _any_action(env: Environment, s: Int[Array, ""]) -> Float[Array, " A"]:
+    """Equal weights for the actions of a state."""
+    there = available_actions(env)
+    return jnp.ones(env.num_actions) if there is None else tables.row(there.astype(float), s)
 
 
 def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:

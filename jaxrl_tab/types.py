@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar, dataclass_transform, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, Key
@@ -150,8 +151,16 @@ def check_pytree(what: str, obj: Any, registry: Mapping[str, type] | None = None
         raise InputError(f"{what} must be an instance, such as {cls.__name__}(), not {shown(obj)}")
     if isinstance(obj, type):
         raise InputError(f"{what} must be an instance, such as {obj.__name__}(), not the class")
+    if hint := foreign(obj):
+        raise InputError(f"{what} must be an environment of jaxrl_tab, not {shown(obj)}{hint}")
     if jax.tree_util.all_leaves([obj]):
         raise InputError(f"{what} is no JAX pytree: decorate its class with jaxrl_tab.types.pytree")
+
+
+def foreign(obj: Any) -> str:
+    """What a message adds about `obj` where it is an environment of Gymnasium or gymnax."""
+    library = "gymnasium" if hasattr(obj, "unwrapped") else "gymnax" if hasattr(obj, "step_env") else None
+    return f"; rl.interop.from_{library} imports it" if library else ""
 
 
 # --- frozen dataclasses that are pytrees -------------------------------------------------------------
@@ -260,6 +269,10 @@ class Environment(Protocol):
     It may have a method `instance(key) -> Environment`, which draws the problem of one run; `train` calls it
     once. `mean_optimal_value(gamma) -> float` may then say the mean over problems of v* from the start.
 
+    Where a state does not have every action, a method `available(s) -> bool [A]` says which there are in `s`,
+    at least one, in terminal states too. Nobody then takes another one, and no maximum and no mean counts it:
+    see `restricted`.
+
     Attributes:
         num_states: the number of states, terminal ones included.
         num_actions: the number of actions, the same in every state.
@@ -313,6 +326,12 @@ class Algorithm(Protocol[L]):
     `offline`): "transitions", any of them in any order; "transitions of b", where the method is told the
     policy b that acted, as a table in its field `behaviour`; or "episodes of b", in order. A method that does
     not say can learn only from what it did itself.
+
+    A method that multiplies returns by ratios of importance sampling says `multiplies_returns = True`: what
+    it learns may be greater than any return, and is no sign that it diverges.
+
+    Where the environment says which actions are `available`, the method is asked for what it is among those:
+    `restricted_to(available) -> Algorithm`, available bool [S, A].
     """
 
     @property
@@ -342,6 +361,48 @@ def init_learner(algorithm: Algorithm[L], task: Environment | Task) -> L:
     takes = inspect.signature(algorithm.init).parameters
     longest = {"max_steps": task.max_steps} if "max_steps" in takes else {}
     return algorithm.init(task.num_states, task.num_actions, **longest)
+
+
+def available_actions(env: Any) -> Bool[Array, "S A"] | None:
+    """Which actions there are in each state, or None where the environment does not say: then it is all.
+
+    Raises:
+        InputError: what `available` gives has the wrong shape, or a state has no action.
+    """
+    if getattr(env, "available", None) is None:
+        return None
+    there = jax.vmap(env.available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
+    check_available(f"{type(env).__name__}: available", there, env.num_states, env.num_actions)
+    return there
+
+
+def check_available(what: str, available: Any, num_states: int, num_actions: int) -> None:
+    """Raises InputError unless these are booleans [S, A], with an action in every state."""
+    there = concrete(available)
+    if (shape := np.shape(available)) != (num_states, num_actions):
+        raise InputError(f"{what} must be booleans [S, A] = [{num_states}, {num_actions}], not {list(shape)}")
+    if there is None:
+        return
+    if not np.isin(there, (0, 1)).all():
+        raise InputError(f"{what} must be True or False in each place, not {shown(there)}")
+    if (s := first(~there.astype(bool).any(1))) is not None:
+        raise InputError(f"{what} must name an action in every state, in terminal ones too; {s[0]} has none")
+
+
+def restricted(chooser: T, available: Bool[Array, "S A"] | None) -> T:
+    """A method or a policy as it is where there are these actions only, which is all where it is None.
+
+    Raises:
+        InputError: it cannot be told, for it has no method `restricted_to`; or it takes another action.
+    """
+    if available is None:
+        return chooser
+    if not hasattr(chooser, "restricted_to"):
+        raise InputError(
+            f"{type(chooser).__name__} cannot be told that some states do not have every action: give it a "
+            "method restricted_to(available), available bool [S, A], that returns what takes no other"
+        )
+    return chooser.restricted_to(available)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def said_of_update(algorithm: Any, name: str) -> Any:

@@ -243,10 +243,9 @@ def test_a_task_without_an_end_is_refused_at_gamma_1_alone():
 
 def test_a_round_trip_that_pays_is_refused():
     env = deterministic([[0, 1], [1, 1]], [[1, 0], [0, 0]], terminal=[1])
-    with pytest.raises(InputError, match="did not converge in 200 sweeps"):
-        planning.value_iteration(env, max_sweeps=200)
-    with pytest.raises(InputError, match="from state 0 a round trip earns more than it costs"):
-        planning.policy_iteration(env)
+    for solve in planning.value_iteration, planning.policy_iteration:
+        with pytest.raises(InputError, match="from state 0 a round trip earns more than it costs"):
+            solve(env)
 
 
 def test_policy_value_looks_at_what_the_start_leads_to():

@@ -144,7 +144,7 @@ def test_sensitivity_marks_settings_that_lose_seeds(ax, datasets):
     plot.sensitivity(ax, {"sarsa": ds.isel(alpha=[1, 2])})
     hollow = [line for line in ax.get_lines() if line.get_color() == "white"]
     assert [x for line in hollow for x in line.get_xdata()] == [0.2]
-    assert "hollow: some seeds finish no episode" in [text.get_text() for text in ax.get_legend().texts]
+    assert "hollow: some runs unfinished" in [text.get_text() for text in ax.get_legend().texts]
     assert ax.get_xscale() == "linear"
 
 
@@ -363,7 +363,10 @@ def test_overview_shows_the_path_of_the_best_method(datasets, windy):
     figure = plot.overview(datasets, windy)
     title = figure.axes[3].get_title()
     assert title.startswith("greedy path of q-learning, α = 0.9; median of 5 seeds\n15 steps to the goal")
-    assert figure.get_suptitle() == "windy-gridworld, ε = 0.1, γ = 1\nmean and 95% interval over 5 seeds"
+    assert (
+        figure.get_suptitle()
+        == "windy-gridworld, ε = 0.1, γ = 1\nmean over 5 seeds, and its 95% interval at each point"
+    )
 
 
 def test_caption_says_what_is_unusual(datasets):

@@ -36,7 +36,7 @@ WHOLE = ["manifest.json", "results.nc", *(f"shards/00000{i}.npz" for i in range(
 def test_what_is_kept_is_there_again(folder):
     store = Store(folder, "abc")
     assert store.found == [] and names(folder) == WHOLE
-    assert {number: facts["diverged"] for number, facts in store.shards.items()} == {0: 0, 1: 1, 2: 2}
+    assert {number: facts.diverged for number, facts in store.shards.items()} == {0: 0, 1: 1, 2: 2}
     read = store.read(1)
     assert list(read) == list(ARRAYS)
     for name, x in read.items():
@@ -121,7 +121,7 @@ def test_a_shard_whose_place_in_the_manifest_was_not_written_is_there(folder):
     Store(folder, "abc").write(3, ARRAYS, diverged=7)
     (folder / "manifest.json").write_bytes(manifest)
     store = Store(folder, "abc")
-    assert store.found == [] and store.shards[3]["diverged"] == 7
+    assert store.found == [] and store.shards[3].diverged == 7
 
 
 def test_shards_of_another_experiment_are_set_aside(folder):
@@ -138,9 +138,9 @@ def test_shards_of_another_experiment_are_set_aside(folder):
 
 
 def test_what_was_being_written_is_gone(folder):
-    (folder / "shards" / f"000003.npz{storage.UNFINISHED}").write_bytes(b"half")
-    (folder / f"pictures{storage.UNFINISHED}").mkdir()
-    (folder / f"pictures{storage.UNFINISHED}" / "x.png").write_bytes(b"half")
+    (folder / "shards" / f".000003.npz{storage.UNFINISHED}").write_bytes(b"half")
+    (folder / f".pictures{storage.UNFINISHED}").mkdir()
+    (folder / f".pictures{storage.UNFINISHED}" / "x.png").write_bytes(b"half")
     assert Store(folder, "abc").found == [] and names(folder) == WHOLE
 
 
@@ -215,4 +215,4 @@ def test_a_locked_folder_is_refused(tmp_path):
 def test_the_manifest_is_plain_json(folder):
     manifest = json.loads((folder / "manifest.json").read_text())
     assert list(manifest) == ["fingerprint", "shards", "files", "sha256"]
-    assert list(manifest["shards"]["000002.npz"]) == ["sha256", "diverged"]
+    assert list(manifest["shards"]["000002.npz"]) == ["sha256", "diverged", "setting"]

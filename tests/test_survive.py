@@ -17,7 +17,6 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch, cli, interrupt, plot, runner, stats, storage
-from jaxrl_tab.sweep import compute, prepare, result
 from jaxrl_tab.types import InputError, RunError
 
 QUICK = [sys.executable, str(Path(quick.__file__))]
@@ -90,15 +89,25 @@ def test_the_results_are_those_of_a_sweep(windy, undisturbed):
         assert tree["sarsa"].attrs["seconds"] > 0
 
 
-def test_what_was_chosen_runs_again_on_seeds_that_follow(windy, undisturbed):
+def test_what_was_chosen_runs_again_on_seeds_of_no_other_sweep(windy, undisturbed):
+    """Case: they went on where the seeds of the choice end, and so were those of a larger sweep of the same root.
+
+    Their keys are folds of fold_in(root, 2**32 - 1), and here 2**32 - 1 is the number of no seed.
+    """
     _, outcome, _ = undisturbed
     table = runner.selection(outcome).set_index("method")
     alpha = table.alpha["sarsa"]
     assert alpha == stats.best(outcome.datasets["windy-gridworld/sarsa"])["alpha"]
-    part = prepare(windy, "sarsa", {"alpha": alpha}, num_seeds=66, first_seed=70, num_steps=200)
-    expected = result(part, compute(part)).to_xarray()
-    xr.testing.assert_equal(outcome.fresh["windy-gridworld/sarsa"], expected)
-    assert expected.seed.values.tolist() == list(range(70, 136))
+    fresh = outcome.fresh["windy-gridworld/sarsa"]
+    assert fresh.seed.values.tolist() == list(range(66))
+    assert fresh.attrs["fresh_seeds"] == 1
+    root = jax.random.fold_in(jax.random.key(0), 2**32 - 1)
+    method = rl.Sarsa(alpha=alpha)
+    state, _ = rl.train(jax.random.fold_in(root, 65), method, windy, num_steps=200)
+    np.testing.assert_array_equal(fresh.q.sel(seed=65), state.q)
+    larger = rl.sweep(windy, "sarsa", {"alpha": alpha}, num_seeds=136, num_steps=200).to_xarray()
+    again = {x.tobytes() for x in fresh.q.values} & {x.tobytes() for x in larger.q.values}
+    assert not again
 
 
 def test_a_number_is_chosen_among_schedules_as_it_is_labelled(windy):

@@ -91,6 +91,10 @@ class OffPolicyMonteCarlo(OffPolicyControl):
         check_coverage(type(self).__name__, self.pi, self.selection)
 
     @property
+    def multiplies_returns(self) -> bool:
+        return self.weighting != "weighted"
+
+    @property
     def pi(self) -> Policy:
         return Greedy() if self.target is None else self.target
 

@@ -3,6 +3,7 @@
 ENVS holds those that can be made from their name alone; `FiniteMDP` needs its arrays, and so is a class only.
 """
 
+import re
 from typing import Any
 
 from jaxrl_tab.envs.blackjack import Blackjack
@@ -32,6 +33,10 @@ ENVS = {
 }
 
 
+# What people look for under these names, without hyphens, as Gymnasium calls it.
+GYMNASIUM = {"frozenlake": "FrozenLake-v1", "frozenlake8x8": "FrozenLake8x8-v1", "taxi": "Taxi-v4"}
+
+
 def make(name: str, **parameters: Any):
     """The environment called `name` in ENVS, with its parameters: `make("windy-gridworld", moves="king")`.
 
@@ -39,8 +44,28 @@ def make(name: str, **parameters: Any):
         InputError: the name, a parameter or a value is wrong.
     """
     if not isinstance(name, str) or name not in ENVS:
-        raise InputError(f"no environment is called {shown(name)}; {nearest(name, ENVS)}")
+        raise InputError(
+            f"no environment is called {shown(name)}; {instead(name if isinstance(name, str) else shown(name))}"
+        )
     return build(ENVS[name], name, parameters)
+
+
+def instead(name: str) -> str:
+    """What a message says instead of `name`, which is not in ENVS: one of ours, or how another is imported."""
+    library, _, there = name.partition(":")
+    if there and library in ("gymnasium", "gymnax"):
+        return f"in Python, rl.interop.make({shown(name)}) imports it"
+    stem, _, suffix = name.rpartition("-")
+    if suffix in ("misc", "bsuite", "MinAtar"):
+        return f"in Python, rl.interop.from_gymnax({shown(name)}) imports it, if its states can be counted"
+    is_versioned = re.fullmatch("v[0-9]+", suffix) is not None
+    plain = re.sub("[-_]", "", (stem if is_versioned else name).lower())
+    if plain not in (ours.replace("-", "") for ours in ENVS) and (is_versioned or plain in GYMNASIUM):
+        perhaps = "" if plain in GYMNASIUM else ", if it has a table of its outcomes"
+        return (
+            f"in Python, rl.interop.from_gymnasium({shown(GYMNASIUM.get(plain, name))}) imports it{perhaps}"
+        )
+    return nearest(name, ENVS)
 
 
 __all__ = [

@@ -79,7 +79,9 @@ class Finite:
         prob, outcome = jax.vmap(jax.vmap(self.outcomes, (None, 0)), (0, None))(states, actions)
         count = prob.shape[-1]
         prob, reward = prob.reshape(-1, count), outcome.reward.ravel()
-        entered = (2 * outcome.s_next + outcome.terminal).ravel()  # one load for both
+        entered = (
+            2 * outcome.s_next + outcome.terminal.astype(outcome.s_next.dtype)
+        ).ravel()  # one load for both
 
         def step(key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
             i = s * self.num_actions + a

@@ -1,20 +1,14 @@
 """Maximisation bias: Q-learning against Double Q-learning (book, example 6.7 and figure 6.5)."""
 
-import jax
-import jax.numpy as jnp
-
 from jaxrl_tab.envs import MaximizationBias
 from jaxrl_tab.figures.figure import Figure, Number, swept
-from jaxrl_tab.policies import EpsilonGreedy
 
 ALPHA, EPSILON = 0.1, 0.1
 METHODS = ("q-learning", "double-q-learning")
 
 
 def _experiment(num_seeds=4000, num_episodes=300):
-    env = MaximizationBias()
-    available = jax.vmap(env.available)(jnp.arange(env.num_states))
-    grid = {"alpha": ALPHA, "behaviour": EpsilonGreedy(EPSILON, available)}
+    env, grid = MaximizationBias(), {"alpha": ALPHA, "epsilon": EPSILON}
     return {
         method: swept(env, method, grid, num_seeds=num_seeds, num_episodes=num_episodes) for method in METHODS
     }
