@@ -1033,11 +1033,11 @@ def _folder(path: Path | None) -> Iterator[Path | None]:
     path = Path(os.path.normpath(path))
     try:
         if path.exists() or path.is_symlink():
-            raise InputError(f"--out: {path} exists already; name a new folder")
+            raise InputError(f"--out: {one_line(str(path))} exists already; name a new folder")
         unfinished = path.with_name(f"{path.name}.unfinished-{os.getpid()}")
         unfinished.mkdir(parents=True)
     except OSError as error:
-        raise InputError(f"--out: {path} cannot be made: {error.strerror}") from None
+        raise InputError(f"--out: {one_line(str(path))} cannot be made: {error.strerror}") from None
     try:
         yield unfinished
         unfinished.rename(path)

@@ -541,9 +541,7 @@ def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[st
                 name = table["name"]
                 if not isinstance(name, str) or name not in registry:
                     if registry is ENVS:
-                        raise InputError(
-                            f"{shown(name)} is not an environment; {instead(name if isinstance(name, str) else shown(name))}"
-                        )
+                        raise InputError(f"{shown(name)} is not an environment; {instead(name)}")
                     raise InputError(f"{shown(name)} is not a method; {nearest(name, registry)}")
             with _at("label"):
                 label = table.get("label", name)

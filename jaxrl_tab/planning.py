@@ -875,10 +875,7 @@ def check_rate(name: str, value: float) -> None:
 
 def _checked_table(q: Any) -> Float[np.ndarray, "... S A"]:
     """`q` in float64. Raises InputError unless it is a table of numbers, or many."""
-    try:
-        array = np.asarray(q, np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"q must be numbers [S, A] or [..., S, A], not {shown(q)}") from None
+    array = _numbers("q", q)
     if array.ndim < 2 or not array.size:
         raise InputError(f"q must be action values [S, A] or [..., S, A], not of shape {array.shape}")
     if (i := first(np.isnan(array))) is not None:

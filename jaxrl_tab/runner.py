@@ -39,7 +39,7 @@ from jaxrl_tab.results import is_diverged, save
 from jaxrl_tab.storage import Store
 from jaxrl_tab.sweep import Computed, Part, compute, leaves_as_arrays, result
 from jaxrl_tab.train import Log
-from jaxrl_tab.types import Environment, InputError, RunError, one_line, shown
+from jaxrl_tab.types import Environment, InputError, RunError, as_path, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import
     import pandas as pd
@@ -180,9 +180,7 @@ def resume(
 
 
 def _path(folder: Any) -> Path:
-    if not isinstance(folder, str | os.PathLike) or "\0" in os.fspath(folder):
-        raise InputError(f"the name of a folder must be text, as paths are, not {shown(folder)}")
-    return Path(os.path.normpath(folder))
+    return Path(os.path.normpath(as_path("the folder", folder)))
 
 
 def _go_on(
