@@ -595,9 +595,9 @@ def _write_template(file: str) -> int:
         with open(file, "x", encoding="utf-8") as to:
             to.write(template())
     except FileExistsError:
-        raise InputError(f"{file} exists already; name a new file") from None
+        raise InputError(f"{one_line(file)} exists already; name a new file") from None
     except OSError as error:
-        raise InputError(f"{file} cannot be written: {error.strerror}") from None
+        raise InputError(f"{one_line(file)} cannot be written: {error.strerror}") from None
     print(f"{file} is written; try {PROG} sweep {shlex.quote(file)} --dry-run")
     return 0
 
