@@ -63,7 +63,7 @@ from jaxrl_tab.options import (
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import label, save
 from jaxrl_tab.sweep import METHODS
-from jaxrl_tab.types import Environment, InputError, RunError, build, is_text, nearest, one_line, shown
+from jaxrl_tab.types import Environment, InputError, RunError, as_path, build, nearest, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -202,8 +202,8 @@ def _notes(error: BaseException) -> list[str]:
 
 
 def _dispatch(argv: list[str]) -> int:
-    if wrong := [word for word in argv if not is_text(word)]:
-        raise InputError(f"{shown(wrong[0])} is no text in UTF-8")
+    for word in argv:
+        as_path("what is typed", word)  # so that it can name a file, if it should
     commands = {
         "list": _list,
         "solve": _solve,
@@ -820,7 +820,7 @@ def _print_summary(
     if prediction:
         decimals = max(decimals, _decimals(scores, 3))
     digits = f"{{:.{decimals}f}}".format
-    notes, edges, few = [], [], False
+    notes, edges, few = [], {}, False
     for method, rows in table.groupby("method", sort=False):
         choice = len(rows[score].drop_duplicates()) > 1
         for row in rows.to_dict("records"):
@@ -850,7 +850,8 @@ def _print_summary(
         view.add_section()
         own = datasets[str(method)]
         at_edge = stats.at_edge(own, stats.best(own)) if choice else {}
-        edges += [f"the best {name} of {method} is the {end} that was tried" for name, end in at_edge.items()]
+        for name, end in at_edge.items():
+            edges.setdefault(f"the best {name} is the {end} that was tried", []).append(str(method))
     out = _console()
     out.print(", ".join([f"[bold]{environment}[/]", *setting, f"{ds.sizes['seed']} seeds, {length} each"]))
     out.print(view)
@@ -859,7 +860,7 @@ def _print_summary(
         say("RMS error of V over the states, exact; averaged over the rows of the log, and at the end")
     if varied and len(table[score].drop_duplicates()) > 1:
         say("* the best of its method on these seeds; chosen for its mean, which so flatters it")
-        if table["tied"].sum() > table["best"].sum():
+        if sum(table["tied"]) > sum(table["best"]):
             say("~ not told apart from the best: these seeds do not say which of them is better")
     if late:
         say(
@@ -870,11 +871,11 @@ def _print_summary(
         say(
             f"! rests on few bad runs, and may be worse: {stats.unseen(seeds)} stuck, which {seeds} seeds need not show"
         )
-    for line in [*notes, *edges]:
+    for line in [*notes, *(f"{end}: {', '.join(methods)}" for end, methods in edges.items())]:
         say(line)
     if not prediction:
         for name, value in _soft_optima(datasets, env).items():
-            say(f"{name}: the best policy that explores so is worth {six_digits(value)}")
+            say(f"exploring with {name}: the best policy is worth {six_digits(value)}")
     if exact:
         say(
             "worth of the greedy policy: exact value at the end, median over seeds; -inf: goes round for ever"

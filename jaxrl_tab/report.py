@@ -47,8 +47,8 @@ OF_PREDICTION = {
 
 # As measured, see `stats.score_interval`; of 10, 30 and 100 seeds.
 COVERAGE = (
-    "of 10, 30 and 100 seeds, 94 to 96 of 100 such intervals were right; where 1 or 2 runs in 100 get stuck, at "
-    "least 82, 94 and 96."
+    "and 10, 30 and 100 seeds, 94 to 96 of 100 such intervals were right; where 1 or 2 runs in 100 get stuck, at "
+    "least 82, 94 and 96 were."
 )
 
 Datasets = Mapping[str, xr.Dataset]

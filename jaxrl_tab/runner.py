@@ -34,7 +34,7 @@ import jaxrl_tab
 from jaxrl_tab import batch, storage
 from jaxrl_tab.executors import Executor, Local
 from jaxrl_tab.experiment import Experiment, PartPlan, Plan, difference
-from jaxrl_tab.memory import Results, free, size, words
+from jaxrl_tab.memory import Results, free, let_go, size, words
 from jaxrl_tab.results import is_diverged, save
 from jaxrl_tab.storage import Store
 from jaxrl_tab.sweep import Computed, Part, compute, leaves_as_arrays, result
@@ -135,7 +135,7 @@ def run(
     """
     if not isinstance(experiment, Experiment):
         raise InputError(f"run takes an Experiment, not {shown(experiment)}")
-    command = shlex.join(sys.argv) if command is None else command
+    command = _typed(command)
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
@@ -174,9 +174,15 @@ def resume(
         raise InputError(f"{name} is no folder" if os.path.exists(path) else f"there is no folder {name}")
     if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
-    command = shlex.join(sys.argv) if command is None else command
+    command = _typed(command)
     with storage.lock(path):
         return _go_on(path, _experiment_in(path), executor, memory, progress, command)
+
+
+def _typed(command: str | None) -> str:
+    """What was typed, as text that can be written: names of files need not be text in UTF-8."""
+    command = shlex.join(sys.argv) if command is None else command
+    return command.encode(errors="backslashreplace").decode()
 
 
 def _path(folder: Any) -> Path:
@@ -318,6 +324,7 @@ def _compute(store: Store, job: Job, executor: Executor, meter: "_Meter", later:
             largest = part.largest_values[_runs(part, job.shards[number]) // part.num_seeds]
             diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
             store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
+            let_go()
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)
 

@@ -266,7 +266,7 @@ def unseen(n: int) -> str:
 
     The rule of three (Hanley and Lippman-Hand 1983, J. Am. Med. Assoc. 249, 1743-1745).
     """
-    return f"up to {min(3 / n, 1):.2g} of all runs may be".replace("up to 1 of", "any number of")
+    return f"up to {300 / n:.2g}% of all runs may be" if n > 3 else "any number of runs may be"
 
 
 def _least(*numbers: xr.DataArray | float) -> xr.DataArray:
@@ -1384,7 +1384,7 @@ def possible(interval: Interval, x: xr.DataArray, ds: xr.Dataset) -> Interval:
     top = optimum(ds).broadcast_like(best_seen)
     top = top.where(best_seen <= top + 1e-6 * abs(top), np.inf)  # float32 has its rounding
     if "rewards" in ds and not _by_seeds(lambda some: (some.rewards > 0).any("row"))(ds).any():
-        top = np.minimum(top, 0)
+        top = top.clip(max=0)
     high = _least(interval.high, top.where(top > interval.estimate, interval.estimate))
     return interval._replace(high=interval.high.copy(data=high.transpose(*interval.high.dims).values))
 

@@ -11,7 +11,6 @@ are not such as are written here is no manifest, and only files that lie in the 
 import contextlib
 import errno
 import hashlib
-import io
 import json
 import os
 import re
@@ -106,7 +105,9 @@ def read_json(file: Path) -> Any:
     with said(file, "read"):
         data = file.read_bytes()
     try:
-        return json.loads(data)
+        found = json.loads(data.decode())
+        json.dumps(found, ensure_ascii=False).encode()  # halves of characters cannot be written again
+        return found
     except (ValueError, RecursionError):
         return None
 
@@ -240,12 +241,12 @@ class Store:
             RunError: it cannot be written, as where the disk is full; nothing of it is left.
         """
         facts = {"diverged": diverged, "setting": setting}
-        buffer = io.BytesIO()
         about = np.array(json.dumps(self._about(number) | facts))
-        np.savez(buffer, **arrays, **{ABOUT: about})  # pyright: ignore[reportArgumentType]
-        data = buffer.getbuffer()
-        write(self.path / SHARDS / _name(number), data)
-        self.shards[number] = Facts(hashlib.sha256(data).hexdigest(), **facts)
+        with writing(self.path / SHARDS / _name(number)) as unfinished:
+            with unfinished.open("wb") as file:
+                np.savez(file, **arrays, **{ABOUT: about})  # pyright: ignore[reportArgumentType]
+            sha256 = _sha256(unfinished)
+        self.shards[number] = Facts(sha256, **facts)
         self._write_manifest()
 
     def read(self, number: int) -> dict[str, np.ndarray]:

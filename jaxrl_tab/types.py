@@ -7,7 +7,7 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 import dataclasses
 import difflib
 import inspect
-import re
+import os
 import reprlib
 import sys
 from collections.abc import Iterable, Mapping
@@ -84,15 +84,14 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
 
 
 def as_path(what: str, given: Any) -> Path:
-    """`given` as a path. Raises InputError unless it is one, written in what can be stored as UTF-8."""
-    if not isinstance(given, str | Path) or not is_text(str(given)):
-        raise InputError(f"{what} must be named by a text in UTF-8, or a Path, not {shown(given)}")
+    """`given` as a path. Raises InputError unless it is one that the system can be asked for."""
+    try:
+        known = isinstance(given, str | os.PathLike) and b"\0" not in os.fsencode(given)
+    except UnicodeEncodeError:
+        known = False
+    if not known:
+        raise InputError(f"{what} must be named by a text, or a Path, not {shown(given)}")
     return Path(given)
-
-
-def is_text(text: str) -> bool:
-    """Whether `text` can be stored as UTF-8, and named to the system: bytes of no meaning and NUL cannot."""
-    return "\0" not in text and not re.search(r"[\ud800-\udfff]", text)
 
 
 TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds written as 0.333 do not

@@ -144,7 +144,9 @@ def test_every_step_agrees_with_the_plain_loop(name):
     "policy", [EpsilonGreedy(1.0), Softmax(9.0), UCB(9.0), Greedy(), Table(UNIFORM)], ids=str
 )
 def test_no_policy_takes_an_action_that_is_not_there(policy):
-    """Broken once: an action that was never taken comes first in UCB, whatever it is -> fails."""
+    """Broken once: an action that was never taken comes first in UCB, whatever it is; Q0 everywhere -> fails."""
+    start = restricted(rl.QLearning(behaviour=policy), HAS).init(5, 4).q
+    np.testing.assert_array_equal(start, np.where(HAS, 0, np.float32(UNAVAILABLE)))
     for visits in (np.zeros((5, 4), int), HAS * 9):
         clock = schedules.start(5, 4, True)._replace(visits=jnp.asarray(visits))
         rows = [
@@ -235,6 +237,28 @@ def test_nothing_is_reached_by_what_is_not_there():
             return jnp.ones(1), Outcome(s_next, jnp.where(s < 2, -1.0, 0.0)[None], s_next == 2)
 
     assert planning.reachable(planning.exact_model(Closed())).tolist() == [True, False, True]
+
+
+def test_waiting_for_nothing_is_done_by_what_is_there():
+    """Waiting is free, and ending costs 1. Broken once: a copy of waiting that is not there -> is taken."""
+
+    @pytree
+    class Waiting(Finite):
+        num_states, num_actions, max_steps = 2, 3, 9
+
+        def available(self, s):
+            return jnp.arange(3) < 2
+
+        def initial(self):
+            return jnp.eye(2)[0]
+
+        def outcomes(self, s, a):
+            ends = (s == 1) | (a == 1)
+            reward = jnp.where(ends & (s == 0), -1.0, 0.0)
+            return jnp.ones(1), Outcome(ends.astype(jnp.int32)[None], reward[None], ends[None])
+
+    pi, v, _ = planning.policy_iteration(Waiting())
+    assert pi[0].tolist() == [1, 0, 0] and v[0] == 0
 
 
 def test_exact_values_beside_a_run():

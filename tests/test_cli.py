@@ -91,7 +91,7 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
         lines = [line.split("│") for line in printed.out.splitlines() if f"│ {method} " in line]
         assert [float(line[2]) for line in lines] == [0.5, 1.0]
         np.testing.assert_allclose([float(line[3]) for line in lines], rows.episodes, atol=0.05)
-        bounds = [line[5].replace("–", "nan to nan").split(" to ") for line in lines]
+        bounds = [line[5].replace("–", "nan to nan").strip(" !").split(" to ") for line in lines]
         means = [line[4].replace("–", "nan") for line in lines]
         shown = [[float(mean), *map(float, ends)] for mean, ends in zip(means, bounds, strict=True)]
         columns = rows[["last_tenth_return", "last_tenth_low", "last_tenth_high"]]

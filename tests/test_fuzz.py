@@ -226,7 +226,7 @@ def make_idle(put):
 
 
 def test_commands_end_well_or_in_one_line(idle):
-    """Broken once: bytes of no meaning and NUL let through; a path of 5000 characters named whole -> fails."""
+    """Broken once: NUL let through; a path of 5000 characters named whole -> fails."""
     type_commands(seed=0, times=200)
 
 

@@ -163,6 +163,20 @@ def test_several_environments_have_groups_and_pictures_of_their_own(tmp_path):
     assert runner.summary(outcome).environment.tolist() == list(outcome.envs)
 
 
+def test_any_label_has_its_pictures(tmp_path, computed):
+    """Broken once: the label as the name of a folder -> the file name is too long."""
+    labels = ["x" * 300, "foo.unfinished", "Walk", "walk"]
+    walks = [{"name": "random-walk", "label": label} for label in labels]
+    rl.run(rl.Experiment(walks, "td", seeds=2, steps=100), tmp_path / "run")
+    assert len(list((tmp_path / "run" / "pictures").glob("*/overview.png"))) == 4
+    with xr.open_datatree(tmp_path / "run" / "results.nc") as tree:
+        assert set(labels) == set(tree.children)
+    computed.clear()
+    before = (tmp_path / "run" / "results.nc").stat().st_mtime_ns
+    rl.resume(tmp_path / "run")
+    assert computed == [] and (tmp_path / "run" / "results.nc").stat().st_mtime_ns == before
+
+
 def test_results_that_do_not_fit_are_in_files_with_the_same_numbers(folder, undisturbed):
     outcome = rl.resume(folder, memory=2_000_000)
     for name, ds in undisturbed[1].datasets.items():
@@ -267,6 +281,55 @@ def test_a_changed_experiment_is_refused_with_the_difference(folder, computed):
         rl.resume(folder)
     assert f"{file} was changed since: seeds was 70, and is 71" in str(error.value)
     assert computed == [] and (folder / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["experiment.toml", "resolved.json"])
+@pytest.mark.parametrize("damage", [b"", b"[1, 2]", b"\0\xff", b"seeds = 1", b'{"seeds": 70}'])
+def test_one_of_the_two_experiments_mends_the_other(folder, undisturbed, computed, caplog, name, damage):
+    """Broken once: what is in `resolved.json` taken as it is -> TypeError."""
+    before = (folder / name).read_bytes()
+    (folder / name).write_bytes(damage)
+    rl.resume(folder)
+    assert caplog.messages[0].startswith(
+        f"{name} is damaged: it is now set-aside/0-{name}, and is made again, of"
+    )
+    assert (folder / name).read_bytes() == before and computed == []
+    assert (folder / "set-aside" / f"0-{name}").read_bytes() == damage
+
+
+def test_an_altered_resolved_json_is_damage(folder, undisturbed, computed, caplog):
+    """For nobody edits it: the fingerprint is that of the other. Broken once: taken for a change -> refused."""
+    text = (folder / "resolved.json").read_text()
+    (folder / "resolved.json").write_text(text.replace('"seeds": 70', '"seeds": 71'))
+    rl.resume(folder)
+    assert "resolved.json is damaged" in caplog.text and computed == []
+    assert (folder / "resolved.json").read_text() == text
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[]", "3", '{"file": 3, "sessions": []}', '{"file": null, "sessions": [{"versions": 3}]}', '"\\ud800"'],
+)
+def test_records_of_another_kind_are_begun_anew(folder, caplog, text):
+    """Broken once: looked at only whether it is JSON -> TypeError, KeyError, UnicodeEncodeError."""
+    (folder / "provenance.json").write_text(text)
+    rl.resume(folder)
+    assert (
+        "provenance.json is damaged: it is now set-aside/0-provenance.json, and is begun anew" in caplog.text
+    )
+    (session,) = json.loads((folder / "provenance.json").read_text())["sessions"]
+    assert session["ended"]
+
+
+def test_what_is_no_experiment_or_no_name_is_refused(tmp_path):
+    for wrong in (None, "experiment.toml", {}):
+        with pytest.raises(InputError, match="run takes an Experiment, not"):
+            rl.run(wrong, tmp_path / "run")
+    for wrong in (3, None, "a\0b", b"bytes"):
+        with pytest.raises(InputError, match="the name of a folder must be text"):
+            rl.resume(wrong)
+    with pytest.raises(InputError, match="the name of a folder must be text"):
+        rl.run(quick.SELECTED, "a\0b")
 
 
 def test_so_is_one_that_was_changed_where_it_was_read_from(tmp_path, computed):
