@@ -202,8 +202,8 @@ def _notes(error: BaseException) -> list[str]:
 
 
 def _dispatch(argv: list[str]) -> int:
-    for word in argv:
-        as_path("what is typed", word)  # so that it can name a file, if it should
+    for typed in argv:
+        as_path("what is typed", typed)  # so that it can name a file, if it should
     commands = {
         "list": _list,
         "solve": _solve,

@@ -87,7 +87,7 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
         return _parsed(schedules.parse, what, name)
     wanted, fits = _KINDS[kind(parameter)]
     wrong = not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool)
-    if wrong or (isinstance(given, Integral | Fraction) and abs(given) > sys.float_info.max):
+    if wrong or (isinstance(given, int | Fraction) and abs(given) > sys.float_info.max):
         more = f" or a schedule ({schedule_forms()})" if rate else ""
         raise InputError(f"{what} takes {wanted}{more}, not {shown(given)}")
     return kind(parameter)(given)
