@@ -37,7 +37,7 @@ from jaxrl_tab.results import is_diverged, save
 from jaxrl_tab.storage import Store
 from jaxrl_tab.sweep import Computed, Part, compute, leaves_as_arrays, result
 from jaxrl_tab.train import Log
-from jaxrl_tab.types import Environment, InputError, RunError, shown
+from jaxrl_tab.types import Environment, InputError, RunError, as_path, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import
     import pandas as pd
@@ -173,8 +173,9 @@ def resume(
         RunError: as in `run`.
     """
     path = _path(folder)
-    if not path.is_dir():
-        raise InputError(f"{path} is no folder" if path.exists() else f"there is no folder {path}")
+    if not os.path.isdir(path):
+        name = one_line(str(path))
+        raise InputError(f"{name} is no folder" if os.path.exists(path) else f"there is no folder {name}")
     if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
     command = _typed(command)
@@ -189,9 +190,7 @@ def _typed(command: str | None) -> str:
 
 
 def _path(folder: Any) -> Path:
-    if not isinstance(folder, str | os.PathLike) or "\0" in str(folder):
-        raise InputError(f"the name of a folder must be text, as paths are, not {shown(folder)}")
-    return Path(os.path.normpath(folder))
+    return Path(os.path.normpath(as_path("the folder", folder)))
 
 
 def _go_on(
