@@ -52,18 +52,18 @@ from jaxrl_tab.options import (
     option_of,
     parameters,
     parse,
-    path,
+    place,
     real,
     size,
-    text,
     values,
     whole,
+    word,
     words,
 )
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import label, save
 from jaxrl_tab.sweep import METHODS
-from jaxrl_tab.types import Environment, InputError, RunError, build, is_text, nearest, one_line, shown
+from jaxrl_tab.types import Environment, InputError, RunError, as_path, build, nearest, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -202,8 +202,8 @@ def _notes(error: BaseException) -> list[str]:
 
 
 def _dispatch(argv: list[str]) -> int:
-    if wrong := [word for word in argv if not is_text(word)]:
-        raise InputError(f"{shown(wrong[0])} is no text in UTF-8")
+    for typed in argv:
+        as_path("what is typed", typed)  # so that it can name a file, if it should
     commands = {
         "list": _list,
         "solve": _solve,
@@ -306,7 +306,7 @@ class Solve:
     """Discount rate, in [0, 1]."""
     epsilon: Annotated[float | None, real(0, 1), arg(help_behavior_hint="")] = None
     """Also find the best policy among those that take a random action with this probability."""
-    out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
     """New folder for a picture (PNG)."""
     json: Switch = False
     """Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A]."""
@@ -431,7 +431,7 @@ class Where:
 
     executor: Annotated[str, arg(metavar="NAME")] = "local"
     """local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see docs/scaling.md."""
-    address: Annotated[str | None, text("HOST:PORT"), arg(help_behavior_hint="")] = None
+    address: Annotated[str | None, word("HOST:PORT"), arg(help_behavior_hint="")] = None
     """Of the Ray cluster, or of process 0 of a distributed job."""
     processes: Annotated[int | None, whole(1), arg(help_behavior_hint="")] = None
     """How many processes a distributed job has."""
@@ -521,7 +521,7 @@ class Sweep(Where):
     exact: Switch = False
     """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
     (The error of methods of prediction is always recorded.)"""
-    out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
     dry_run: Switch = False
     """Show what would be run, in how much memory, and stop."""
@@ -595,9 +595,9 @@ def _write_template(file: str) -> int:
         with open(file, "x", encoding="utf-8") as to:
             to.write(template())
     except FileExistsError:
-        raise InputError(f"{file} exists already; name a new file") from None
+        raise InputError(f"{one_line(file)} exists already; name a new file") from None
     except OSError as error:
-        raise InputError(f"{file} cannot be written: {error.strerror}") from None
+        raise InputError(f"{one_line(file)} cannot be written: {error.strerror}") from None
     print(f"{file} is written; try {PROG} sweep {shlex.quote(file)} --dry-run")
     return 0
 
@@ -606,16 +606,19 @@ def _write_template(file: str) -> int:
 class Resume(Where):
     """Goes on with a sweep that was interrupted: computes what is missing or damaged, and nothing else.
 
-    The results are the same, to the last bit, as if nothing had happened.
+    The results are the same, to the last bit, as if nothing had happened. Where they would not be, as with
+    another version of JAX or on another kind of processor, it says what has changed, and computes nothing.
 
     Examples:
       jaxrl-tab resume runs/windy
     """
 
-    folder: Annotated[Positional[Path | None], path("DIR"), arg(help_behavior_hint="")] = None
+    folder: Annotated[Positional[Path | None], place("DIR"), arg(help_behavior_hint="")] = None
     """The folder of the sweep: what --out named."""
     memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
     """How much memory it may take, such as 4GB."""
+    mixed: Switch = False
+    """Go on nevertheless; the report tells what was not the same for all numbers."""
     json: Switch = False
     """Print the summary as JSON."""
     quiet: Switch = False
@@ -633,7 +636,7 @@ def _resume(argv: list[str]) -> int:
         if isinstance(executor, executors.Distributed) and executor.serve():
             return 0
         _start_jax()
-        given = {"executor": executor, "memory": options.memory, "command": command}
+        given = {"executor": executor, "memory": options.memory, "command": command, "mixed": options.mixed}
         with _watched(options) as progress:
             outcome = runner.resume(options.out, progress=progress, **given)
         return _show(outcome, options.out, options)
@@ -931,7 +934,7 @@ class Figure:
     """Name of the figure; see `jaxrl-tab list`."""
     all: Switch = False
     """Make all figures; with --out, also index.html, which shows them."""
-    out: Annotated[Path | None, path("DIR"), arg(help_behavior_hint="")] = None
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
     """New folder for the picture, as PNG and as PDF, and the data."""
     json: Switch = False
     """Print the numbers as JSON."""
@@ -1043,11 +1046,11 @@ def _folder(path: Path | None) -> Iterator[Path | None]:
     path = Path(os.path.normpath(path))
     try:
         if path.exists() or path.is_symlink():
-            raise InputError(f"--out: {path} exists already; name a new folder")
+            raise InputError(f"--out: {one_line(str(path))} exists already; name a new folder")
         unfinished = path.with_name(f"{path.name}.unfinished-{os.getpid()}")
         unfinished.mkdir(parents=True)
     except OSError as error:
-        raise InputError(f"--out: {path} cannot be made: {error.strerror}") from None
+        raise InputError(f"--out: {one_line(str(path))} cannot be made: {error.strerror}") from None
     try:
         yield unfinished
         unfinished.rename(path)

@@ -5,10 +5,10 @@ And what a person may give for one of them: a number, or text such as "glie" and
 
 import dataclasses
 import inspect
-import math
 import re
 import sys
 from collections.abc import Callable
+from fractions import Fraction
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
@@ -118,7 +118,7 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
         return _parsed(schedules.parse, what, name)
     wanted, fits = _KINDS[kind(parameter)]
     wrong = not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool)
-    if wrong or (kind(parameter) is float and abs(given) > sys.float_info.max and not math.isinf(given)):
+    if wrong or (isinstance(given, int | Fraction) and abs(given) > sys.float_info.max):
         more = f" or a schedule ({schedule_forms()})" if rate else ""
         raise InputError(f"{what} takes {wanted}{more}, not {shown(given)}")
     return kind(parameter)(given)

@@ -38,7 +38,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
-from jaxrl_tab import axes, batch, describe, memory, policies, schedules
+from jaxrl_tab import axes, batch, describe, memory, policies, rng, schedules
 from jaxrl_tab.axes import DRAW
 from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.prediction import METHODS, PREDICTION
@@ -48,6 +48,7 @@ from jaxrl_tab.types import (
     InputError,
     as_path,
     build,
+    check_choice,
     init_learner,
     is_whole,
     nearest,
@@ -72,6 +73,9 @@ class Source(NamedTuple):
 
     path: Path
     text: str
+
+    def __str__(self) -> str:
+        return one_line(str(self.path))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,11 +150,13 @@ class Experiment:
                 content = file.read(MOST_BYTES + 1)
             text = content.decode("utf-8-sig")
         except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror}") from None
+            raise InputError(f"{one_line(str(path))} cannot be read: {error.strerror}") from None
         except UnicodeDecodeError:
-            raise InputError(f"{path} is no text in UTF-8") from None
+            raise InputError(f"{one_line(str(path))} is no text in UTF-8") from None
         if len(content) > MOST_BYTES:
-            raise InputError(f"{path} is larger than {memory.words(MOST_BYTES)}: that is no experiment")
+            raise InputError(
+                f"{one_line(str(path))} is larger than {memory.words(MOST_BYTES)}: that is no experiment"
+            )
         source = Source(path, text.replace("\r\n", "\n"))
         return cls.from_data(_read(source), source)
 
@@ -237,8 +243,7 @@ class Selection:
 
     def __post_init__(self):
         with _at("by"):
-            if self.by not in CRITERIA:
-                raise InputError(f"by: there is no {shown(self.by)}; {nearest(str(self.by), CRITERIA)}")
+            check_choice("select", "by", self.by, CRITERIA)
         with _at("fresh_seeds"):
             _whole("fresh_seeds", self.fresh_seeds, 1)
 
@@ -368,7 +373,7 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
     kind = "core" if devices[0].platform == "cpu" else devices[0].device_kind
     found = {}
     for name, part in parts.items():
-        root = jax.random.key(part.seed)
+        root = rng.key(part.seed)
         each = [
             batch.forecast(
                 part.env,
@@ -536,8 +541,8 @@ def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[st
                 name = table["name"]
                 if not isinstance(name, str) or name not in registry:
                     if registry is ENVS:
-                        raise InputError(f"{shown(name)} is not an environment; {instead(str(name))}")
-                    raise InputError(f"{shown(name)} is not a method; {nearest(str(name), registry)}")
+                        raise InputError(f"{shown(name)} is not an environment; {instead(name)}")
+                    raise InputError(f"{shown(name)} is not a method; {nearest(name, registry)}")
             with _at("label"):
                 label = table.get("label", name)
                 _check_label(label)
@@ -751,7 +756,7 @@ def _located(source: Source | None) -> Iterator[None]:
         where = ""
         if source:
             line = _line(source, error.path)
-            where = f"{source.path}, line {line}: " if line else f"{source.path}: "
+            where = f"{source}, line {line}: " if line else f"{source}: "
         raise InputError(f"{where}{error}") from None
 
 
@@ -764,9 +769,9 @@ def _read(source: Source) -> dict[str, Any]:
         what, _, place = str(error).partition(" (at ")
         found = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
         line = found[1] if found else statements[-1].line
-        raise InputError(f"{source.path}, line {line}: {one_line(what[0].lower() + what[1:])}") from None
+        raise InputError(f"{source}, line {line}: {one_line(what[0].lower() + what[1:])}") from None
     except ValueError:
-        raise InputError(f"{source.path}: a whole number has more digits than Python reads") from None
+        raise InputError(f"{source}: a whole number has more digits than Python reads") from None
 
 
 # What a file is made of as far as it must be known where statements end: texts, comments, and single characters.
@@ -796,7 +801,7 @@ def _statements(source: Source) -> list[_Statement]:
         parts = parts + 1 if text == "." else parts if text[0] in "\"'" else 0
         if max(depth, parts) > DEEPEST:
             what = "brackets are in one another" if depth > DEEPEST else "parts are in a key"
-            raise InputError(f"{source.path}, line {line}: more than {DEEPEST} {what}")
+            raise InputError(f"{source}, line {line}: more than {DEEPEST} {what}")
         line += text.count("\n")
         if text == "\n" and depth <= 0:
             found.append(_Statement(first, piece.end()))

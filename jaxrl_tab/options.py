@@ -75,12 +75,12 @@ def size() -> Any:
     return _option(int, memory.parse, "SIZE")
 
 
-def text(metavar: str) -> Any:
+def word(metavar: str) -> Any:
     """An annotation of an option that takes any text as it is. (tyro takes None for an option not given.)"""
     return _option(str, str, metavar)
 
 
-def path(metavar: str) -> Any:
+def place(metavar: str) -> Any:
     """An annotation of an option that takes a file or a folder."""
     return _option(Path, Path, metavar)
 

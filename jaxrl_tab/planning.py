@@ -21,7 +21,6 @@ values are finite.
 
 import contextlib
 from collections.abc import Callable, Iterator
-from numbers import Real
 from typing import Any, NamedTuple
 
 import jax
@@ -31,11 +30,12 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrl_tab import policies
+from jaxrl_tab import memory, policies
 from jaxrl_tab.types import (
     Environment,
     FiniteEnvironment,
     InputError,
+    as_array,
     available_actions,
     check_pytree,
     first,
@@ -44,6 +44,7 @@ from jaxrl_tab.types import (
     shown,
 )
 
+BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
 ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
 PATH_SWEEPS = 100  # of `largest_return`
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
@@ -112,6 +113,7 @@ def exact_model(env: Environment) -> Model:
     """
     check_finite(env)
     check_pytree(_name(env), env)
+    _check_size(env)
     # In 64 bits from the first operation on, or 1/3 would be a float32 third.
     with jax.enable_x64(), jax.numpy_dtype_promotion("standard"):
         # A copy, for a live program that closes over an array makes JAX 0.10 remember its value in 32 bits.
@@ -119,6 +121,16 @@ def exact_model(env: Environment) -> Model:
         model = jax.tree.map(np.asarray, _enumerate_jit(env))
     _check_model(_name(env), model)
     return model
+
+
+def _check_size(env: Any) -> None:
+    """Raises InputError where all outcomes, of one for each state and action at least, do not fit in memory."""
+    pairs = env.num_states * env.num_actions
+    if pairs >= 2**31 or BYTES_OF_OUTCOME * pairs > memory.free():
+        raise InputError(
+            f"{_name(env)}: {env.num_states:,} states with {env.num_actions:,} actions each are more than fit in "
+            "memory; make it smaller"
+        )
 
 
 _enumerate_jit = jax.jit(enumerate_model)
@@ -320,8 +332,8 @@ def value_iteration(
             earns more than it costs; or `max_sweeps` were not enough.
     """
     check_rate("gamma", gamma)
-    if not (isinstance(tol, Real) and tol > 0):
-        raise InputError(f"tol must be greater than 0, not {tol!r}")
+    if not (isinstance(tol, int | float | np.number) and tol > 0):
+        raise InputError(f"tol must be greater than 0, not {shown(tol)}")
     model = exact_model(env)
     found = _solved(env, model, 0.0, gamma)
     v, terms = found.v, (found.probs * backup(_sizes(model), abs(found.v), gamma)).sum(1)
@@ -823,8 +835,16 @@ def _name(env: Any) -> str:
     return type(env).__name__
 
 
+def _numbers(name: str, value: Any) -> np.ndarray:
+    """`value` in float64. Raises InputError unless it is numbers in a rectangular array."""
+    array = as_array(value)
+    if array is None or array.dtype.kind not in "biuf":
+        raise InputError(f"{name} must be numbers, in rows of equal length, not {shown(value)}")
+    return array.astype(np.float64)
+
+
 def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
-    probs = np.asarray(policy_probs, np.float64)
+    probs = _numbers("policy_probs", policy_probs)
     shape = model.prob.shape[:2]
     if probs.shape != shape:
         raise InputError(f"policy_probs must have shape [S, A] = {shape}, not {probs.shape}")
@@ -839,7 +859,7 @@ def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
 
 def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
     """`values` in float64: v [S], or q [S, A], whatever that says of actions that are not available."""
-    array = np.asarray(values, np.float64)
+    array = _numbers(name, values)
     shape = model.prob.shape[: 1 if name == "v" else 2]
     if array.shape != shape:
         each = f"{shape[0]} states" + "".join(f" and {n} actions" for n in shape[1:])
@@ -849,16 +869,13 @@ def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
 
 def check_rate(name: str, value: float) -> None:
     """Raises InputError unless `value` is a number in [0, 1]."""
-    if not (isinstance(value, Real) and 0 <= value <= 1):
-        raise InputError(f"{name} must be between 0 and 1, not {value!r}")
+    if not (isinstance(value, int | float | np.number) and 0 <= value <= 1):
+        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
 
 
 def _checked_table(q: Any) -> Float[np.ndarray, "... S A"]:
     """`q` in float64. Raises InputError unless it is a table of numbers, or many."""
-    try:
-        array = np.asarray(q, np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"q must be numbers [S, A] or [..., S, A], not {shown(q)}") from None
+    array = _numbers("q", q)
     if array.ndim < 2 or not array.size:
         raise InputError(f"q must be action values [S, A] or [..., S, A], not of shape {array.shape}")
     if (i := first(np.isnan(array))) is not None:

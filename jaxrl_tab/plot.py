@@ -386,7 +386,7 @@ def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float)
     for name, y, style, offset, side in lines:
         if np.isfinite(y):
             ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1)
-            text = f"{name} {_number(y)}"
+            text = f"{name} {_number(y, 4)}"
             at = {"xytext": (0, offset), "xycoords": ax.get_yaxis_transform(), "textcoords": "offset points"}
             label = ax.annotate(text, (0.02, y), **at, va=side, fontsize=SMALL, zorder=6)
             label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])

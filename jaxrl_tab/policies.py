@@ -31,6 +31,7 @@ from jaxrl_tab import schedules, tables
 from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
 from jaxrl_tab.types import (
     InputError,
+    as_array,
     check_available,
     concrete,
     first,
@@ -224,7 +225,7 @@ class EpsilonGreedy(_Anywhere):
 
     def __post_init__(self):
         check_rate(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
-        if self.available is None or (there := concrete(self.available)) is None:
+        if self.available is None or (there := as_array(self.available)) is None:
             return
         if there.ndim != 2:
             raise InputError(f"EpsilonGreedy: available must be booleans [S, A], not of shape {there.shape}")
@@ -319,14 +320,13 @@ class Table:
     probabilities: Any
 
     def __post_init__(self):
-        try:
-            pi = concrete(self.probabilities)
-        except ValueError:
-            raise InputError("Table: probabilities must be numbers [S, A], in rows of equal length") from None
-        if pi is None:
+        if (pi := as_array(self.probabilities)) is None:
             return
         if pi.ndim != 2 or pi.dtype.kind not in "biuf":
-            raise InputError(f"Table: probabilities must be numbers [S, A], not of shape {pi.shape}")
+            raise InputError(
+                "Table: probabilities must be numbers [S, A], in rows of equal length, not "
+                f"{shown(self.probabilities)}"
+            )
         if (s := first(~is_distribution(pi))) is not None:
             raise InputError(
                 f"Table: the probabilities in state {s[0]} are not a distribution: {shown(pi[s])}"

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab import tables
-from jaxrl_tab.types import InputError, build, concrete, nearest, pytree, shown, static
+from jaxrl_tab.types import InputError, as_array, build, concrete, nearest, pytree, shown, static
 
 ClockName: TypeAlias = Literal["step", "episode", "visit"]
 CLOCKS = ("step", "episode", "visit")
@@ -295,10 +295,7 @@ def check_number(obj, name: str, ok, wanted: str, kinds: str = "a number") -> No
     All must be `ok`, which is `wanted` in words, and still be it in the precision in which JAX computes.
     """
     value, field = getattr(obj, name), f"{type(obj).__name__}: {name}"
-    try:
-        number = np.empty(0, object) if isinstance(value, list | tuple) else concrete(value)
-    except (TypeError, ValueError):  # what cannot become an array is no number
-        number = np.empty(0, object)
+    number = np.empty(0, object) if isinstance(value, list | tuple) else as_array(value)
     if number is None:
         return
     if number.dtype.kind not in "fiu":
@@ -522,7 +519,7 @@ def _tail(asker: str, rate: Any, fits: Callable[[float], bool], wanted: str) -> 
             f"{asker} cannot tell of {kind}: no number of its values decides about a limit; "
             f"give a number or a schedule of the families {known}"
         )
-    number = concrete(rate)
+    number = as_array(rate)
     if number is None or number.ndim or number.dtype.kind not in "fiu" or not fits(float(number)):
         raise InputError(f"{asker}: {wanted}, or a schedule, not {shown(rate)}")
     return _tail_at(float(number), "is 0")

@@ -868,8 +868,10 @@ def _check_dims(x: xr.DataArray, dims: Sequence[Hashable]) -> None:
     if not isinstance(x, xr.DataArray):
         raise InputError(f"numbers must be an xarray.DataArray, whose axes have names, not {shown(x)}")
     for d in dims:
-        if d not in x.dims:
-            raise InputError(f"no dimension {d!r} to take the statistic over; there are {_names(x.dims)}")
+        if not isinstance(d, str) or d not in x.dims:
+            raise InputError(
+                f"no dimension {shown(d)} to take the statistic over; there are {_names(x.dims)}"
+            )
         if not x.sizes[d]:
             raise InputError(f"nothing lies along the dimension {d!r}")
     if len(set(dims)) < len(dims):
@@ -877,8 +879,8 @@ def _check_dims(x: xr.DataArray, dims: Sequence[Hashable]) -> None:
 
 
 def _check_fraction(name: str, value: float) -> None:
-    if not 0 < value < 1:
-        raise InputError(f"{name} must be between 0 and 1, not {value!r}")
+    if not (isinstance(value, int | float | np.number) and 0 < value < 1):
+        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
 
 
 # --- one number per seed -----------------------------------------------------------------------------

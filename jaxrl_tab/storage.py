@@ -189,11 +189,13 @@ class Facts(NamedTuple):
         sha256: of the file, in hexadecimal digits.
         diverged: how many of its runs diverged.
         setting: the number of the setting that was chosen, where its runs are on fresh seeds.
+        surroundings: the name of what it was computed with, see `provenance`; an earlier version did not say.
     """
 
     sha256: str
     diverged: int
     setting: int | None
+    surroundings: str | None = None
 
 
 class Store:
@@ -234,14 +236,19 @@ class Store:
         _write_manifest(path, _empty(fingerprint))
 
     def write(
-        self, number: int, arrays: Mapping[str, np.ndarray], diverged: int = 0, setting: int | None = None
+        self,
+        number: int,
+        arrays: Mapping[str, np.ndarray],
+        diverged: int = 0,
+        setting: int | None = None,
+        surroundings: str | None = None,
     ) -> None:
         """Keeps a shard, with what is to be known of it: see `Facts`.
 
         Raises:
             RunError: it cannot be written, as where the disk is full; nothing of it is left.
         """
-        facts = {"diverged": diverged, "setting": setting}
+        facts = {"diverged": diverged, "setting": setting, "surroundings": surroundings}
         about = np.array(json.dumps(self._about(number) | facts))
         with writing(self.path / SHARDS / _name(number)) as unfinished:
             with unfinished.open("wb") as file:
@@ -329,7 +336,7 @@ class Store:
             sha256 = _sha256(file) if arrays else ""
         try:
             about = json.loads(str((arrays or {})[ABOUT]))
-            facts = {"sha256": sha256, **{key: about.pop(key) for key in ("diverged", "setting")}}
+            facts = {"sha256": sha256, **{key: about.pop(key) for key in Facts._fields if key in about}}
         except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
             return None
         return Facts(**facts) if about == self._about(number) and _are_facts(facts) else None
@@ -361,10 +368,11 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 def _are_facts(facts: Any) -> bool:
     return (
         isinstance(facts, dict)
-        and facts.keys() == set(Facts._fields)
+        and facts.keys() | Facts._field_defaults.keys() == set(Facts._fields)
         and _is_sha256(facts["sha256"])
         and is_whole(facts["diverged"], least=0)
         and (facts["setting"] is None or is_whole(facts["setting"], least=0))
+        and isinstance(facts.get("surroundings"), str | None)
     )
 
 

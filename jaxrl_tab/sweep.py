@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab import batch, planning
+from jaxrl_tab import batch, planning, rng
 from jaxrl_tab.axes import DRAW, check_settings, spread, swept_names
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite
@@ -30,6 +30,7 @@ from jaxrl_tab.types import (
     foreign,
     is_whole,
     nearest,
+    one_line,
     repeated,
     restricted,
     shown,
@@ -88,7 +89,7 @@ class Part:
     @property
     def root(self) -> Any:
         """The key whose folds are those of the runs."""
-        key = jax.random.key(self.seed)
+        key = rng.key(self.seed)
         return jax.random.fold_in(key, FRESH) if self.fresh else key
 
     @property
@@ -307,9 +308,13 @@ def result(part: Part, computed: Computed) -> SweepResult:
 def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
     if isinstance(algorithm, str):
         if algorithm not in METHODS:
-            raise InputError(f"no method is called {algorithm!r}; {nearest(algorithm, METHODS)}")
+            raise InputError(f"no method is called {shown(algorithm)}; {nearest(algorithm, METHODS)}")
         return METHODS[algorithm]
-    if not isinstance(algorithm, type) or not dataclasses.is_dataclass(algorithm):
+    if (
+        not isinstance(algorithm, type)
+        or not dataclasses.is_dataclass(algorithm)
+        or not hasattr(algorithm, "update")
+    ):
         raise InputError(
             "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
             f"(got {shown(algorithm)})"
@@ -331,10 +336,10 @@ def configurations(
         raise InputError(f"the keys of grid must be names of hyperparameters, not {shown(wrong[0])}")
     axes, single = {}, {}
     for parameter, values in spread(grid, num_draws, seed, name).items():
-        if isinstance(values, Sequence | np.ndarray | jax.Array) and np.ndim(values) > 0:
-            if np.ndim(values) > 1:
+        if _is_list(values):
+            if any(map(_is_list, values)):
                 raise InputError(
-                    f"the grid of {parameter} must be a flat list, not of shape {np.shape(values)}; "
+                    f"the grid of {parameter} must be a flat list, not {shown(values)}; "
                     "probabilities [S, A] are one value where they are a policies.Table"
                 )
             axes[parameter] = tuple(_plain(value) for value in values)
@@ -344,7 +349,7 @@ def configurations(
         if not values:
             raise InputError(f"the grid of {parameter} is empty")
         if parameter != DRAW and (again := repeated(map(label, values))):
-            raise InputError(f"the grid of {parameter} holds {shown(again[0])} more than once")
+            raise InputError(f"the grid of {parameter} holds {one_line(str(again[0]))} more than once")
     sizes = [len(values) for values in axes.values()]
     check_settings(math.prod(sizes), f"{' x '.join(map(str, sizes))} values of {', '.join(axes)}")
     names = [name for name in axes if name != DRAW]
@@ -354,6 +359,12 @@ def configurations(
         return build(cls, name, single | dict(zip(names, values, strict=True)) | trial)
 
     return axes, [instance(point) for point in itertools.product(*axes.values())]
+
+
+def _is_list(value: Any) -> bool:
+    if isinstance(value, np.ndarray | jax.Array):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def _plain(value: Any) -> Any:

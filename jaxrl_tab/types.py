@@ -7,7 +7,7 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 import dataclasses
 import difflib
 import inspect
-import re
+import os
 import reprlib
 import sys
 from collections.abc import Iterable, Mapping
@@ -58,10 +58,16 @@ def one_line(text: str) -> str:
 
 def nearest(name: Any, names: Iterable[str]) -> str:
     """Returns "did you mean 'x'?" for the name most like `name`, or one that begins so; else all `names`."""
-    names, name = list(names), str(name).lower().replace("_", "-")
+    names, name = list(names), (name if isinstance(name, str) else "").lower().replace("_", "-")
     begins = [x for x in names if name and x.startswith(name)]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5) or begins
     return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
+
+
+def check_choice(name: str, what: str, value: Any, choices: Iterable[str]) -> None:
+    """Raises InputError unless `value` is one of the texts in `choices`; the message names the nearest."""
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"{name}: {what} {shown(value)} is unknown; {nearest(value, choices)}")
 
 
 def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
@@ -78,15 +84,14 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
 
 
 def as_path(what: str, given: Any) -> Path:
-    """`given` as a path. Raises InputError unless it is one, written in what can be stored as UTF-8."""
-    if not isinstance(given, str | Path) or not is_text(str(given)):
-        raise InputError(f"{what} must be named by a text in UTF-8, or a Path, not {shown(given)}")
+    """`given` as a path. Raises InputError unless it is one that the system can be asked for."""
+    try:
+        known = isinstance(given, str | os.PathLike) and b"\0" not in os.fsencode(given)
+    except UnicodeEncodeError:
+        known = False
+    if not known:
+        raise InputError(f"{what} must be named by a text, or a Path, not {shown(given)}")
     return Path(given)
-
-
-def is_text(text: str) -> bool:
-    """Whether `text` can be stored as UTF-8, and named to the system: bytes of no meaning and NUL cannot."""
-    return "\0" not in text and not re.search(r"[\ud800-\udfff]", text)
 
 
 TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds written as 0.333 do not
@@ -194,6 +199,14 @@ def pytree(cls: type[T]) -> type[T]:
 def concrete(x: Any) -> np.ndarray | None:
     """The value of `x` as a NumPy array, or None where it is a tracer and has no value yet."""
     return None if isinstance(x, Tracer) else np.asarray(x)
+
+
+def as_array(x: Any) -> np.ndarray | None:
+    """`concrete(x)`; what cannot become an array, such as rows of unlike lengths, is an empty one of objects."""
+    try:
+        return concrete(x)
+    except (TypeError, ValueError, OverflowError):
+        return np.empty(0, object)
 
 
 # --- what environments and methods exchange ----------------------------------------------------------

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import os
+import shlex
 import subprocess
 import sys
 
@@ -619,3 +621,65 @@ def test_listing_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == ""
+
+
+# --- what it writes to -------------------------------------------------------------------------------
+
+
+def in_a_shell(words, tmp_path, **environment):
+    """The exit code of a command in a shell, and what it wrote to the files `out` and `err` there."""
+    command = f"{shlex.quote(sys.executable)} -m jaxrl_tab {words}"
+    unset = {"JAXRL_TAB_TRACEBACK": ""}
+    code = subprocess.run(command, shell=True, cwd=tmp_path, env=os.environ | unset | environment).returncode
+    texts = [(tmp_path / name).read_text() if (tmp_path / name).exists() else "" for name in ("out", "err")]
+    return code, *texts
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (
+            "list --json > /dev/full 2> err",
+            1,
+            "jaxrl-tab: reading or writing failed: No space left on device\n",
+        ),
+        ("--version >&- 2> err", 0, ""),
+        ("swep > out 2>&-", 2, ""),
+        ("swep > out 2> /dev/full", 2, ""),
+    ],
+)
+def test_what_cannot_be_written_to_ends_it_without_a_traceback(tmp_path, words, code, said):
+    """Broken once: as Python leaves it, which raises, and exits with 1 or 120 -> fails."""
+    assert in_a_shell(words, tmp_path) == (code, "", said)
+
+
+def test_a_terminal_of_other_characters_gets_lookalikes(tmp_path):
+    code, out, err = in_a_shell("solve windy-gridworld > out 2> err", tmp_path, PYTHONIOENCODING="ascii")
+    assert (code, err) == (0, "")
+    assert out.isascii() and "> " in out and "?" not in out
+
+
+def test_a_defect_is_said_in_one_line_with_the_way_to_its_traceback(monkeypatch, capsys):
+    def fail(*_):
+        raise ZeroDivisionError("by nothing\nat all")
+
+    monkeypatch.setattr(cli, "_conduct", fail)
+    monkeypatch.delenv("JAXRL_TAB_TRACEBACK")
+    assert call("sweep windy-gridworld sarsa") == 1
+    said = capsys.readouterr().err
+    assert "this is a defect of jaxrl-tab: ZeroDivisionError: by nothing at all; please report it" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", ["--alpha", "--out x --seeds", "--memory", "--log-every"])
+def test_none_is_not_the_same_as_not_given(capsys, words):
+    assert "'None'" in refused(capsys, f"sweep windy-gridworld sarsa {words} None")
+
+
+def test_help_in_a_narrow_terminal_ends(monkeypatch, capsys):
+    """Broken once: tyro looks for a place to break lines in less than ten columns, for ever."""
+    monkeypatch.setenv("COLUMNS", "1")
+    with pytest.raises(SystemExit):
+        main(["list", "--help"])
+    assert "Print JSON" in " ".join(capsys.readouterr().out.split())
+    assert os.environ["COLUMNS"] == "1"

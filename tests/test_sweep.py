@@ -184,7 +184,7 @@ def test_wind_can_be_batched():
         ({"grid": {"alpha": [0.1, 0.1]}}, "the grid of alpha holds 0.1 more than once"),
         ({"grid": {"alpha": []}}, "the grid of alpha is empty"),
         ({"grid": {"alpha": [0.1, 0]}}, "Sarsa: alpha must be greater than 0, not 0"),
-        ({"grid": {"epsilon": "much"}}, "Sarsa: epsilon must be between 0 and 1, not 'much'"),
+        ({"grid": {"epsilon": "much"}}, "Sarsa: epsilon must be a number or a schedule, not 'much'"),
         ({"num_seeds": 0}, "num_seeds must be a whole number of at least 1 and below 2**31, not 0"),
         ({"seed": -1}, "seed must be a whole number of at least 0 and below 2**31, not -1"),
         ({"num_seeds": 2**30}, "the results of 1073741824 runs need"),

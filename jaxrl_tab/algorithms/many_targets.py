@@ -16,7 +16,7 @@ from jaxrl_tab.schedules import Clock, Rate
 from jaxrl_tab.types import (
     InputError,
     Transition,
-    concrete,
+    as_array,
     first,
     is_distribution,
     pytree,
@@ -78,7 +78,7 @@ class ManyTargets:
                 "ManyTargets: behaviour must be policies.Table(b), for there is no one Q to choose by, not "
                 f"{shown(self.behaviour)}"
             )
-        if (pi := concrete(self.targets)) is None:
+        if (pi := as_array(self.targets)) is None:
             return
         if pi.ndim != 3 or not pi.size or pi.dtype.kind not in "biuf":
             raise InputError(f"ManyTargets: targets must be numbers [P, S, A], not of shape {pi.shape}")

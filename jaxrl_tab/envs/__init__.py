@@ -44,12 +44,14 @@ def make(name: str, **parameters: Any):
         InputError: the name, a parameter or a value is wrong.
     """
     if not isinstance(name, str) or name not in ENVS:
-        raise InputError(f"no environment is called {shown(name)}; {instead(str(name))}")
+        raise InputError(f"no environment is called {shown(name)}; {instead(name)}")
     return build(ENVS[name], name, parameters)
 
 
-def instead(name: str) -> str:
+def instead(name: Any) -> str:
     """What a message says instead of `name`, which is not in ENVS: one of ours, or how another is imported."""
+    if not isinstance(name, str):
+        return nearest(name, ENVS)
     library, _, there = name.partition(":")
     if there and library in ("gymnasium", "gymnax"):
         return f"in Python, rl.interop.make({shown(name)}) imports it"

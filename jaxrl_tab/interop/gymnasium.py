@@ -12,7 +12,7 @@ from gymnasium import spaces, wrappers
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 
-from jaxrl_tab import planning
+from jaxrl_tab import planning, rng
 from jaxrl_tab.envs import ENVS, FiniteMDP
 from jaxrl_tab.envs.base import MAX_STEPS
 from jaxrl_tab.types import Environment, FiniteEnvironment, InputError, check_pytree, shown
@@ -210,7 +210,7 @@ class Tabular(gymnasium.Env):
         return self._s, float(outcome.reward), terminated, truncated, {}
 
     def _key(self) -> jax.Array:
-        return jax.random.key(self.np_random.integers(2**32))
+        return rng.key(int(self.np_random.integers(2**32)))
 
 
 def _table(env: FiniteEnvironment) -> tuple[dict[int, dict[int, list]], np.ndarray]:

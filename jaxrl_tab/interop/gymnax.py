@@ -14,6 +14,7 @@ from gymnax.environments import environment, spaces
 from gymnax.wrappers import LegacyStepAPIWrapper, LogWrapper
 from jaxtyping import Array, Bool, Int, Key
 
+from jaxrl_tab import rng
 from jaxrl_tab.envs import ENVS, FiniteMDP
 from jaxrl_tab.envs.base import numbers
 from jaxrl_tab.interop import draws
@@ -111,6 +112,7 @@ def _named(state: Any) -> dict[str, Any]:
     return {jax.tree_util.keystr(path)[1:]: x for path, x in jax.tree.leaves_with_path(state)}
 
 
+@jax.threefry_partitionable(True)  # what is drawn to find the states is the same whatever JAX is set to
 def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGymnax | SampledGymnax:
     """An environment of gymnax as a finite task: all states that can be reached, and what may happen in them.
 
@@ -269,7 +271,7 @@ class _Task:
             observation, state, reward, terminal, _ = env.step_env(key, state, action, params)
             return state, reward, jnp.asarray(terminal, bool), observation
 
-        first, observation = jax.tree.map(jnp.asarray, reset(jax.random.key(0)))
+        first, observation = jax.tree.map(jnp.asarray, reset(rng.key(0)))
         self.names = list(_named(first))
         if "time" not in self.names:
             raise InputError(f"{self.name}: its state has no field `time`, which counts the steps")
@@ -445,7 +447,7 @@ def _check_countable(task: _Task, seen: _Seen) -> None:
 
 def _explore(task: _Task, found: _States) -> tuple[dict[int, float], list[Any]]:
     """Finds all states, breadth first. Returns the probabilities of start states, and outcomes [S][A]."""
-    keys = jax.random.split(jax.random.key(0), 1 if task.states_are_exact else KEYS)
+    keys = jax.random.split(rng.key(0), 1 if task.states_are_exact else KEYS)
     seen = task.beginnings(keys)
     _check_countable(task, seen)
     numbers = found.add(seen, seen.observation, np.zeros(seen.prob.shape, bool))
