@@ -399,6 +399,11 @@ def doubled() -> Iterator[None]:
         yield
 
 
+def has_double() -> bool:
+    """Whether float64 is what JAX makes of a number here, as within `doubled`."""
+    return jax.dtypes.canonicalize_dtype(float) == np.float64
+
+
 def _traced_model(env: Any) -> Model:
     """The Model of an environment inside a compiled program, of the states that matter.
 
@@ -445,6 +450,8 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         matters = ~terminal_states(model)
 
     def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        if q.shape != model.prob.shape[:2]:
+            raise InputError(f"exact values are those of one table [S, A]; this method has {list(q.shape)}")
         counts = matters[:, None] & (q > policies.UNAVAILABLE)
         # Said by itself: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
         sound = ~jnp.isnan(q).any()
