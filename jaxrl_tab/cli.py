@@ -315,7 +315,7 @@ def _panel(panel: Panel, cells: Sequence[str], wind: Any) -> Table:
 
 def _best_actions(q: np.ndarray) -> np.ndarray:
     """The actions whose values are maximal but for rounding, int [n], from values [A]."""
-    return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q).max()))
+    return np.flatnonzero(q >= q.max() - 1e-9 * abs(q).max())
 
 
 def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:

@@ -625,17 +625,19 @@ def _solve(model: Model, probs: Any, gamma: Any, known: Bool[Any, " S"]) -> tupl
     weight = probs[:, :, None] * model.prob
     reward, earned = ((weight * r).sum((1, 2)) for r in (model.reward, abs(model.reward)))
     where, over = _namespace(model).where, known[model.s_next]
-    onward = where(over, 0, gamma * weight)
+    onward, leaving = where(over, 0, gamma * weight), where(over, weight, (1 - gamma) * weight).sum((1, 2))
     n = len(reward)
     if _namespace(model) is jnp:
         rows = np.arange(n)[:, None, None]
         chain = jnp.zeros((n, n), weight.dtype).at[rows, model.s_next].add(onward)
-        leaving = where(over, weight, (1 - gamma) * weight).sum((1, 2))
         v, size = _solve_dense(chain, leaving, jnp.stack([reward, earned], 1)).T
         return v, n * size
     chain = from_state_to_state(model, onward)
     solve = sparse_solver(chain)
     v = solve(reward)
+    # Once more for what is left over (iterative refinement: Higham 2002, chapter 12). It is added up from
+    # differences of neighbours, so that it keeps its digits where a chain goes on for long.
+    v = v + solve(reward - leaving * v + (onward * (v[model.s_next] - v[:, None, None])).sum((1, 2)))
     return v, abs(v) + solve(earned + chain @ abs(v))
 
 
