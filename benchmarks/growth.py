@@ -75,7 +75,7 @@ def draw(points: Mapping[str, Sequence[Point]], file: Path) -> None:
     """A panel for each thing that grows, with the time of a step and the memory."""
     from jaxrl_tab import plot
 
-    canvas = plot.canvas(11, 4.4)
+    canvas = plot.canvas(plot.WIDTH, 3.2)
     for ax, (what, found) in zip(canvas.subplots(1, len(points)), points.items(), strict=True):
         x = [getattr(p, what) for p in found]
         time, memory = plot.COLORS[:2]

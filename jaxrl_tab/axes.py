@@ -22,6 +22,7 @@ from jaxrl_tab.types import InputError, is_whole, shown
 DRAW = "draw"  # the axis of trials; each of its values is a dict of what is drawn together
 MOST = 1e100  # so large an end may be; and so small, where its logarithm is taken
 DIGITS = 12  # significant ones of what is computed: beyond, machines may differ
+MOST_SETTINGS = 100_000  # in one sweep, or one experiment: far beyond what anybody can look at
 
 
 class Grid:
@@ -151,6 +152,7 @@ def spread(grid: Mapping[str, Any], num_draws: int | None, seed: int, method: st
     trials = found.pop(DRAW, None)
     if num_draws is not None and not is_whole(num_draws):
         raise InputError(f"the number of draws must be a whole number of at least 1, not {shown(num_draws)}")
+    check_settings(num_draws or 1, f"{num_draws} draws of {method}")
     if num_draws is not None and not random:
         raise InputError(f"there is nothing to draw: no hyperparameter of {method} is random")
     if random:
@@ -164,6 +166,12 @@ def spread(grid: Mapping[str, Any], num_draws: int | None, seed: int, method: st
         _check_trials(trials, found)
         found[DRAW] = trials
     return found
+
+
+def check_settings(number: int, what: str) -> None:
+    """Raises InputError where `number` settings, which `what` says in words, are too many to be listed."""
+    if number > MOST_SETTINGS:
+        raise InputError(f"{what} are {number:,} settings, and there may be {MOST_SETTINGS:,}: try fewer")
 
 
 def swept_names(axes: Mapping[str, tuple]) -> list[str]:
@@ -203,6 +211,7 @@ def _check_grid(grid: Any, positive: bool = False) -> None:
     _check_ends(grid, positive)
     if not is_whole(grid.points, 2):
         raise InputError(f"points must be a whole number of at least 2, not {shown(grid.points)}")
+    check_settings(grid.points, f"{grid.points} points")
 
 
 def _check_ends(spec: Any, positive: bool = False) -> None:

@@ -21,6 +21,7 @@ Two settings must be made before JAX starts its backend:
 import functools
 import logging
 import os
+import re
 import sys
 import time
 import warnings
@@ -35,7 +36,7 @@ from jax.experimental import serialize_executable
 from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
-from jaxrl_tab import memory, planning, programs
+from jaxrl_tab import memory, planning, programs, provenance
 from jaxrl_tab.train import Record, bytes_of_words, default_log_every, in_full, unchecked
 from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError, RunError
 
@@ -145,7 +146,7 @@ def plan(
         InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
     """
     devices = tuple(devices or jax.local_devices())
-    needs = [_needs(budget, *_signature(_given(budget, root, np.uint32(0), x, env))) for x in algorithms]
+    needs = [_needs(budget, _signature(_given(budget, root, np.uint32(0), x, env))) for x in algorithms]
     results = needs[0].results
     if any(other.results != results for other in needs):
         raise InputError("what record gives must be of the same shape in all runs")
@@ -176,6 +177,11 @@ def plan(
     return Plan(memory.Results(results, runs, on_disk), device)
 
 
+def gives(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Any:
+    """The shapes of what a run gives: its table, and its Log. Nothing is compiled."""
+    return _needs(budget, _signature(_given(budget, root, np.uint32(0), algorithm, env))).results
+
+
 def forecast(
     env: Environment,
     algorithm: Algorithm,
@@ -187,7 +193,7 @@ def forecast(
 ) -> Forecast:
     """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
     devices = tuple(devices or jax.local_devices())
-    one = _needs(budget, *_signature(_given(budget, root, np.uint32(0), algorithm, env)))
+    one = _needs(budget, _signature(_given(budget, root, np.uint32(0), algorithm, env)))
     room = memory.free(devices) // 2 if limit is None else limit
     lanes, most = _width(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
     blocks = -(-runs // lanes)
@@ -238,12 +244,14 @@ def run(
     def arguments(first: int, blocks: int) -> tuple:
         """For each device `blocks` blocks, from run `first` on: [devices, most, lanes]. Copies fill it up."""
         run = first + np.arange(len(devices) * blocks * lanes).reshape(len(devices), blocks, lanes)
-        return _given(budget, root, *of(run[:, np.minimum(np.arange(most), blocks - 1)]), env)
+        seed, algorithm = of(run[:, np.minimum(np.arange(most), blocks - 1)])
+        return _given(budget, root, seed, algorithm, env)
 
     begun = time.perf_counter()
-    call = _needs(budget, *_signature(_given(budget, root, *of(np.array(0)), env))).call
+    one_seed, one_algorithm = of(np.array(0))
+    call = _needs(budget, _signature(_given(budget, root, one_seed, one_algorithm, env))).call
     lanes, most = _width(call, len(runs), room, devices)
-    program = _compiled(devices, budget, *_signature(arguments(0, 1)))
+    program = _compiled(devices, budget, _signature(arguments(0, 1)))
     compiled = time.perf_counter()
 
     done, blocks = 0, 1
@@ -256,7 +264,7 @@ def run(
             if isinstance(error, jax.errors.JaxRuntimeError) and _NO_MEMORY not in str(error):
                 raise
             lanes, most = _smaller(call, lanes, most, devices)
-            blocks, program = 1, _compiled(devices, budget, *_signature(arguments(0, 1)))
+            blocks, program = 1, _compiled(devices, budget, _signature(arguments(0, 1)))
             continue
         for i in range(len(devices)):
             finished = np.arange(done, min(done + blocks * lanes, len(runs)))
@@ -326,9 +334,32 @@ def _given(budget: Budget, root: Any, seed: Any, algorithm: Any, env: Any) -> tu
     return root, seed, (algorithm, full(algorithm)), (env, full(env))
 
 
-def _signature(args: Any) -> tuple[Any, tuple]:
+class _Signature(NamedTuple):
+    """What, beside the budget, makes a program another one.
+
+    Attributes:
+        treedef, avals: the arguments.
+        settings: of JAX, under which it is traced.
+    """
+
+    treedef: Any
+    avals: tuple
+    settings: tuple
+
+    @property
+    def arguments(self) -> Any:
+        """The arguments, with the kind of each array in its place."""
+        return jax.tree.unflatten(self.treedef, self.avals)
+
+    @property
+    def name(self) -> Any:
+        """The arguments, as `programs` names them."""
+        return jax.tree.unflatten(self.treedef, [f"{x} {x.weak_type}" for x in self.avals])
+
+
+def _signature(args: Any) -> _Signature:
     leaves, treedef = jax.tree.flatten(args)
-    return treedef, tuple(jax.typeof(x) for x in leaves)
+    return _Signature(treedef, tuple(jax.typeof(x) for x in leaves), tuple(provenance.settings().values()))
 
 
 class _Needs(NamedTuple):
@@ -344,10 +375,10 @@ class _Needs(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _needs(budget: Budget, treedef: Any, avals: tuple) -> _Needs:
+def _needs(budget: Budget, signature: _Signature) -> _Needs:
     def make(_: str) -> _Needs:
-        traced = _traced(budget, treedef, avals)
-        root, seed, algorithm, given_env = jax.tree.unflatten(treedef, avals)
+        traced = _traced(budget, signature)
+        root, seed, algorithm, given_env = signature.arguments
         env, _ = given_env
         results, _ = traced.out_info
         # The table once, where it is in the state.
@@ -360,11 +391,11 @@ def _needs(budget: Budget, treedef: Any, avals: tuple) -> _Needs:
         return _Needs(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), results), call)
 
     same = lambda x: x
-    return programs.kept(("needs", budget, _named(treedef, avals)), make, pack=same, unpack=same)
+    return programs.kept(("needs", budget, signature.name), make, pack=same, unpack=same)
 
 
 @functools.lru_cache(maxsize=64)
-def _traced(budget: Budget, treedef: Any, avals: tuple) -> Any:
+def _traced(budget: Budget, signature: _Signature) -> Any:
     """One run, traced: what `_given` gives -> ((table, Log), state of the learner)."""
 
     def one(root, seed, given_algorithm, given_env):
@@ -374,12 +405,7 @@ def _traced(budget: Budget, treedef: Any, avals: tuple) -> Any:
         state, log = unchecked(jax.random.fold_in(root, seed), algorithm, env, full, *length, budget.record)
         return (state.q, log), state
 
-    return jax.jit(one).trace(*jax.tree.unflatten(treedef, avals))
-
-
-def _named(treedef: Any, avals: tuple) -> Any:
-    """The arguments of a program, with the kind of each array in its place, as `programs` names them."""
-    return jax.tree.unflatten(treedef, [f"{x} {x.weak_type}" for x in avals])
+    return jax.jit(one).trace(*signature.arguments)
 
 
 def _tables(env: Environment) -> int:
@@ -409,20 +435,42 @@ def _working(env: Environment, budget: Budget, carried: int) -> int:
 
 
 @functools.lru_cache(maxsize=64)
-def _compiled(devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tuple):
+def _compiled(devices: tuple[Any, ...], budget: Budget, signature: _Signature):
     """The program for one call: every device trains so many blocks of its own, one after another."""
     return programs.kept(
-        ("program", [d.id for d in devices], budget, _named(treedef, avals)),
-        lambda called: _compile(called, devices, budget, treedef, avals),
-        pack=serialize_executable.serialize,
-        unpack=lambda packed: serialize_executable.deserialize_and_load(*packed, execution_devices=devices),
+        ("program", [d.id for d in devices], budget, signature.name),
+        lambda called: _compile(called, devices, budget, signature),
+        pack=_pack,
+        unpack=functools.partial(_unpack, devices=devices),
     )
 
 
-def _compile(called: str, devices: tuple[Any, ...], budget: Budget, treedef: Any, avals: tuple):
-    root, seeds, algorithms, env = jax.tree.unflatten(treedef, avals)
+# What a program may call outside of itself and still be kept: what XLA has, and what JAX registers on import.
+_OUTSIDE = re.compile(r"__.*|lapack_.*|cusolver_.*|cu_.*")
+
+
+def _pack(program: Any) -> Any:
+    """A program as plain data, and what it calls outside of itself."""
+    called = set(re.findall(r'custom_call_target="([^"]*)"', program.as_text()))
+    if strange := [name for name in called if not _OUTSIDE.fullmatch(name)]:
+        raise ValueError(f"in another process there may be no {strange[0]}")
+    return called, serialize_executable.serialize(program)
+
+
+def _unpack(packed: Any, devices: Sequence[Any]) -> Any:
+    called, serialized = packed
+    if any(name.startswith("lapack_") for name in called):
+        # JAX finds LAPACK when it first lowers a call of it, and this one was lowered in another process.
+        traced = jax.jit(lax.linalg.cholesky).trace(jax.ShapeDtypeStruct((1, 1), np.float32))
+        traced.lower(lowering_platforms=("cpu",))
+    return serialize_executable.deserialize_and_load(*serialized, execution_devices=devices)
+
+
+def _compile(called: str, devices: tuple[Any, ...], budget: Budget, signature: _Signature):
+    root, seeds, algorithms, env = signature.arguments
     of_one = jax.tree.map(lambda x: x.update(shape=x.shape[3:]), (seeds, algorithms))
-    traced = _traced(budget, treedef, tuple(jax.tree.leaves((root, *of_one, env))))  # not traced again
+    avals = tuple(jax.tree.leaves((root, *of_one, env)))
+    traced = _traced(budget, signature._replace(avals=avals))  # not traced again
     results, _ = traced.out_info
 
     def one(*args):

@@ -27,7 +27,15 @@ from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.planning import Model
 from jaxrl_tab.policies import choose
 from jaxrl_tab.prediction import Prediction, ValueState
-from jaxrl_tab.types import Environment, InputError, Transition, init_learner, shown
+from jaxrl_tab.types import (
+    Environment,
+    InputError,
+    Transition,
+    available_actions,
+    init_learner,
+    restricted,
+    shown,
+)
 
 
 class Row(NamedTuple):
@@ -106,8 +114,8 @@ def expected_backup(
         method: a one-step method. Its schedules stand where they stand in the first step; alpha is not used.
         env: an environment with `outcomes`.
         values: what the learner believes: Q [S, A], in all tables that it has; for a method of prediction V
-            [S]. It gives the mean for each pair (s, a); in prediction for each s, over the actions of the
-            policy that acts.
+            [S]. It gives the mean for each pair (s, a), UNAVAILABLE where s does not have a; in prediction for
+            each s, over the actions of the policy that acts.
 
     Raises:
         InputError: `values` has the wrong shape; `env` can only be sampled; the method remembers more from
@@ -123,10 +131,12 @@ def expected_backup(
     values = planning.checked_values(model, "v" if of_states else "q", values)
     belief = {"v0": values[:, None]} if of_states else {"q0": values}
     with jax.enable_x64():
-        at_once: Any = dataclasses.replace(method, alpha=1.0, **belief)
+        available = available_actions(env)
+        at_once: Any = restricted(dataclasses.replace(method, alpha=1.0, **belief), available)
         start = jax.eval_shape(lambda: init_learner(at_once, env))
         _check_one_step(type(method).__name__, start, np.shape(*belief.values()))
-        return values + np.asarray(_expected_moves(at_once, model, of_states))
+        means = values + np.asarray(_expected_moves(at_once, model, of_states))
+        return means if available is None or of_states else np.asarray(policies.among(means, available))
 
 
 @partial(jax.jit, static_argnames="of_states")

@@ -5,18 +5,22 @@ no edit here. All that a person can get wrong is refused before anything is comp
 one line. Tables and JSON go to stdout, progress and errors to stderr.
 """
 
+import codecs
 import contextlib
 import dataclasses
 import datetime
+import io
 import json as jsonlib
 import os
 import shlex
 import sys
+import threading
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import jax
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
@@ -32,9 +36,9 @@ from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
-from jaxrl_tab import batch, describe, executors, planning, programs, runner
+from jaxrl_tab import batch, describe, executors, planning, policies, programs, runner
 from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.envs.base import Finite, Grid, Panel
 from jaxrl_tab.executors import Executor
 from jaxrl_tab.experiment import Experiment, plan, template
@@ -42,11 +46,24 @@ from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page, six_digits
 from jaxrl_tab.interrupt import interruptible
-from jaxrl_tab.options import Group, about, option_of, parameters, parse, real, size, values, whole, words
+from jaxrl_tab.options import (
+    Group,
+    about,
+    option_of,
+    parameters,
+    parse,
+    place,
+    real,
+    size,
+    values,
+    whole,
+    word,
+    words,
+)
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import label, save
 from jaxrl_tab.sweep import METHODS
-from jaxrl_tab.types import InputError, RunError, build, nearest
+from jaxrl_tab.types import Environment, InputError, RunError, as_path, build, nearest, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -57,6 +74,8 @@ if TYPE_CHECKING:  # these take their time to import, and only some commands nee
 Switch = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
 PROG = "jaxrl-tab"
+TRACEBACK = "JAXRL_TAB_TRACEBACK"
+PATIENCE = 2.0  # seconds of silence, at most
 HELP = f"""\
 usage: {PROG} COMMAND ...
 
@@ -98,29 +117,93 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code: 0, 2 (wrong input), 130 (Ctrl-C), or 1.
 
     1 says that a figure is off, or that something could not be finished, as where the disk is full. Where the
-    reader of its output goes away, as `| head` does, it ends quietly with 1.
+    reader of its output goes away, as `| head` does, it ends quietly with 1; where stdout or stderr is closed
+    nothing is said there, and the work is done. What the encoding of either lacks is replaced. A defect of
+    this package is one line, too, and exit code 1; with `JAXRL_TAB_TRACEBACK=1` it is raised.
     """
     argv = sys.argv[1:] if argv is None else list(argv)
+    _prepare_streams()
     try:
         try:
             return _dispatch(argv)
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
+        _give_up_stdout()
         return 1
     except InputError as error:
-        print(f"{PROG}: {error}", file=sys.stderr)
-        return 2
+        return _complain(str(error), code=2)
     except RunError as error:
-        print(f"{PROG}: {error}", file=sys.stderr)
-        return 1
+        return _complain(str(error))
     except KeyboardInterrupt as stop:
-        print("; ".join([f"{PROG}: interrupted", *map(str, stop.args)]), file=sys.stderr)
-        return 130
+        return _complain("; ".join(["interrupted", *map(str, stop.args)]), code=130)
+    except MemoryError as error:
+        return _complain("; ".join(["there is not enough memory", *_notes(error)]))
+    except OSError as error:
+        _give_up_stdout()
+        what = f"{error.filename}: " if error.filename else "reading or writing failed: "
+        return _complain("; ".join([what + (error.strerror or str(error)), *_notes(error)]))
+    except Exception as error:
+        if os.environ.get(TRACEBACK) == "1":
+            raise
+        what = f"this is a defect of {PROG}: {type(error).__name__}: {one_line(str(error))}"
+        how = f"please report it with what {TRACEBACK}=1 shows, set before the command"
+        return _complain("; ".join([what, *_notes(error), how]))
+
+
+def _prepare_streams() -> None:
+    """Makes stdout and stderr take all that may be printed."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # it was closed
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  for as long as we run
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="lookalikes" if name == "stdout" else "backslashreplace")
+
+
+LOOKALIKES = {"↑": "^", "→": ">", "↓": "v", "←": "<", "↗": "ne", "↘": "se", "↙": "sw", "↖": "nw", "·": "."}
+LOOKALIKES |= {
+    "–": "-",
+    "−": "-",
+    "±": "+-",
+    "×": "x",
+    "ε": "epsilon",
+    "α": "alpha",
+    "λ": "lambda",
+    "γ": "gamma",
+}
+
+
+def _lookalikes(error: UnicodeError) -> tuple[str, int]:
+    """What an encoding lacks, in characters that every one has."""
+    assert isinstance(error, UnicodeEncodeError)
+    lacking = error.object[error.start : error.end]
+    return "".join(LOOKALIKES.get(character, "?") for character in lacking), error.end
+
+
+codecs.register_error("lookalikes", _lookalikes)
+
+
+def _give_up_stdout() -> None:
+    """Python flushes stdout once more at its end: what cannot be written goes nowhere."""
+    with contextlib.suppress(OSError, ValueError):  # as where a test has put something else in its place
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _complain(line: str, code: int = 1) -> int:
+    """Prints one line on stderr, if that is possible. Returns the exit code."""
+    with contextlib.suppress(OSError):
+        print(f"{PROG}: {line}", file=sys.stderr, flush=True)
+    return code
+
+
+def _notes(error: BaseException) -> list[str]:
+    return list(getattr(error, "__notes__", ()))
 
 
 def _dispatch(argv: list[str]) -> int:
+    for typed in argv:
+        as_path("what is typed", typed)  # so that it can name a file, if it should
     commands = {
         "list": _list,
         "solve": _solve,
@@ -179,8 +262,8 @@ def _list(argv: list[str]) -> int:
         out.print()
     out.print(escape(about(HYPERPARAMETERS)), "\n", soft_wrap=True)
     out.print("[bold]figures[/]\n")
-    for name, text in figures.items():
-        out.print(f"  [bold cyan]{name}[/]  {escape(text)}")
+    for name, title in figures.items():
+        out.print(f"  [bold cyan]{name}[/]  {escape(title)}")
     return 0
 
 
@@ -223,7 +306,7 @@ class Solve:
     """Discount rate, in [0, 1]."""
     epsilon: Annotated[float | None, real(0, 1), arg(help_behavior_hint="")] = None
     """Also find the best policy among those that take a random action with this probability."""
-    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
     """New folder for a picture (PNG)."""
     json: Switch = False
     """Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A]."""
@@ -232,7 +315,8 @@ class Solve:
 def _solve(argv: list[str]) -> int:
     options = parse(f"{PROG} solve", Solve, argv, environment=ENVIRONMENT)
     env = _environment(options.env, options.environment)
-    with _folder(options.out) as folder:
+    _start_jax()
+    with _folder(options.out) as folder, _busy("solving"):
         solutions = {"optimal": planning.policy_iteration(env, options.gamma)}
         if options.epsilon is not None:
             soft = f"best epsilon-soft, epsilon {words(options.epsilon)}"
@@ -245,7 +329,7 @@ def _solve(argv: list[str]) -> int:
             key: {
                 "start_value": planning.start_value(env, v),
                 "v": v.tolist(),
-                "q": q.tolist(),
+                "q": [[None if x == policies.UNAVAILABLE else x for x in row] for row in q.tolist()],
                 "policy": policy.tolist(),
             }
             for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
@@ -282,7 +366,7 @@ def _pictures(env: Any, v: np.ndarray, q: np.ndarray) -> list[Table]:
         table = Table("state", "value", *(["best actions"] if choice else []))
         listed = np.flatnonzero(visited & ~terminal)
         for s in listed[:MANY_STATES]:
-            table.add_row(str(s), six_digits(v[s]), *([best(s)] if choice else []))
+            table.add_row(str(s), six_digits(float(v[s])), *([best(s)] if choice else []))
         if (more := len(listed) - MANY_STATES) > 0:
             table.caption = f"and {more} more states: --json prints them all"
         return [table]
@@ -315,7 +399,7 @@ def _panel(panel: Panel, cells: Sequence[str], wind: Any) -> Table:
 
 def _best_actions(q: np.ndarray) -> np.ndarray:
     """The actions whose values are maximal but for rounding, int [n], from values [A]."""
-    return np.flatnonzero(q >= q.max() - 1e-9 * abs(q).max())
+    return np.flatnonzero(q >= q.max() - 1e-9 * abs(q[q > policies.UNAVAILABLE]).max())
 
 
 def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:
@@ -330,18 +414,18 @@ def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]]
         for row, title, (_, v, q) in zip(grid, titles, solutions.values(), strict=True):
             best = np.array([np.isin(np.arange(env.num_actions), _best_actions(x)) for x in q])
             plot.panels(row, env, v, best, title)
-        figure.savefig(folder / "values.png")
+        plot.save(figure, folder / "values.png")
         return
-    height = 1.6 + 6.2 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 4
-    figure = plot.canvas(8, height * len(solutions))
+    height = 1.2 + 5.8 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 3.6
+    figure = plot.canvas(plot.WIDTH, height * len(solutions))
     axes = np.ravel(figure.subplots(len(solutions)))
     for ax, title, (_, v, q) in zip(axes, titles, solutions.values(), strict=True):
         if isinstance(env, Grid):
             plot.values(ax, env, v, q)
         else:
-            plot.action_values(ax, env, q)
-        ax.set_title(title)
-    figure.savefig(folder / "values.png")
+            plot.action_values(ax, env, np.where(q == policies.UNAVAILABLE, np.nan, q))
+        ax.set_title(title, fontsize=plot.TITLE)
+    plot.save(figure, folder / "values.png")
 
 
 # --- sweep -------------------------------------------------------------------------------------------
@@ -353,7 +437,7 @@ class Where:
 
     executor: Annotated[str, arg(metavar="NAME")] = "local"
     """local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see docs/scaling.md."""
-    address: Annotated[str | None, arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    address: Annotated[str | None, word("HOST:PORT"), arg(help_behavior_hint="")] = None
     """Of the Ray cluster, or of process 0 of a distributed job."""
     processes: Annotated[int | None, whole(1), arg(help_behavior_hint="")] = None
     """How many processes a distributed job has."""
@@ -395,8 +479,8 @@ def _executor(options: Any) -> Iterator[Executor]:
 def _key_and_value(word: str) -> tuple[str, Any]:
     key, equals, value = word.partition("=")
     if not equals:
-        raise InputError(f"--slurm takes KEY=VALUE, not {word!r}")
-    return key, int(value) if value.isdecimal() else value
+        raise InputError(f"--slurm takes KEY=VALUE, not {shown(word)}")
+    return key, int(value) if value.isdecimal() and len(value) < 20 else value
 
 
 @dataclasses.dataclass
@@ -443,7 +527,7 @@ class Sweep(Where):
     exact: Switch = False
     """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
     (The error of methods of prediction is always recorded.)"""
-    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
     dry_run: Switch = False
     """Show what would be run, in how much memory, and stop."""
@@ -463,13 +547,17 @@ def _sweep(argv: list[str]) -> int:
     with _executor(options) as executor:
         if isinstance(executor, executors.Distributed) and executor.serve():
             return 0
-        return _conduct(_experiment(options), executor, options, ["sweep", *argv])
+        with _busy("reading what is to be run", options.quiet):
+            experiment = _experiment(options)
+        return _conduct(experiment, executor, options, ["sweep", *argv])
 
 
 def _conduct(experiment: Experiment, executor: Executor, options: Any, command: Sequence[str]) -> int:
     """Runs the experiment, prints what came out, and leaves it in the folder; or says what it would do."""
+    _start_jax()
     if options.dry_run:
-        found = plan(experiment.parts(), options.memory)
+        with _busy("planning", options.quiet):
+            found = plan(experiment.parts(), options.memory)
         if options.json:
             parts = {name: part._asdict() for name, part in found.parts.items()}
             _print_json(found._asdict() | {"parts": parts})
@@ -513,9 +601,9 @@ def _write_template(file: str) -> int:
         with open(file, "x", encoding="utf-8") as to:
             to.write(template())
     except FileExistsError:
-        raise InputError(f"{file} exists already; name a new file") from None
+        raise InputError(f"{one_line(file)} exists already; name a new file") from None
     except OSError as error:
-        raise InputError(f"{file} cannot be written: {error.strerror}") from None
+        raise InputError(f"{one_line(file)} cannot be written: {error.strerror}") from None
     print(f"{file} is written; try {PROG} sweep {shlex.quote(file)} --dry-run")
     return 0
 
@@ -524,16 +612,19 @@ def _write_template(file: str) -> int:
 class Resume(Where):
     """Goes on with a sweep that was interrupted: computes what is missing or damaged, and nothing else.
 
-    The results are the same, to the last bit, as if nothing had happened.
+    The results are the same, to the last bit, as if nothing had happened. Where they would not be, as with
+    another version of JAX or on another kind of processor, it says what has changed, and computes nothing.
 
     Examples:
       jaxrl-tab resume runs/windy
     """
 
-    folder: Annotated[Positional[Path | None], arg(metavar="DIR", help_behavior_hint="")] = None
+    folder: Annotated[Positional[Path | None], place("DIR"), arg(help_behavior_hint="")] = None
     """The folder of the sweep: what --out named."""
     memory: Annotated[int | None, size(), arg(help_behavior_hint="(default: half of what is free)")] = None
     """How much memory it may take, such as 4GB."""
+    mixed: Switch = False
+    """Go on nevertheless; the report tells what was not the same for all numbers."""
     json: Switch = False
     """Print the summary as JSON."""
     quiet: Switch = False
@@ -550,7 +641,8 @@ def _resume(argv: list[str]) -> int:
     with _executor(options) as executor:
         if isinstance(executor, executors.Distributed) and executor.serve():
             return 0
-        given = {"executor": executor, "memory": options.memory, "command": command}
+        _start_jax()
+        given = {"executor": executor, "memory": options.memory, "command": command, "mixed": options.mixed}
         with _watched(options) as progress:
             outcome = runner.resume(options.out, progress=progress, **given)
         return _show(outcome, options.out, options)
@@ -572,7 +664,7 @@ def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[run
     quiet = options.quiet or not stderr.is_terminal
     try:
         with interruptible(), Progress(*columns, console=stderr, disable=quiet) as bars:
-            bar = bars.add_task("compiling", total=None, more="")
+            bar = bars.add_task("planning", total=None, more="")
 
             def progress(state: runner.Progress) -> None:
                 if experiment is not None and not quiet and state.steps == 0 and state.done == 0:
@@ -624,12 +716,15 @@ def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
 
     for environment in outcome.envs:
         own = outcome.of(environment)
-        _print_summary(environment, stats.summary(own), own)
+        with _busy("summing up"):
+            table = stats.summary(own)
+        _print_summary(environment, table, own, outcome.envs[environment])
     if outcome.fresh:
         _print_selection(runner.selection(outcome))
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
-        _console().print(f"{diverged} of {runs} runs diverged: a number became infinite or NaN")
+        why = "a number became infinite, or NaN, or grew beyond any possible return"
+        _console().print(f"{diverged} of {runs} runs diverged: {why}")
     if folder:
         name = next(iter(outcome.datasets))
         _say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])
@@ -697,8 +792,10 @@ def _run(
     return datasets
 
 
-def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]") -> None:
-    """The summary for people: what all rows share stands above the table."""
+def _print_summary(
+    environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]", env: Environment
+) -> None:
+    """The summary for people: what all rows share stands above the table, what the marks mean below it."""
     from jaxrl_tab import stats
 
     ds = next(iter(datasets.values()))
@@ -711,15 +808,14 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     length = f"{ds.attrs[f'num_{unit}']} {unit}"
     setting = [f"{h} {words(value)}" for h, value in shared.items()]
     prediction = stats.is_prediction(*datasets.values())
-    # some seeds finished no episode in the last tenth
-    few = not prediction and bool((table["seeds"] < ds.sizes["seed"]).any())
-    score, bounds, score_head = "last_tenth_return", "last_tenth_", "mean return,\nlast tenth"
+    late = bool(table["unfinished"].any())
+    score, kind, score_head = "last_tenth_return", "last_tenth", "mean return,\nlast tenth"
     if prediction:
-        score, bounds, score_head = "v_error", "v_error_", "RMS error,\nwhole run"
+        score, kind, score_head = "v_error", "v_error", "RMS error,\nwhole run"
     exact = "greedy_value" in columns
     view = Table(
         *["method", *varied, "episodes", score_head, "95% interval\nof the mean"],
-        *(["seeds\ncounted"] if few else []),
+        *(["unfinished\nruns"] if late else []),
         *(["RMS error\nat the end"] if prediction else []),
         *["million\nsteps/s"],
         *(["worth of the\ngreedy policy"] if exact else []),
@@ -728,41 +824,85 @@ def _print_summary(environment: str, table: "pd.DataFrame", datasets: "Mapping[s
     for column in view.columns[1:]:
         column.justify = "right"
     # Two digits of the narrowest interval; of errors also three of the smallest.
-    scores, low, high = (table[column].to_numpy(float) for column in (score, bounds + "low", bounds + "high"))
+    scores, low, high = (table[column].to_numpy(float) for column in (score, f"{kind}_low", f"{kind}_high"))
     decimals = _decimals((high - low) / 2, 2)
     if prediction:
         decimals = max(decimals, _decimals(scores, 3))
     digits = f"{{:.{decimals}f}}".format
+    notes, edges, few = [], {}, False
     for method, rows in table.groupby("method", sort=False):
-        best, differ = stats.best(datasets[str(method)]), len(rows[score].drop_duplicates()) > 1
+        choice = len(rows[score].drop_duplicates()) > 1
         for row in rows.to_dict("records"):
-            star = bool(best) and differ and all(row[name] == value for name, value in best.items())
-            low, high = row[bounds + "low"], row[bounds + "high"]
+            star, doubtful = choice and row["best"], row["seeds_wanted"] > row["seeds"]
+            mark = " *" if star else " ~" if choice and row["tied"] else ""
+            few |= doubtful
             view.add_row(
-                f"{method} *" if star else str(method),
+                f"{method}{mark}",
                 *(_cell(row[h], words) for h in varied),
                 f"{row['episodes']:.1f}",
                 _cell(row[score], digits),
-                _interval(low, high, digits),
-                *([str(row["seeds"])] if few else []),
+                _interval(row[f"{kind}_low"], row[f"{kind}_high"], digits) + (" !" if doubtful else ""),
+                *([str(row["unfinished"])] if late else []),
                 *([_cell(row["final_v_error"], digits)] if prediction else []),
                 f"{row['steps_per_second'] / 1e6:.1f}",
                 *([_cell(row["greedy_value"], six_digits)] if exact else []),
                 _cell(row["optimum"], six_digits),
                 style="bold" if star else None,
             )
+            if doubtful and row["best"]:
+                ends = [
+                    f"{name} {_cell(row[f'{kind}_{key}'], digits)} ("
+                    f"{_interval(row[f'{kind}_{key}_low'], row[f'{kind}_{key}_high'], digits)})"
+                    for name, key in (("median", "median"), ("interquartile mean", "iqm"))
+                ]
+                notes.append(f"! {method}: {', '.join(ends)}; {row['seeds_wanted']} seeds wanted")
         view.add_section()
+        own = datasets[str(method)]
+        at_edge = stats.at_edge(own, stats.best(own)) if choice else {}
+        for name, end in at_edge.items():
+            edges.setdefault(f"the best {name} is the {end} that was tried", []).append(str(method))
     out = _console()
     out.print(", ".join([f"[bold]{environment}[/]", *setting, f"{ds.sizes['seed']} seeds, {length} each"]))
     out.print(view)
+    say = lambda line: out.print(line, markup=False)
     if prediction:
-        out.print("RMS error of V over the states, exact; averaged over the rows of the log, and at the end")
+        say("RMS error of V over the states, exact; averaged over the rows of the log, and at the end")
     if varied and len(table[score].drop_duplicates()) > 1:
-        out.print("* the best of its method on these seeds; chosen for its mean, which so flatters it")
+        say("* the best of its method on these seeds; chosen for its mean, which so flatters it")
+        if sum(table["tied"]) > sum(table["best"]):
+            say("~ not told apart from the best: these seeds do not say which of them is better")
+    if late:
+        say(
+            "unfinished runs end no episode in the last tenth: they score the rewards collected there, as if cut off"
+        )
+    if few:
+        seeds = ds.sizes["seed"]
+        say(
+            f"! rests on few bad runs, and may be worse: {stats.unseen(seeds)} stuck, which {seeds} seeds need not show"
+        )
+    for line in [*notes, *(f"{end}: {', '.join(methods)}" for end, methods in edges.items())]:
+        say(line)
+    if not prediction:
+        for name, value in _soft_optima(datasets, env).items():
+            say(f"exploring with {name}: the best policy is worth {six_digits(value)}")
     if exact:
-        out.print(
+        say(
             "worth of the greedy policy: exact value at the end, median over seeds; -inf: goes round for ever"
         )
+
+
+def _soft_optima(datasets: "Mapping[str, xr.Dataset]", env: Environment) -> dict[str, float]:
+    """What the best policy earns that explores as the best settings do: "epsilon 0.1" -> value."""
+    from jaxrl_tab import stats
+
+    found = {}
+    for ds in datasets.values():
+        setting = stats.fixed(ds) | stats.named(ds, stats.best(ds))
+        by = "behaviour" if setting.get("behaviour") else "epsilon"
+        name = ", ".join(f"{key} {words(setting[key])}" for key in (by, "gamma") if key in setting)
+        if name not in found:
+            found[name] = stats.soft_optimum(env, setting)
+    return {name: value for name, value in found.items() if not np.isnan(value)}
 
 
 def _decimals(x: np.ndarray, digits: int) -> int:
@@ -800,8 +940,8 @@ class Figure:
     """Name of the figure; see `jaxrl-tab list`."""
     all: Switch = False
     """Make all figures; with --out, also index.html, which shows them."""
-    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
-    """New folder for the picture and the data."""
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
+    """New folder for the picture, as PNG and as PDF, and the data."""
     json: Switch = False
     """Print the numbers as JSON."""
     quiet: Switch = False
@@ -814,6 +954,7 @@ def _figure(argv: list[str]) -> int:
     if options.all and options.name:
         raise InputError("name a figure or give --all, not both")
     names = tuple(FIGURES) if options.all else (_known("a figure", options.name, FIGURES),)
+    _start_jax()
     checked, groups = {}, []
     with _folder(options.out) as folder:
         for name in names:
@@ -821,9 +962,10 @@ def _figure(argv: list[str]) -> int:
             within = f"{name}/" if options.all else ""
             datasets = _run(figure.experiment(), folder, ["figure", *argv], options.quiet, within)
             groups += [within + run for run in datasets]
-            checked[name] = figure, [number.check(datasets) for number in figure.numbers]
-            if folder:
-                figure.draw(datasets).savefig(folder / f"{name}.png")
+            with _busy(f"{name}: numbers and picture", options.quiet):
+                checked[name] = figure, [number.check(datasets) for number in figure.numbers]
+                if folder:
+                    _draw_figure(figure, datasets, folder / name)
             if not options.json:
                 _console().print(_check_table(*checked[name]))
         if folder and options.all:
@@ -838,6 +980,15 @@ def _figure(argv: list[str]) -> int:
     elif options.out:
         _say_where(options.out, groups[0])
     return 0 if all(c.ok for _, checks in checked.values() for c in checks) else 1
+
+
+def _draw_figure(figure: PublishedFigure, datasets: "Mapping[str, xr.Dataset]", file: Path) -> None:
+    """As PNG, to look at, and as PDF, which is sharp at any size."""
+    from jaxrl_tab import plot
+
+    picture = figure.draw(datasets)
+    for ending in (".png", ".pdf"):
+        plot.save(picture, file.with_suffix(ending))
 
 
 def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:
@@ -859,12 +1010,22 @@ def _prepare() -> None:
     programs.keep()
 
 
+def _start_jax() -> None:
+    """Raises InputError where JAX cannot start, as where `JAX_PLATFORMS` names what is not there."""
+    try:
+        jax.devices()
+    except RuntimeError as error:
+        raise InputError(f"JAX cannot start: {one_line(str(error))}") from None
+
+
 def _known(kind: str, name: str, names: Collection[str]) -> str:
     """`name`, which must be one of `names`."""
     if not name:
         raise InputError(f"name {kind}: {', '.join(names)}")
     if name not in names:
-        raise InputError(f"{name!r} is not {kind}; {nearest(name, names)}")
+        raise InputError(
+            f"{shown(name)} is not {kind}; {instead(name) if names is ENVS else nearest(name, names)}"
+        )
     return name
 
 
@@ -891,11 +1052,11 @@ def _folder(path: Path | None) -> Iterator[Path | None]:
     path = Path(os.path.normpath(path))
     try:
         if path.exists() or path.is_symlink():
-            raise InputError(f"--out: {path} exists already; name a new folder")
+            raise InputError(f"--out: {one_line(str(path))} exists already; name a new folder")
         unfinished = path.with_name(f"{path.name}.unfinished-{os.getpid()}")
         unfinished.mkdir(parents=True)
     except OSError as error:
-        raise InputError(f"--out: {path} cannot be made: {error.strerror}") from None
+        raise InputError(f"--out: {one_line(str(path))} cannot be made: {error.strerror}") from None
     try:
         yield unfinished
         unfinished.rename(path)
@@ -930,4 +1091,24 @@ def _console() -> Console:
 
 
 def _print_json(value: Any) -> None:
-    print(jsonlib.dumps(value, ensure_ascii=False, indent=1))
+    utf8 = (sys.stdout.encoding or "utf-8").lower().startswith("utf")
+    print(jsonlib.dumps(value, ensure_ascii=not utf8, indent=1))
+
+
+@contextlib.contextmanager
+def _busy(what: str, quiet: bool = False) -> Iterator[None]:
+    """A line on the terminal that says `what` is under way, where that lasts longer than `PATIENCE`."""
+    stderr = Console(stderr=True)
+    if quiet or not stderr.is_terminal:
+        yield
+        return
+    status = stderr.status(what)
+    later = threading.Timer(PATIENCE, status.start)
+    later.daemon = True
+    later.start()
+    try:
+        yield
+    finally:
+        later.cancel()
+        later.join()
+        status.stop()

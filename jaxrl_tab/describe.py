@@ -8,11 +8,35 @@ import inspect
 import re
 import sys
 from collections.abc import Callable
+from fractions import Fraction
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 from jaxrl_tab import policies, schedules
+from jaxrl_tab.envs import ENVS
+from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.types import InputError, shown
+
+# As people write the names in which not only the first letter is large.
+TITLES = {
+    "expected-sarsa": "Expected Sarsa",
+    "n-step-sarsa": "n-step Sarsa",
+    "sarsa-lambda": "Sarsa(λ)",
+    "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
+    "q-learning": "Q-learning",
+    "q-learning-target": "Q-learning of a target policy",
+    "double-q-learning": "Double Q-learning",
+    "q-lambda": "Q(λ)",
+    "monte-carlo": "Monte Carlo",
+    "off-policy-monte-carlo": "Off-policy Monte Carlo",
+    "td": "TD(0)",
+    "n-step-td": "n-step TD",
+    "td-lambda": "TD(λ)",
+    "off-policy-td": "Off-policy TD(0)",
+    "monte-carlo-prediction": "Monte Carlo prediction",
+    "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
+    "k-armed-testbed": "k-armed testbed",
+}
 
 _ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
 
@@ -31,6 +55,14 @@ class Parameter(NamedTuple):
     type: Any
     default: Any
     help: str
+
+
+def title(name: str) -> str:
+    """The name of an environment or a method as people write it; a name that a user gave stays as it is."""
+    known, *own = name.split(",")  # "random-walk,states=5" of an experiment
+    if known in ENVS or known in METHODS:
+        known = TITLES.get(known, known.replace("-", " ").capitalize())
+    return ",".join([known, *own])
 
 
 def summary(cls: type) -> str:
@@ -86,7 +118,7 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
         return _parsed(schedules.parse, what, name)
     wanted, fits = _KINDS[kind(parameter)]
     wrong = not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool)
-    if wrong or (fits is Real and isinstance(given, int) and abs(given) > sys.float_info.max):
+    if wrong or (isinstance(given, int | Fraction) and abs(given) > sys.float_info.max):
         more = f" or a schedule ({schedule_forms()})" if rate else ""
         raise InputError(f"{what} takes {wanted}{more}, not {shown(given)}")
     return kind(parameter)(given)

@@ -76,7 +76,7 @@ def count(
     """N <- N + 1 where it `counts`, on the walk back; and N as it then is. None where nobody counts."""
     if visits is None:
         return None, None
-    visits = tables.write(visits, tables.entry(visits, *at) + counts, *at)
+    visits = tables.write(visits, tables.entry(visits, *at) + counts.astype(visits.dtype), *at)
     return visits, tables.entry(visits, *at)  # from the new table: see `lane_by_lane`
 
 

@@ -21,11 +21,13 @@ Either becomes the same plain data, with all defaults filled in and all draws dr
 on them alone, and `fingerprint` is their checksum. `template()` is a file that explains all of it.
 """
 
+import bisect
 import contextlib
 import dataclasses
 import hashlib
 import itertools
 import json
+import math
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -36,15 +38,28 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
-from jaxrl_tab import axes, batch, describe, memory, policies, schedules
+from jaxrl_tab import axes, batch, describe, memory, policies, rng, schedules
 from jaxrl_tab.axes import DRAW
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.prediction import METHODS, PREDICTION
 from jaxrl_tab.sweep import Part, configurations, leaves_as_arrays, prepare
 from jaxrl_tab.train import default_log_every
-from jaxrl_tab.types import InputError, build, init_learner, is_whole, nearest, shown
+from jaxrl_tab.types import (
+    InputError,
+    as_path,
+    build,
+    check_choice,
+    init_learner,
+    is_whole,
+    nearest,
+    one_line,
+    repeated,
+    shown,
+)
 
-LABEL = r"\w[^/\x00-\x1f\x7f]*"  # it names groups and files
+LONGEST_LABEL = 200  # characters
+MOST_BYTES = 2**26  # of a file
+DEEPEST = 32  # brackets in one another, and parts of a key with dots between them
 TEMPLATE = Path(__file__).with_name("template.toml")
 
 
@@ -58,6 +73,9 @@ class Source(NamedTuple):
 
     path: Path
     text: str
+
+    def __str__(self) -> str:
+        return one_line(str(self.path))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,7 +127,7 @@ class Experiment:
                 if not isinstance(self.exact, bool | np.bool_):
                     raise InputError(f"exact must be true or false, not {shown(self.exact)}")
             self._set("environment", _environments(self.environment))
-            self._set("method", _methods(self.method, self.seed))
+            self._set("method", _methods(self.method, self.seed, len(self.environment)))
             prediction = all(method["name"] in PREDICTION for method in self.method)
             self._set("exact", bool(self.exact) or prediction)
             self._set("log_every", self.log_every or default_log_every(self.steps))
@@ -126,30 +144,33 @@ class Experiment:
         Raises:
             InputError: the file cannot be read, or something in it is wrong; with its name and the line.
         """
-        path = Path(path)
+        path = as_path("the file of an experiment", path)
         try:
-            text = path.read_bytes().decode("utf-8-sig")
+            with path.open("rb") as file:
+                content = file.read(MOST_BYTES + 1)
+            text = content.decode("utf-8-sig")
         except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror}") from None
+            raise InputError(f"{one_line(str(path))} cannot be read: {error.strerror}") from None
         except UnicodeDecodeError:
-            raise InputError(f"{path} is no text in UTF-8") from None
+            raise InputError(f"{one_line(str(path))} is no text in UTF-8") from None
+        if len(content) > MOST_BYTES:
+            raise InputError(
+                f"{one_line(str(path))} is larger than {memory.words(MOST_BYTES)}: that is no experiment"
+            )
         source = Source(path, text.replace("\r\n", "\n"))
-        try:
-            data = tomllib.loads(source.text)
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(_syntax_error(source, str(error))) from None
-        return cls.from_data(data, source)
+        return cls.from_data(_read(source), source)
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any], source: Source | None = None) -> Self:
         """The experiment that `data` is, or what stands in a file; see `load` for what is raised."""
+        if not isinstance(data, Mapping):
+            raise InputError(f"an experiment is a dict, not {shown(data)}")
         with _located(source):
             for key in data:
                 with _at(key):
                     if key not in _keys(cls):
-                        raise InputError(
-                            f"an experiment has no {key!r}; {_belongs(key) or nearest(key, _keys(cls))}"
-                        )
+                        hint = _belongs(key) or nearest(key, _keys(cls))
+                        raise InputError(f"an experiment has no {shown(key)}; {hint}")
             for key, registry in (("environment", ENVS), ("method", METHODS)):
                 if key not in data:
                     raise _Wrong(f"there is no [[{key}]]: name one or more of {', '.join(registry)}", ())
@@ -213,7 +234,8 @@ class Selection:
 
     Attributes:
         by: "score": the mean return of the last tenth, of prediction the error (see `stats.score`).
-        fresh_seeds: how many seeds it is then run on.
+        fresh_seeds: how many seeds it is then run on. They have a root of their own (see `sweep.Part`), so no
+            other sweep has them, be it ever so large.
     """
 
     by: str = "score"
@@ -221,8 +243,7 @@ class Selection:
 
     def __post_init__(self):
         with _at("by"):
-            if self.by not in CRITERIA:
-                raise InputError(f"by: there is no {shown(self.by)}; {nearest(str(self.by), CRITERIA)}")
+            check_choice("select", "by", self.by, CRITERIA)
         with _at("fresh_seeds"):
             _whole("fresh_seeds", self.fresh_seeds, 1)
 
@@ -352,7 +373,7 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
     kind = "core" if devices[0].platform == "cpu" else devices[0].device_kind
     found = {}
     for name, part in parts.items():
-        root = jax.random.key(part.seed)
+        root = rng.key(part.seed)
         each = [
             batch.forecast(
                 part.env,
@@ -385,14 +406,15 @@ def _environments(given: Any) -> list[dict[str, Any]]:
     found, places = [], []
     for i, table in enumerate(_tables("environment", given, ENVS)):
         with _at("environment", i):
-            made = _environment(table)
+            made = _environment(table, len(found))
             found += made
             places += [i] * len(made)
     _check_labels("environment", found, places)
     return found
 
 
-def _environment(table: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _environment(table: Mapping[str, Any], others: int) -> list[dict[str, Any]]:
+    """Those that a table describes, beside so many others."""
     cls, label = ENVS[table["name"]], table["label"]
     wanted = {p.name: p for p in describe.parameters(cls)}
     tried = {}
@@ -400,6 +422,7 @@ def _environment(table: Mapping[str, Any]) -> list[dict[str, Any]]:
         with _at(key):
             tried[key] = _values_of_environment(key, given, wanted[key])
     found = []
+    axes.check_settings(others + math.prod(map(len, tried.values())), "the environments")
     for point in itertools.product(*tried.values()):
         values = dict(zip(tried, point, strict=True))
         with _blame(values):
@@ -430,12 +453,12 @@ def _values_of_environment(key: str, given: Any, parameter: describe.Parameter) 
     values = [[one(entry) for entry in x] if depth else one(x) for x in tried]
     if not values:
         raise InputError(f"the grid of {key} is empty")
-    if repeated := [x for i, x in enumerate(values) if x in values[:i]]:
-        raise InputError(f"the grid of {key} holds {shown(repeated[0])} more than once")
+    if again := repeated(values):
+        raise InputError(f"the grid of {key} holds {shown(again[0])} more than once")
     return values
 
 
-def _methods(given: Any, seed: int) -> list[dict[str, Any]]:
+def _methods(given: Any, seed: int, environments: int) -> list[dict[str, Any]]:
     """The plain data of each method."""
     tables = _tables("method", given, METHODS)
     first = tables[0]["name"]
@@ -447,17 +470,23 @@ def _methods(given: Any, seed: int) -> list[dict[str, Any]]:
                     f"{prediction} learns the values of a policy, and {control} a policy, which cannot be "
                     "compared; sweep methods of prediction and of control apart"
                 )
-    found = []
+    grids, settings = [], 0
     for i, table in enumerate(tables):
         with _at("method", i):
-            found.append(_method(table, seed))
-    _check_labels("method", found, range(len(found)))
+            grids.append(_grid(table, seed))
+            settings += math.prod(len(x) for x in grids[-1].values() if isinstance(x, list))
+            times = f" in {environments:,} environments" if environments > 1 else ""
+            axes.check_settings(settings * environments, f"the methods{times}")
+    _check_labels("method", tables, range(len(tables)))
+    found = []
+    for i, (table, grid) in enumerate(zip(tables, grids, strict=True)):
+        with _at("method", i):
+            found.append(_method(table, grid))
     return found
 
 
-def _method(table: Mapping[str, Any], seed: int) -> dict[str, Any]:
+def _method(table: Mapping[str, Any], grid: Mapping[str, Any]) -> dict[str, Any]:
     cls = METHODS[table["name"]]
-    grid = _grid(table, seed)
     with _blame(table):
         _, configs = configurations(cls, grid)
     data = {"name": table["name"], "label": table["label"]}
@@ -499,6 +528,8 @@ def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[st
     """What is given for the key `kind`, as tables with a name that is known and a label."""
     several = isinstance(given, Sequence) and not isinstance(given, str)
     found = []
+    with _at(kind):
+        axes.check_settings(len(given) if several else 1, f"so many tables [[{kind}]]")
     for i, table in enumerate(given if several else [given]):
         with _at(kind, i):
             table = {"name": table} if isinstance(table, str) else table
@@ -509,15 +540,12 @@ def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[st
             with _at("name"):
                 name = table["name"]
                 if not isinstance(name, str) or name not in registry:
-                    one = "an environment" if kind == "environment" else "a method"
-                    raise InputError(f"{shown(name)} is not {one}; {nearest(str(name), registry)}")
+                    if registry is ENVS:
+                        raise InputError(f"{shown(name)} is not an environment; {instead(name)}")
+                    raise InputError(f"{shown(name)} is not a method; {nearest(name, registry)}")
             with _at("label"):
                 label = table.get("label", name)
-                if not isinstance(label, str) or not re.fullmatch(LABEL, label):
-                    raise InputError(
-                        "a label must be a text without '/' that begins with a letter or a digit, "
-                        f"not {shown(label)}"
-                    )
+                _check_label(label)
             found.append({**table, "name": name, "label": label})
     if not found:
         with _at(kind):
@@ -525,11 +553,26 @@ def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[st
     return found
 
 
+def _check_label(label: Any) -> None:
+    """Raises InputError unless it can name a group in a file, and a folder, and be read in a picture."""
+    if not isinstance(label, str) or not re.match(r"\w", label) or "/" in label or not label.isprintable():
+        raise InputError(
+            "a label must be a text in one line that begins with a letter or a digit and has no '/', "
+            f"not {shown(label)}"
+        )
+    if len(label) > LONGEST_LABEL:
+        raise InputError(
+            f"a label may have {LONGEST_LABEL} characters, and {shown(label[:40])}... has {len(label):,}"
+        )
+
+
 def _check_labels(kind: str, tables: Sequence[Mapping[str, Any]], places: Sequence[int]) -> None:
-    labels = [table["label"] for table in tables]
-    for i, label in zip(places, labels, strict=True):
+    first: dict[str, int] = {}
+    for i, table in zip(places, tables, strict=True):
+        label = table["label"]
         with _at(kind, i):
-            if label in labels[: places.index(i)]:
+            _check_label(label)  # also where it is made of the values of a grid
+            if first.setdefault(label, i) != i:
                 raise InputError(f"the {kind} {label} is named more than once: give each a label of its own")
 
 
@@ -550,7 +593,7 @@ def _own(table: Mapping[str, Any], wanted: Mapping[str, describe.Parameter], *mo
                 hint = nearest(key, wanted)
                 if key in _keys(Experiment):
                     hint = "it is of the whole experiment: write it above the first table"
-                raise InputError(f"{table['label']} has no parameter {key!r}; {hint}")
+                raise InputError(f"{table['label']} has no parameter {shown(key)}; {hint}")
     return {key: table[key] for key in known if key in table}
 
 
@@ -569,7 +612,7 @@ def _axis(key: str, given: Any) -> Any:
     allowed = {"points"} if issubclass(cls, axes.Grid) else set()
     if wrong := [name for name in more if name not in allowed]:
         takes = nearest(wrong[0], allowed) if allowed else f"{kind} takes nothing else"
-        raise InputError(f"{key}: {kind} has no {wrong[0]!r}; {takes}")
+        raise InputError(f"{key}: {kind} has no {shown(wrong[0])}; {takes}")
     if allowed - set(more):
         raise InputError(f"{key}: say how many points, {{{kind} = [0.1, 1], points = 5}}")
     if cls is not axes.Choice and (not isinstance(ends, Sequence) or isinstance(ends, str) or len(ends) != 2):
@@ -616,16 +659,21 @@ def _plain(key: str, value: Any) -> Any:
     raise InputError(f"{key}: {shown(value)} cannot be written in a file; sweep(...) takes it")
 
 
-def _listed(value: Any) -> Any:
+def _listed(value: Any, depth: int = 0) -> Any:
     """Lists in place of tuples and arrays."""
+    if depth > DEEPEST:
+        raise InputError(f"more than {DEEPEST} lists are in one another")
     value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-    return [_listed(x) for x in value] if isinstance(value, list | tuple) else value
+    return [_listed(x, depth + 1) for x in value] if isinstance(value, list | tuple) else value
 
 
 def _depth(value: Any) -> int:
     """How deep lists are in one another; of lists of unlike entries the deepest."""
-    value = _listed(value)
-    return 1 + max(map(_depth, value), default=0) if isinstance(value, list) else 0
+    return _depth_of_lists(_listed(value))
+
+
+def _depth_of_lists(value: Any) -> int:
+    return 1 + max(map(_depth_of_lists, value), default=0) if isinstance(value, list) else 0
 
 
 def _whole(name: str, value: Any, least: int) -> int:
@@ -644,7 +692,7 @@ def _selection(given: Any, seeds: int) -> dict[str, Any]:
     for key in given:
         with _at(key):
             if key not in _keys(Selection):
-                raise InputError(f"select has no {key!r}; {nearest(key, _keys(Selection))}")
+                raise InputError(f"select has no {shown(key)}; {nearest(key, _keys(Selection))}")
     return dataclasses.asdict(Selection(**{"fresh_seeds": seeds, **given}))
 
 
@@ -707,31 +755,71 @@ def _located(source: Source | None) -> Iterator[None]:
     except _Wrong as error:
         where = ""
         if source:
-            line = _line(source.text, error.path)
-            where = f"{source.path}, line {line}: " if line else f"{source.path}: "
+            line = _line(source, error.path)
+            where = f"{source}, line {line}: " if line else f"{source}: "
         raise InputError(f"{where}{error}") from None
 
 
-def _statements(text: str) -> Iterator[tuple[int, int, dict[str, Any]]]:
-    """The lines of each statement, the first and the last, and all that the file says up to its end.
+def _read(source: Source) -> dict[str, Any]:
+    """What the file says. Raises InputError, with the line, where it is no TOML or nested beyond reason."""
+    statements = _statements(source)
+    try:
+        return tomllib.loads(source.text)
+    except tomllib.TOMLDecodeError as error:
+        what, _, place = str(error).partition(" (at ")
+        found = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
+        line = found[1] if found else statements[-1].line
+        raise InputError(f"{source}, line {line}: {one_line(what[0].lower() + what[1:])}") from None
+    except ValueError:
+        raise InputError(f"{source}: a whole number has more digits than Python reads") from None
 
-    tomllib tells no lines. But the first lines of a file are TOML themselves wherever nothing is left open.
+
+# What a file is made of as far as it must be known where statements end: texts, comments, and single characters.
+_PIECE = re.compile(
+    r'''"""(?:\\.|[^\\])*?(?:"{3,5}|\Z)|'{3}.*?(?:'{3,5}|\Z)|"(?:\\.|[^"\\\n])*"?|'[^'\n]*'?|\#[^\n]*|[][{}=.,\n]''',
+    re.DOTALL,
+)
+
+
+class _Statement(NamedTuple):
+    line: int  # on which it begins
+    end: int  # of the text up to and with it
+
+
+def _statements(source: Source) -> list[_Statement]:
+    """The statements of a file, blank lines among them; the last one may be left open.
+
+    tomllib tells no lines. But the beginning of a file is TOML itself wherever nothing is left open.
+
+    Raises:
+        InputError: brackets are in one another, or a key has parts, beyond `DEEPEST`.
     """
-    lines, first = text.split("\n"), 1
-    for last in range(1, len(lines) + 1):
-        with contextlib.suppress(tomllib.TOMLDecodeError):
-            data = tomllib.loads("\n".join(lines[:last]))
-            yield first, last, data
-            first = last + 1
+    found, line, first, depth, parts = [], 1, 1, 0, 0
+    for piece in _PIECE.finditer(source.text):
+        text = piece[0]
+        depth += (text in ("[", "{")) - (text in ("]", "}"))
+        parts = parts + 1 if text == "." else parts if text[0] in "\"'" else 0
+        if max(depth, parts) > DEEPEST:
+            what = "brackets are in one another" if depth > DEEPEST else "parts are in a key"
+            raise InputError(f"{source}, line {line}: more than {DEEPEST} {what}")
+        line += text.count("\n")
+        if text == "\n" and depth <= 0:
+            found.append(_Statement(first, piece.end()))
+            first, depth = line, 0
+    if not found or found[-1].end < len(source.text):
+        found.append(_Statement(first, len(source.text)))
+    return found
 
 
-def _line(text: str, path: Sequence[str | int]) -> int | None:
+def _line(source: Source, path: Sequence[str | int]) -> int | None:
     """The line on which what is at `path` begins, or as much of the way there as there is."""
-    for length in range(len(path), 0, -1):
-        for line, _, data in _statements(text):
-            if _is_there(data, path[:length]):
-                return line
-    return None
+    data = tomllib.loads(source.text)
+    path = next((path[:n] for n in range(len(path), 0, -1) if _is_there(data, path[:n])), ())
+    if not path:
+        return None
+    statements = _statements(source)
+    said = lambda end: _is_there(tomllib.loads(source.text[:end]), path)
+    return statements[bisect.bisect_left(statements, True, key=lambda x: said(x.end))].line
 
 
 def _is_there(data: Any, path: Sequence[Any]) -> bool:
@@ -743,11 +831,3 @@ def _is_there(data: Any, path: Sequence[Any]) -> bool:
         except (LookupError, TypeError):
             return False
     return True
-
-
-def _syntax_error(source: Source, said: str) -> str:
-    """One line for what tomllib says, "Invalid value (at line 3, column 9)"."""
-    what, _, place = said.partition(" (at ")
-    found = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
-    line = found[1] if found else max((last for _, last, _ in _statements(source.text)), default=0) + 1
-    return f"{source.path}, line {line}: {what[0].lower()}{what[1:]}"

@@ -50,9 +50,10 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
         per: what a row of the table is.
             "row": a row of the log of one run. Columns: steps, episodes, returns, lengths and rewards, all
             sums over the row (see `train.Log`), and what was recorded, if it is a number.
-            "seed": one run. The same sums over the run; `diverged`; `last_tenth_return`, the mean return of
-            the last tenth, or of prediction `v_error`, the mean RMS error of the run (see `stats.score`); and
-            `final_NAME`, what was recorded, at the end.
+            "seed": one run. The same sums over the run; `diverged`; its score (see `stats.score`), as
+            `last_tenth_return`, or of prediction as `v_error`; for control `unfinished`, whether it finished
+            no episode in the last tenth, so that its score is what it collected there; and `final_NAME`, what
+            was recorded, at the end.
 
     Returns:
         A frame with the columns `environment`, `method`, every hyperparameter of any method, `seed`, and
@@ -120,6 +121,8 @@ def _runs(ds: xr.Dataset) -> xr.Dataset:
     sums = {name: log[name].sum("row", skipna=False, dtype=_wide(log[name])) for name in LOG}
     found = xr.Dataset(sums | {"diverged": ds.diverged})
     found["v_error" if stats.is_prediction(ds) else "last_tenth_return"] = stats.score(ds)
+    if not stats.is_prediction(ds):
+        found["unfinished"] = stats.unfinished(ds)
     ends = log.drop_vars(LOG).isel(row=-1, drop=True)
     return found.merge(ends.rename({name: f"final_{name}" for name in ends.data_vars}))
 

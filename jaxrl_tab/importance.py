@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float
 from jaxrl_tab import planning
 from jaxrl_tab.offline import Experience
 from jaxrl_tab.planning import Model
-from jaxrl_tab.policies import Table, check_coverage
+from jaxrl_tab.policies import Table, check_among, check_coverage
 from jaxrl_tab.types import Environment, InputError, first, shown
 
 MARGIN = 1e-12  # a rate of growth so close to 1, relatively, is taken for 1
@@ -38,7 +38,7 @@ class Variance(NamedTuple):
     """The exact variance of what importance sampling averages; `inf` where it is infinite.
 
     From each state, float64 [S], or from each state and action, float64 [S, A]. Zero at terminal states; NaN
-    where an episode of the target policy may never end.
+    where an episode of the target policy may never end, and where a state does not have the action.
 
     Attributes:
         ratio: Var(rho), of the ratio of the whole episode.
@@ -115,6 +115,9 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     planning.check_finite(env)
     pi, b = _probabilities(target, behaviour, (env.num_states, env.num_actions))
     model = planning.exact_model(env)
+    if model.available is not None:
+        for name, probabilities in (("target", pi), ("behaviour", b)):
+            check_among(name, probabilities, model.available)
     over = planning.terminal_states(model)
     pi = np.where(over[:, None], b, pi)  # nothing is chosen there
     endless = _endless(model, pi, over)
@@ -160,6 +163,8 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
         of_outcome + later(gamma**2, per_decision),
     )
     leads_there = ((onward > 0) & endless[model.s_next]).any(2)
+    if model.available is not None:
+        leads_there |= ~model.available
     for result, undefined in ((of_states, endless), (of_actions, leads_there)):
         for x in result:
             x[undefined] = np.nan

@@ -11,7 +11,8 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Sequence
+import weakref
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,9 +20,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxrl_tab.types import InputError
+from jaxrl_tab.types import InputError, shown
 
 UNITS = {"B": 1} | {f"{k}B": 1000**i for i, k in enumerate("kMGT", 1)}
+BLOCK = 2**24  # bytes of results that are looked at at a time, after they are computed
+_MAPPED: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()  # the files of results
 UNITS |= {f"{k}iB": 1024**i for i, k in enumerate("KMGT", 1)}
 
 
@@ -59,7 +62,6 @@ class Results:
 
     def __init__(self, like: Any, runs: int, on_disk: bool = False):
         """Makes room. `like` is a pytree of the shapes that one run gives."""
-        self._files: list[mmap.mmap] = []
         make = self._in_a_file if on_disk else np.empty
         self.arrays = jax.tree.map(lambda x: make((runs, *x.shape), x.dtype), like)
 
@@ -70,9 +72,7 @@ class Results:
             array[runs] = x
 
         jax.tree.map(put, self.arrays, given)
-        for file in self._files:
-            if hasattr(mmap, "MADV_DONTNEED"):  # what is written need not stay in this process's memory
-                file.madvise(mmap.MADV_DONTNEED)
+        let_go()
 
     def _in_a_file(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
         size = max(1, int(np.prod(shape)) * np.dtype(dtype).itemsize)
@@ -80,8 +80,24 @@ class Results:
             if hasattr(os, "posix_fallocate"):  # holds the room: else a full disk would kill the process
                 os.posix_fallocate(file.fileno(), 0, size)
             file.truncate(size)
-            self._files.append(mmap.mmap(file.fileno(), size))
-        return np.ndarray(shape, dtype, buffer=self._files[-1])
+            mapped = mmap.mmap(file.fileno(), size)
+        _MAPPED.add(mapped)
+        return np.ndarray(shape, dtype, buffer=mapped)
+
+
+def blocks(count: int, each: int) -> Iterator[slice]:
+    """Where to look at many things, each of so many bytes, some after others: no more than a block at a time."""
+    most = max(1, BLOCK // max(1, each))
+    for first in range(0, count, most):
+        yield slice(first, min(first + most, count))
+        let_go()
+
+
+def let_go() -> None:
+    """What is in files need not stay in this process's memory, until it is looked at again."""
+    if hasattr(mmap, "MADV_DONTNEED"):
+        for file in list(_MAPPED):
+            file.madvise(mmap.MADV_DONTNEED)
 
 
 def size(tree: Any) -> int:
@@ -123,5 +139,5 @@ def parse(text: str) -> int:
     units = {unit.lower(): factor for unit, factor in UNITS.items()}
     count = int(float(found[1]) * units.get(found[2].lower(), 0)) if found else 0
     if count < 1:
-        raise InputError(f"must be a number with a unit ({', '.join(UNITS)}), such as 4GB, not {text!r}")
+        raise InputError(f"must be a number with a unit ({', '.join(UNITS)}), such as 4GB, not {shown(text)}")
     return count

@@ -12,7 +12,7 @@ The lecture gives four reasons why off-policy learning matters (Silver, lecture 
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -33,11 +33,14 @@ from jaxrl_tab.types import (
     InputError,
     Task,
     Transition,
+    available_actions,
+    check_available,
     check_pytree,
     concrete,
     first,
     init_learner,
     pytree,
+    restricted,
     said_of_update,
     shown,
     whole,
@@ -224,6 +227,16 @@ class Experience:
                 "behaviour policy never does; it is not the policy that acted"
             )
 
+    def check_available(self, available: Bool[Any, "S A"]) -> None:
+        """Raises InputError where an action was taken that its state does not have; traced ones pass."""
+        there, s, a = (concrete(x) for x in (available, self.s, self.a))
+        if there is None or s is None or a is None:
+            return
+        if (i := first(~there.astype(bool)[s, a])) is not None:
+            raise InputError(
+                f"{NAME}: transition {i[0]} takes action {a[i]} in state {s[i]}, which does not have it; see available"
+            )
+
     def transitions(self, gamma: Any, dtype: Any) -> Transition:
         """What methods learn from: a Transition of [N] each, with rewards and gamma' of type `dtype`."""
         s, a, s_next = (jnp.asarray(x, jnp.int32) for x in (self.s, self.a, self.s_next))
@@ -281,6 +294,7 @@ def learn(
     num_actions: int,
     *,
     passes: int = 1,
+    available: Any = None,
 ) -> L:
     """Learns from experience of somebody else, transition by transition, in the order of the log.
 
@@ -297,16 +311,18 @@ def learn(
         num_states: the number of states of the task, terminal ones included.
         num_actions: the number of its actions.
         passes: how often to go through the log. Schedules go on counting.
+        available: which actions there are in each state, bool [S, A], where a state does not have all.
 
     Returns:
         The state of the learner (`.q` is float [S, A]).
 
     Raises:
         InputError: the method can learn only from what it did itself; or the log is not experience of such a
-            task, or not of the behaviour policy that the method was given.
+            task, or not of the behaviour policy that the method was given; or it holds an action that is not
+            available.
     """
     rng.check_key(key)
-    _check(algorithm, experience, num_states, num_actions)
+    algorithm = _checked(algorithm, experience, num_states, num_actions, available)
     task = Task(int(num_states), int(num_actions), _longest_episode(experience))
     return _learn(key, algorithm, experience, task, whole("learn", "passes", passes))
 
@@ -319,6 +335,7 @@ def replay(
     num_actions: int,
     *,
     num_updates: int,
+    available: Any = None,
 ) -> L:
     """Learns again and again from remembered transitions, each drawn uniformly (Lin 1992).
 
@@ -333,6 +350,7 @@ def replay(
         num_states: the number of states of the task, terminal ones included.
         num_actions: the number of its actions.
         num_updates: how many transitions to draw, with replacement.
+        available: as in `learn`.
 
     Returns:
         The state of the learner (`.q` is float [S, A]).
@@ -341,7 +359,7 @@ def replay(
         InputError: as `learn`; or the method learns from whole episodes.
     """
     rng.check_key(key)
-    _check(algorithm, experience, num_states, num_actions)
+    algorithm = _checked(algorithm, experience, num_states, num_actions, available)
     if said_of_update(algorithm, "learns_from").startswith("episodes"):
         raise InputError(
             f"replay draws single transitions, and {type(algorithm).__name__} learns from whole episodes: "
@@ -351,7 +369,8 @@ def replay(
     return _replay(key, algorithm, experience, task, whole("replay", "num_updates", num_updates))
 
 
-def _check(algorithm: Any, experience: Any, num_states: int, num_actions: int) -> None:
+def _checked(algorithm: Any, experience: Any, num_states: int, num_actions: int, available: Any) -> Any:
+    """The method as it is among the actions that are available. Raises InputError as `learn` does."""
     check_pytree("algorithm", algorithm, METHODS)
     if not isinstance(experience, Experience):
         raise InputError(f"experience must be an Experience, not {type(experience).__name__}")
@@ -369,6 +388,12 @@ def _check(algorithm: Any, experience: Any, num_states: int, num_actions: int) -
             "behaviour=policies.Table(b)"
         )
     experience.check(num_states, num_actions, behaviour)
+    if available is None:
+        return algorithm
+    there = numbers("learn", "available", available)
+    check_available("learn: available", there, num_states, num_actions)
+    experience.check_available(there)
+    return restricted(algorithm, there.astype(bool))
 
 
 def _longest_episode(experience: Experience) -> int:
@@ -435,6 +460,7 @@ def collect(
     """
     method = _method(behaviour)
     check_pytree("env", env, ENVS)
+    method = restricted(method, available_actions(env))
     logged = _Logged(method, init_learner(method, env))
     _, log = train(key, logged, env, num_steps=num_steps, log_every=1, record=_transition)
     assert log.recorded is not None
@@ -495,6 +521,9 @@ class _Logged:
     @property
     def exploring_starts(self) -> bool:
         return getattr(self.method, "exploring_starts", False)
+
+    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+        return self  # its method was, before it began
 
     def init(self, num_states: int, num_actions: int) -> _LoggedState:
         zero, real = jnp.int32(0), jnp.zeros((), self.start.q.dtype)

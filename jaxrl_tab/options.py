@@ -10,9 +10,12 @@ import dataclasses
 import inspect
 import io
 import itertools
+import os
 import re
+import shutil
 import typing
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
@@ -22,7 +25,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from jaxrl_tab import describe, memory, policies
-from jaxrl_tab.types import InputError, nearest
+from jaxrl_tab.types import InputError, nearest, one_line, shown
 
 
 class Group(NamedTuple):
@@ -72,12 +75,22 @@ def size() -> Any:
     return _option(int, memory.parse, "SIZE")
 
 
+def word(metavar: str) -> Any:
+    """An annotation of an option that takes any text as it is. (tyro takes None for an option not given.)"""
+    return _option(str, str, metavar)
+
+
+def place(metavar: str) -> Any:
+    """An annotation of an option that takes a file or a folder."""
+    return _option(Path, Path, metavar)
+
+
 def _number(kind: type, fits: Callable[[Any], bool], metavar: str, wanted: str) -> Any:
     def read(token: str) -> Any:
         with contextlib.suppress(ValueError):
             if fits(value := kind(token)):
                 return value
-        raise ValueError(f"must be {wanted}, not {token!r}")
+        raise ValueError(f"must be {wanted}, not {shown(token)}")
 
     return _option(kind, read, metavar)
 
@@ -90,6 +103,32 @@ def _option(kind: type, read: Callable[[str], Any], metavar: str) -> Any:
         is_instance=lambda x: isinstance(x, kind),
         str_from_instance=lambda x: [str(x)],
     )
+
+
+def _words(many: bool) -> Any:
+    """An annotation of an option that takes one word, or any number."""
+    return PrimitiveConstructorSpec(
+        nargs="*" if many else 1,
+        metavar="X ..." if many else "X",
+        instance_from_str=tuple,
+        is_instance=lambda x: x is None or isinstance(x, tuple),
+        str_from_instance=lambda x: list(x or ()),
+    )
+
+
+NARROWEST = 40  # columns; in fewer than ten tyro looks for a place to break a line, and never ends
+
+
+@contextlib.contextmanager
+def _wide_enough() -> Iterator[None]:
+    """Inside, the terminal is not said to be narrower than what tyro can write in."""
+    before, columns = os.environ.get("COLUMNS"), shutil.get_terminal_size().columns
+    os.environ["COLUMNS"] = str(max(NARROWEST, columns))
+    try:
+        yield
+    finally:
+        del os.environ["COLUMNS"]
+        os.environ |= {} if before is None else {"COLUMNS": before}
 
 
 def parse(prog: str, command: type, argv: Sequence[str], **groups: Group) -> Any:
@@ -112,7 +151,7 @@ def parse(prog: str, command: type, argv: Sequence[str], **groups: Group) -> Any
     )
     complaint = io.StringIO()
     try:
-        with contextlib.redirect_stderr(complaint):
+        with contextlib.redirect_stderr(complaint), _wide_enough():
             parsed, unknown = tyro.cli(
                 whole,
                 prog=prog,
@@ -124,13 +163,13 @@ def parse(prog: str, command: type, argv: Sequence[str], **groups: Group) -> Any
     except SystemExit as stop:
         if not stop.code:
             raise
-        raise InputError(f"{_plain(complaint.getvalue())} (see `{prog} --help`)") from None
+        raise InputError(f"{one_line(_plain(complaint.getvalue()))} (see `{prog} --help`)") from None
     for token in unknown:
         if not token.startswith("-"):
-            raise InputError(f"{token!r} is one word too many")
+            raise InputError(f"{shown(token)} is one word too many")
         hints = [typing.get_type_hints(cls, include_extras=True) for cls in (command, *types.values())]
         known = [_spell(f) for h in hints for f, kind in h.items() if Positional not in _notes(kind)]
-        raise InputError(f"there is no option {token}; {nearest(token.partition('=')[0], known)}")
+        raise InputError(f"there is no option {one_line(token)}; {nearest(token.partition('=')[0], known)}")
     for name, cls in types.items():
         values = {_spell(f.name): getattr(getattr(parsed, name), f.name) for f in dataclasses.fields(cls)}
         given = {option: value for option, value in values.items() if value not in (None, False)}
@@ -227,8 +266,7 @@ def _options(name: str, group: Group) -> type:
         else:
             many = group.grids or isinstance(parameter.default, tuple)
             note = arg(help=parameter.help, help_behavior_hint=hint, metavar="X ..." if many else "X")
-            kind = tuple[str, ...] if many else tuple[str]
-            fields.append((field, Annotated[kind | None, note], None))
+            fields.append((field, Annotated[tuple[str, ...] | None, _words(many), note], None))
     return dataclasses.make_dataclass(name, fields)
 
 

@@ -21,7 +21,6 @@ values are finite.
 
 import contextlib
 from collections.abc import Callable, Iterator
-from numbers import Real
 from typing import Any, NamedTuple
 
 import jax
@@ -31,18 +30,23 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrl_tab import policies
+from jaxrl_tab import memory, policies
 from jaxrl_tab.types import (
     Environment,
     FiniteEnvironment,
     InputError,
+    as_array,
+    available_actions,
     check_pytree,
     first,
+    foreign,
     is_distribution,
     shown,
 )
 
+BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
 ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
+PATH_SWEEPS = 100  # of `largest_return`
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
 BLOCK, MAX_BLOCKS = 16, 6  # states that are taken out of a dense chain at once, and how many times
 
@@ -58,6 +62,8 @@ class Model(NamedTuple):
         reward: their rewards, float [S, A, K].
         terminal: whether they end the episode, bool [S, A, K].
         start: the distribution of the start state, float [S].
+        available: which actions there are, bool [S, A]; None for all. The outcomes of another action are
+            those of one that there is, so that it leads nowhere else; its value is UNAVAILABLE.
     """
 
     prob: Float[Any, "S A K"]
@@ -65,6 +71,7 @@ class Model(NamedTuple):
     reward: Float[Any, "S A K"]
     terminal: Bool[Any, "S A K"]
     start: Float[Any, " S"]
+    available: Bool[Any, "S A"] | None = None
 
 
 # --- the model ---------------------------------------------------------------------------------------
@@ -74,7 +81,7 @@ def check_finite(env: Environment) -> None:
     """Raises InputError where `env` can only be sampled, so that nothing exact can be said about it."""
     if not isinstance(env, FiniteEnvironment):
         raise InputError(
-            f"{_name(env)} can only be sampled; exact values need one with `outcomes` and `initial`"
+            f"{_name(env)} can only be sampled; exact values need one with `outcomes` and `initial`{foreign(env)}"
         )
 
 
@@ -82,13 +89,19 @@ def enumerate_model(env: Any) -> Model:
     """The Model of a finite environment in JAX arrays of the ambient precision, under `jit` too."""
     states = jnp.arange(env.num_states, dtype=jnp.int32)
     actions = jnp.arange(env.num_actions, dtype=jnp.int32)
-    prob, outcome = jax.vmap(jax.vmap(env.outcomes, (None, 0)), (0, None))(states, actions)
+    available = available_actions(env)
+    if available is not None:
+        another = jnp.where(available, actions[None], env.num_actions - 1).min(1, keepdims=True)
+        actions = jnp.where(available, actions[None], another)
+    of_states = None if available is None else 0
+    prob, outcome = jax.vmap(jax.vmap(env.outcomes, (None, 0)), (0, of_states))(states, actions)
     return Model(
         prob.astype(float),
         outcome.s_next.astype(jnp.int32),
         outcome.reward.astype(float),
         outcome.terminal,
         env.initial().astype(float),
+        available,
     )
 
 
@@ -101,6 +114,7 @@ def exact_model(env: Environment) -> Model:
     """
     check_finite(env)
     check_pytree(_name(env), env)
+    _check_size(env)
     # In 64 bits from the first operation on, or 1/3 would be a float32 third.
     with jax.enable_x64(), jax.numpy_dtype_promotion("standard"):
         # A copy, for a live program that closes over an array makes JAX 0.10 remember its value in 32 bits.
@@ -110,11 +124,21 @@ def exact_model(env: Environment) -> Model:
     return model
 
 
+def _check_size(env: Any) -> None:
+    """Raises InputError where all outcomes, of one for each state and action at least, do not fit in memory."""
+    pairs = env.num_states * env.num_actions
+    if pairs >= 2**31 or BYTES_OF_OUTCOME * pairs > memory.free():
+        raise InputError(
+            f"{_name(env)}: {env.num_states:,} states with {env.num_actions:,} actions each are more than fit in "
+            "memory; make it smaller"
+        )
+
+
 _enumerate_jit = jax.jit(enumerate_model)
 
 
 def _check_model(name: str, model: Model) -> None:
-    prob, s_next, reward, terminal, start = model
+    prob, s_next, reward, terminal, start, _ = model
     num_states = len(prob)
     if prob.ndim != 3 or {x.shape for x in model[:4]} != {prob.shape} or start.shape != (num_states,):
         shapes = ", ".join(str(x.shape[2:]) for x in model[:4])
@@ -156,11 +180,12 @@ def reachable(model: Model) -> Bool[Any, " S"]:
 def backup(model: Model, v: Float[Any, "... S"], gamma: Any) -> Float[Any, "... S A"]:
     """q(s, a) = sum over outcomes of p (r + gamma' v(s')), float [..., S, A] (book, equation 4.6).
 
-    `model` and `v` are either NumPy or JAX arrays; gamma' is 0 where the outcome is terminal.
+    `model` and `v` are either NumPy or JAX arrays; gamma' is 0 where the outcome is terminal. The value of an
+    action that is not available is UNAVAILABLE.
     """
     over = model.terminal | (model.prob == 0)  # 0 x -inf is nothing here
     v_next = _namespace(model).where(over, 0, v[..., model.s_next])
-    return (model.prob * (model.reward + gamma * v_next)).sum(-1)
+    return _among(model, (model.prob * (model.reward + gamma * v_next)).sum(-1))
 
 
 def expectation_backup(
@@ -308,8 +333,8 @@ def value_iteration(
             earns more than it costs; or `max_sweeps` were not enough.
     """
     check_rate("gamma", gamma)
-    if not (isinstance(tol, Real) and tol > 0):
-        raise InputError(f"tol must be greater than 0, not {tol!r}")
+    if not (isinstance(tol, int | float | np.number) and tol > 0):
+        raise InputError(f"tol must be greater than 0, not {shown(tol)}")
     model = exact_model(env)
     found = _solved(env, model, 0.0, gamma)
     v, terms = found.v, (found.probs * backup(_sizes(model), abs(found.v), gamma)).sum(1)
@@ -362,6 +387,32 @@ def epsilon_soft(
     check_rate("gamma", gamma)
     found = _solved(env, exact_model(env), epsilon, gamma)
     return found.probs, found.v, found.q
+
+
+def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
+    """The largest |R_1 + gamma R_2 + ...| that so many steps or fewer can give, if chance and actions will.
+
+    What the steps after the first `PATH_SWEEPS` can add is bounded by what the last of these could: with each
+    step more a path can gain no more than with the step before.
+
+    Args:
+        env: an environment with `outcomes`.
+        gamma: discount rate, in [0, 1].
+        steps: the number of steps, at least 1.
+        anywhere: whether the first step may be in any state, or only where one can come from the start.
+    """
+    model = exact_model(env)
+    begin = np.full(len(model.start), True) if anywhere else reachable(model)
+    reward, goes_on = np.where(model.prob > 0, model.reward, 0), (model.prob > 0) & ~model.terminal
+    most, left, change = np.zeros((2, len(begin))), steps, 0.0  # of the rewards, and of the costs
+    while left and left > steps - PATH_SWEEPS:
+        later = gamma * np.where(goes_on, most[:, model.s_next], 0)
+        new = np.maximum(0, (np.stack([reward, -reward]) + later).max((2, 3)))
+        change, most, left = (new - most)[:, begin].max(), new, left - 1
+        if not change:
+            break
+    more = left if gamma == 1 else gamma * (1 - gamma**left) / (1 - gamma)
+    return float(most[:, begin].max() + change * more)
 
 
 def _solved(env: Environment, model: Model, epsilon: float, gamma: float) -> "_Round":
@@ -512,6 +563,11 @@ def _loop(model: Model, go_on: Callable[[Any], Any], body: Callable[[Any], Any],
     return carry
 
 
+def _among(model: Model, q: Float[Any, "... S A"]) -> Float[Any, "... S A"]:
+    """`q` with UNAVAILABLE in place of what the model does not have."""
+    return q if model.available is None else _namespace(model).where(model.available, q, policies.UNAVAILABLE)
+
+
 def _largest(q: Float[Any, "... S A"]) -> Float[Any, "... S"]:
     """max over the actions of each state, [..., S]: the only place where planning takes it."""
     return q.max(-1)
@@ -520,7 +576,11 @@ def _largest(q: Float[Any, "... S A"]) -> Float[Any, "... S"]:
 def _greedy(q: Float[Any, "... S A"], epsilon: float = 0.0) -> Float[Any, "... S A"]:
     """The policy that is epsilon-greedy to `q`, ties split equally, as `policies.epsilon_greedy`."""
     best = (q == _largest(q)[..., None]).astype(q.dtype)
-    return epsilon / q.shape[-1] + (1 - epsilon) * (best / best.sum(-1, keepdims=True))
+    greedy = best / best.sum(-1, keepdims=True)
+    if not epsilon:
+        return greedy
+    there = (q > policies.UNAVAILABLE).astype(q.dtype)
+    return epsilon * there / there.sum(-1, keepdims=True) + (1 - epsilon) * greedy
 
 
 def _sizes(model: Model) -> Model:
@@ -782,7 +842,7 @@ def _policy_iteration(model: Model, epsilon: float, gamma: Any) -> _Round:
         v, size, caught = _policy_value(model, probs, gamma)
         q = backup(model, where(v == -np.inf, 0, v), gamma)  # where some are caught it is not looked at
         improved = _greedy(q, epsilon)
-        best = epsilon * q.mean(-1) + (1 - epsilon) * _largest(q)
+        best = (improved * q).sum(-1)
         sizes = (improved * backup(_sizes(model), size, gamma)).sum(-1)
         return _Round(probs, v, q, caught, best > v + unit * (size + sizes), improved, n)
 
@@ -806,14 +866,14 @@ def _first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]
     "wait for 0" or "take 1, then pay 3" waiting looks worth what the rest is worth.
     """
     namespace = _namespace(model)
-    shape = model.prob.shape[:2]
-    anything = namespace.full(shape, 1 / shape[1], model.prob.dtype)
+    there = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
+    anything = there / there.sum(-1, keepdims=True).astype(model.prob.dtype)
     if epsilon:
         return anything
     free = ((model.prob == 0) | (model.reward == 0)).all(-1)
     home = _home(model, free)
     staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
-    staying = staying.astype(model.prob.dtype)
+    staying = (staying & there).astype(model.prob.dtype)
     staying = staying / staying.sum(-1, keepdims=True)
     v, _, caught = _policy_value(model, anything, gamma)
     mixed = namespace.where((home & (v < 0))[:, None], staying, anything)
@@ -832,8 +892,16 @@ def _name(env: Any) -> str:
     return type(env).__name__
 
 
+def _numbers(name: str, value: Any) -> np.ndarray:
+    """`value` in float64. Raises InputError unless it is numbers in a rectangular array."""
+    array = as_array(value)
+    if array is None or array.dtype.kind not in "biuf":
+        raise InputError(f"{name} must be numbers, in rows of equal length, not {shown(value)}")
+    return array.astype(np.float64)
+
+
 def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
-    probs = np.asarray(policy_probs, np.float64)
+    probs = _numbers("policy_probs", policy_probs)
     shape = model.prob.shape[:2]
     if probs.shape != shape:
         raise InputError(f"policy_probs must have shape [S, A] = {shape}, not {probs.shape}")
@@ -841,31 +909,30 @@ def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
         raise InputError(
             f"policy_probs of state {i[0]} are {probs[i].tolist()}; they must be 0 or more and add up to 1"
         )
+    if model.available is not None:
+        policies.check_among("policy_probs", probs, model.available)
     return probs / probs.sum(1, keepdims=True)
 
 
 def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
-    """`values` in float64: v [S], or q [S, A]."""
-    array = np.asarray(values, np.float64)
+    """`values` in float64: v [S], or q [S, A], whatever that says of actions that are not available."""
+    array = _numbers(name, values)
     shape = model.prob.shape[: 1 if name == "v" else 2]
     if array.shape != shape:
         each = f"{shape[0]} states" + "".join(f" and {n} actions" for n in shape[1:])
         raise InputError(f"{name} must have one value for each of the {each}, not {array.shape}")
-    return array
+    return array if name == "v" else _among(model, array)
 
 
 def check_rate(name: str, value: float) -> None:
     """Raises InputError unless `value` is a number in [0, 1]."""
-    if not (isinstance(value, Real) and 0 <= value <= 1):
-        raise InputError(f"{name} must be between 0 and 1, not {value!r}")
+    if not (isinstance(value, int | float | np.number) and 0 <= value <= 1):
+        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
 
 
 def _checked_table(q: Any) -> Float[np.ndarray, "... S A"]:
     """`q` in float64. Raises InputError unless it is a table of numbers, or many."""
-    try:
-        array = np.asarray(q, np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"q must be numbers [S, A] or [..., S, A], not {shown(q)}") from None
+    array = _numbers("q", q)
     if array.ndim < 2 or not array.size:
         raise InputError(f"q must be action values [S, A] or [..., S, A], not of shape {array.shape}")
     if (i := first(np.isnan(array))) is not None:

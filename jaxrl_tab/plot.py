@@ -1,8 +1,10 @@
 """Pictures of sweeps and of grids.
 
 A function that draws takes the `Axes` to draw on; `overview` and `save_all` make their own figures. Nothing
-here touches pyplot, so it needs no display and leaves no figure open. Colours are Okabe and Ito's, which
-people with any colour vision can tell apart; methods also differ in their markers.
+here touches pyplot, so it needs no display and leaves no figure open. Bands and bars are 95% intervals of the
+mean, each point for itself (pointwise); for whole curves there is `stats.simultaneous_interval`. Colours are
+Okabe and Ito's, which people with any colour vision can tell apart; methods also differ in their markers. No
+figure is wider than `WIDTH`, a column of text, so that its type can be read where people see it.
 
 Datasets are those of `SweepResult.to_xarray`, one for each method, by the name that the legend shows.
 """
@@ -10,9 +12,10 @@ Datasets are those of `SweepResult.to_xarray`, one for each method, by the name 
 import dataclasses
 import itertools
 import textwrap
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -22,22 +25,27 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from jaxrl_tab import planning, stats
+from jaxrl_tab import describe, memory, planning, policies, stats
 from jaxrl_tab.envs.base import COMPASS, Finite, Grid
-from jaxrl_tab.types import Environment, InputError
+from jaxrl_tab.types import Environment, InputError, available_actions
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<")  # one more than colours: the pairs repeat after 56
+DASHES = ("-", "--", ":", "-.")
 GREEK = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
 INK, GREY, ALARM = "#222222", "#6e6e6e", "#D55E00"
-TITLE, SMALL = 11, 8  # font sizes, points
-DPI = 150
-LINE = 85  # characters of a title
+TITLE, TYPE, SMALL, CELL = 10, 9, 8, 7  # font sizes, points; the last is of the hundreds of cells of a table
+WIDTH, NARROW = 7.2, 6.0  # inches: of a figure, and of one with a single curve
+DPI = 200
+LINE, HALF, LABEL = 84, 42, 36  # characters in a line: over a figure, over half of one, in a legend
+LONGEST = 60  # characters of a name
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
-FEW_TICKS, MOST_TICKS = 12, 25  # values, and states, beyond which not each has its tick on an axis
+FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has its tick on an axis
+MOST_MARKS = 24  # kinds of marks in a picture; beyond them nobody can tell which is which
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 Datasets = Mapping[str, xr.Dataset]
@@ -61,23 +69,21 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
         InputError: no method swept the hyperparameter, or one that did not at this value.
     """
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-        curve = stats.episode_curve(ds)
         by_steps = "num_steps" in ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
-        interval = stats.mean_interval(curve[spread])
-        mean, low, high = (_from_origin(x) for x in interval[:3])
-        other = _from_origin(curve[exact].isel(seed=0))
+        mean, low, high = (_from_origin(x.clip(min=0)) for x in stats.progress_interval(ds, spread)[:3])
+        other = _from_origin(stats.episode_curve(ds.isel(seed=0))[exact])
         points = (other, mean) if by_steps else (mean, other)
-        ax.plot(*points, lw=2, ms=5, markevery=max(1, len(mean) // 8), label=label, **style)
+        ax.plot(*points, lw=1.8, ms=4.5, markevery=max(1, len(mean) // 8), label=literal(label), **style)
         band = ax.fill_between if by_steps else ax.fill_betweenx
         band(other, low, high, color=style["color"], alpha=0.2, lw=0)
     tidy(ax, "time steps", "episodes finished")
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=0)
-    ax.legend(loc="upper left", frameon=False)
+    legend(ax, loc="upper left")
 
 
-def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
+def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **given: Any) -> None:
     """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
 
     Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
@@ -88,21 +94,21 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
     if stats.is_prediction(*datasets.values()):
         for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-            x = stats.episode_curve(ds)["time_steps" if by_steps else "episodes"].mean("seed")
+            x = (ds.steps if by_steps else ds.episodes).mean("seed").cumsum("row")
             line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
             mean_curve(ax, x, ds.v_error, label, **line)
         tidy(ax, "time steps" if by_steps else "episodes", "RMS error of V over states")
         ax.set_xlim(left=0)
         ax.set_ylim(bottom=0)
-        ax.legend(loc="best", framealpha=0.8, edgecolor="none")
+        legend(ax)
         return
     shown, end = [], 0
     for (label, ds), style in zip(_chosen(datasets, given), _styles(), strict=False):
-        merged, interval, enough = _readable_curve(ds)
-        curve = stats.episode_curve(merged)
-        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].isel(seed=0).values
+        points, interval, enough = _readable_curve(ds)
+        curve = stats.episode_curve(stats.merge_rows(ds.isel(seed=0), points))
+        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].values
         mean, low, high = (np.where(enough, part, np.nan) for part in interval[:3])
-        ax.plot(x, mean, lw=2, ms=4, label=label, **style)
+        ax.plot(x, mean, lw=1.7, ms=3.5, label=literal(label), **style)
         ax.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
         shown += [mean, low, high]
         end = max(end, x[-1])
@@ -110,19 +116,22 @@ def learning_curves(ax: Axes, datasets: Datasets, **given: Any) -> None:
         ax.text(0.5, 0.3, "too few episodes for a curve", transform=ax.transAxes, ha="center", color=GREY)
     ax.set_xlim(0, 1.03 * end)
     tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
-    _return_axis(ax, shown, _common_optimum(datasets))
-    ax.legend(loc="best", framealpha=0.8, edgecolor="none")
+    _return_axis(ax, shown, _common_optimum(datasets), soft)
+    legend(ax)
 
 
-def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
+def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft: float = np.nan) -> None:
     """Mean return of the last tenth against a hyperparameter, with 95% intervals and the exact optimum.
 
     Of methods of prediction it is the mean RMS error of V over all rows. Other swept hyperparameters stay at
-    the method's best combination. A point is hollow where seeds that finished no episode in the last tenth
-    are missing from it. A method that did not sweep the parameter is drawn at the one value that it had.
-    Schedules and policies, and numbers beside them, stand side by side in the order in which they come.
-    Where the parameter was drawn at random there is a point for each draw, in which what was drawn with it
-    is another, too.
+    the method's best combination. The intervals are those of `stats.score_interval`. A point is hollow where
+    some runs finished no episode in the last tenth, and so count with what they collected there. A method
+    that did not sweep the parameter is drawn at the one value that it had. Schedules and policies, and
+    numbers beside them, stand side by side in the order in which they come. Where the parameter was drawn at
+    random there is a point for each draw, in which what was drawn with it is another, too.
+
+    Args:
+        soft: as in `learning_curves`.
 
     Raises:
         InputError: no method swept the parameter.
@@ -138,42 +147,48 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha") -> None:
             del chosen["draw"]
         chosen.pop(parameter, None)
         label = _label(name, stats.named(ds, chosen))
+        late = xr.zeros_like(ds.episodes.isel(seed=0, row=0), bool)
+        if not prediction:
+            late = stats.unfinished(ds).any("seed")
+        parts = [part.sel(chosen) for part in (*stats.score_interval(ds), late)]
         ds = ds.sel(chosen)
         if name not in drawn and parameter not in ds.dims:
             if parameter not in stats.fixed(ds):
                 continue
             ds = ds.expand_dims({parameter: [stats.fixed(ds)[parameter]]})
-        score = stats.score(ds) if prediction else stats.mean_return(ds, stats.last_tenth(ds))
-        interval = stats.mean_interval(score)
-        few = (interval.n < ds.sizes["seed"]).values
-        series[name] = label, ds[parameter].values, interval, few
-    place = _places(ax, [x for _, x, _, _ in series.values()])
+            parts = [part.expand_dims(parameter) for part in parts]
+        series[name] = label, ds[parameter].values, parts
+    place = _places(ax, [x for _, x, _ in series.values()])
     shown, incomplete = [], False
     for name, style in zip(datasets, _styles(), strict=False):
         if name not in series:
             continue
-        label, x, interval, few = series[name]
-        x, mean, low, high = place(x), *(part.values for part in interval[:3])
+        label, x, parts = series[name]
+        x, (*interval, _, late) = place(x), (part.values for part in parts)
+        mean, low, high = (
+            np.where(np.isfinite(part), part, np.nan) for part in interval
+        )  # it may have diverged
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
         ax.errorbar(
             x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, color=style["color"]
         )
-        ax.plot(x, mean, lw=2, ms=7, label=label, **style)
-        ax.plot(x[few], mean[few], ls="none", ms=3.5, marker=style["marker"], color="white", zorder=5)
+        ax.plot(x, mean, lw=1.8, ms=5.5, label=literal(label), **style)
+        late &= np.isfinite(mean)
+        ax.plot(x[late], mean[late], ls="none", ms=3, marker=style["marker"], color="white", zorder=5)
         shown += [mean, low, high]
-        incomplete |= bool(few.any())
+        incomplete |= bool(late.any())
     if incomplete:
         hollow = {"marker": "o", "mfc": "white", "mec": INK, "mew": 1.5}
-        ax.plot([], [], ls="none", **hollow, label="hollow: some seeds finish no episode")
+        ax.plot([], [], ls="none", **hollow, label="hollow: some runs unfinished")
     what = "step size α" if parameter == "alpha" else GREEK.get(parameter, parameter)
     if prediction:
         tidy(ax, what, "RMS error of V, mean over the run")
         _error_axis(ax, shown[::3])
     else:
         tidy(ax, what, "mean return, last tenth")
-        _return_axis(ax, shown, _common_optimum(datasets))
-    ax.legend(loc="best", framealpha=0.8, edgecolor="none")
+        _return_axis(ax, shown, _common_optimum(datasets), soft)
+    legend(ax)
 
 
 def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
@@ -194,8 +209,8 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
             ax.xaxis.set_minor_locator(NullLocator())
         return lambda x: x.astype(float)
     names = list(dict.fromkeys(_text(v) for x in tried for v in x.tolist()))
-    tilt = {"rotation": 20, "ha": "right"} if sum(map(len, names)) > 50 else {}
-    ax.set_xticks(range(len(names)), names, **tilt)
+    tilt = {"rotation": 20, "ha": "right"} if sum(map(len, names)) > 30 else {}
+    ax.set_xticks(range(len(names)), [literal(_short(name)) for name in names], **tilt)
     ax.set_xlim(-0.5, len(names) - 0.5)
     return lambda x: np.array([names.index(_text(v)) for v in x.tolist()])
 
@@ -213,7 +228,7 @@ def _error_axis(ax: Axes, means: list[np.ndarray]) -> None:
 
 
 def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, **line: Any) -> None:
-    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its 95% interval.
+    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its pointwise 95% interval.
 
     Args:
         ax: where to draw.
@@ -224,31 +239,83 @@ def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, *
         line: how the line is drawn, as in `Axes.plot`.
     """
     interval = stats.mean_interval(values)
-    ax.plot(x, interval.estimate, label=label, color=color, lw=line.pop("lw", 2), **line)
+    ax.plot(x, interval.estimate, label=literal(label), color=color, lw=line.pop("lw", 1.8), **line)
     ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
 
 
 def tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
     """Names the axes, and leaves no more lines than are needed."""
-    ax.set_xlabel(xlabel)
-    ax.set_ylabel(ylabel)
+    ax.set_xlabel(literal(xlabel), fontsize=TYPE)
+    ax.set_ylabel(literal(ylabel), fontsize=TYPE)
+    ax.tick_params(labelsize=SMALL)
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(alpha=0.25, lw=0.6)
     ax.set_axisbelow(True)
 
 
-def _readable_curve(
-    ds: xr.Dataset, points: int = MOST_POINTS
-) -> tuple[xr.Dataset, stats.Interval, np.ndarray]:
-    """The merged log, the interval of its mean returns, and where enough seeds are in it, bool [points].
+def legend(ax: Axes, **given: Any) -> None:
+    """The legend of what was drawn under a label. Of a curve that cannot be seen it says why.
 
-    Of at most so many points; of fewer if that closes gaps in the second half.
+    One curve alone has its label above the axes, where it hides nothing.
+
+    Args:
+        ax: where curves were drawn, with the limits that it is to have.
+        given: as in `Axes.legend`.
     """
-    merged = stats.merge_rows(ds, points)
-    interval = stats.mean_interval(stats.learning_curve(merged))
+    handles, labels = ax.get_legend_handles_labels()
+    low, high = sorted(ax.get_ylim())
+    for i, handle in enumerate(handles):
+        y = np.asarray(handle.get_ydata(), float) if isinstance(handle, Line2D) else np.empty(0)
+        seen = y[np.isfinite(y)]
+        if y.size and not seen.size:
+            labels[i] += " (no value)"
+        elif y.size and not (seen.min() <= high and seen.max() >= low):
+            labels[i] += " (off the scale)"
+    labels = [textwrap.fill(label, LABEL, break_on_hyphens=False) for label in labels]
+    style = {"fontsize": SMALL, "framealpha": 0.8, "edgecolor": "none", "borderpad": 0.2, "handlelength": 1.8}
+    if len(labels) == 1:
+        given = {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0}
+    ax.legend(handles, labels, **style | given)
+
+
+def literal(text: str) -> str:
+    """`text` such that Matplotlib shows each of its characters.
+
+    It would take what stands between two dollars for a formula, and leave out of legends what begins with an
+    underscore.
+    """
+    shown = text.replace("$", r"\$")
+    return f"\u200b{shown}" if shown.startswith("_") else shown  # a space of no width
+
+
+def _title(ax: Axes, text: str) -> None:
+    """A title over axes of half the width, in as many lines as it needs."""
+    lines = (textwrap.wrap(line, HALF, break_on_hyphens=False) for line in text.splitlines())
+    ax.set_title(literal("\n".join(itertools.chain(*lines))), fontsize=TYPE)
+
+
+def color_bar(image: Any, axes: Sequence[Axes], what: str = "value", **given: Any) -> None:
+    """A scale that says what the colours of `image` stand for; `axes` make room for it."""
+    bar = image.figure.colorbar(image, ax=list(axes), **given)
+    bar.set_label(what, fontsize=TYPE)
+    bar.ax.tick_params(labelsize=SMALL)
+
+
+def _short(name: str) -> str:
+    """A name of at most `LONGEST` characters, with what may tell it from others: its beginning and its end."""
+    half = LONGEST // 2
+    return name if len(name) <= LONGEST else f"{name[: half - 1]}…{name[-half:]}"
+
+
+def _readable_curve(ds: xr.Dataset, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
+    """At most how many points, the interval of their mean returns, and where enough seeds are, bool [points].
+
+    They are fewer than `points` if that closes gaps in the second half.
+    """
+    interval = stats.curve_interval(ds, points)
     enough = (interval.n >= MOST_SEEDS * ds.sizes["seed"]).values
     if enough[len(enough) // 2 :].all() or points <= LEAST_POINTS:
-        return merged, interval, enough
+        return points, interval, enough
     return _readable_curve(ds, points // 2)
 
 
@@ -264,7 +331,7 @@ def _chosen(datasets: Datasets, given: Mapping[str, Any]) -> Iterable[tuple[str,
 
 
 def _label(method: str, setting: Mapping[str, Any]) -> str:
-    return ", ".join([method, *in_words(setting)])
+    return ", ".join([_short(describe.title(method)), *in_words(setting)])
 
 
 def in_words(setting: Mapping[str, Any]) -> list[str]:
@@ -282,8 +349,10 @@ def written(x: Any) -> str:
 
 
 def _styles() -> Iterable[dict[str, Any]]:
-    pairs = zip(COLORS, MARKERS, strict=True)
-    return itertools.cycle([{"color": color, "marker": marker} for color, marker in pairs])
+    """Colours with markers, and with another dash when all colours have been: no two of the first 56 are alike."""
+    for i in itertools.count():
+        dash = DASHES[i // len(COLORS) % len(DASHES)]
+        yield {"color": COLORS[i % len(COLORS)], "marker": MARKERS[i % len(MARKERS)], "ls": dash}
 
 
 def _from_origin(x: xr.DataArray) -> np.ndarray:
@@ -296,20 +365,31 @@ def _common_optimum(datasets: Datasets) -> float:
     return float(values[0]) if np.ptp(values) < 1e-6 * max(1, abs(values[0])) else np.nan
 
 
-def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float) -> None:
-    """The y axis of returns, and the optimum as a dashed line.
+def _common_soft_optimum(datasets: Datasets, env: Environment) -> float:
+    """What the best policy is worth that explores as the best settings do, if that is one number, else NaN."""
+    if stats.is_prediction(*datasets.values()):
+        return np.nan
+    settings = [stats.fixed(ds) | stats.named(ds, stats.best(ds)) for ds in datasets.values()]
+    explored = [{key: setting.get(key) for key in ("epsilon", "gamma", "behaviour")} for setting in settings]
+    return stats.soft_optimum(env, explored[0]) if all(x == explored[0] for x in explored) else np.nan
+
+
+def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float) -> None:
+    """The y axis of returns, the optimum as a dashed line, and as a dotted one that of who explores.
 
     Early returns can be a hundred times the last ones, and the distance from these to the optimum is what
     matters. Where all are negative and differ by more than a factor of five, the axis is one of ratios.
     """
-    values = np.concatenate([*shown, [optimum]])
+    values = np.concatenate([*shown, [optimum, soft]])
     values = values[np.isfinite(values)]
-    if np.isfinite(optimum):
-        ax.axhline(optimum, color=INK, ls=(0, (5, 3)), lw=1.3, zorder=1)
-        text = f"exact optimum {_number(optimum)}"
-        place = ax.get_yaxis_transform()
-        label = ax.annotate(text, (0.02, optimum), (0, 3), place, "offset points", va="bottom", zorder=6)
-        label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
+    lines = (("exact optimum", optimum, (0, (5, 3)), 2, "bottom"), ("best ε-soft", soft, ":", -2, "top"))
+    for name, y, style, offset, side in lines:
+        if np.isfinite(y):
+            ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1)
+            text = f"{name} {_number(y, 4)}"
+            at = {"xytext": (0, offset), "xycoords": ax.get_yaxis_transform(), "textcoords": "offset points"}
+            label = ax.annotate(text, (0.02, y), **at, va=side, fontsize=SMALL, zorder=6)
+            label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
     if not values.size:
         return
     low, high = values.min(), values.max()
@@ -352,7 +432,8 @@ def greedy_path(
     """
     moves = _Moves.of(env)
     path, arrives = moves.path(q, env.start_state)
-    prefers = (q.max(-1) > q.min(-1)) & ~moves.terminal & moves.reachable
+    least = q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
+    prefers = (q.max(-1) > least) & ~moves.terminal & moves.reachable
     _draw_grid(ax, env, moves)
     rows, columns = np.divmod(path, env.shape[1])
     arrows = _greedy(q) & prefers[:, None]
@@ -364,15 +445,15 @@ def greedy_path(
     _draw_ends(ax, env)
 
     color = COLORS[0] if arrives else ALARM
-    outline = [patheffects.withStroke(linewidth=6, foreground="white")]
-    ax.plot(columns, rows, color=color, lw=3, zorder=4, path_effects=outline)
-    ax.plot(columns, rows, "o", color=color, ms=6.5, mec="white", mew=1, zorder=5)
+    outline = [patheffects.withStroke(linewidth=4.5, foreground="white")]
+    ax.plot(columns, rows, color=color, lw=2.2, zorder=4, path_effects=outline)
+    ax.plot(columns, rows, "o", color=color, ms=5, mec="white", mew=0.8, zorder=5)
     length = f"{len(path) - 1} steps to the goal" if arrives else "goes round for ever"
     if moves.stochastic:
         length = f"likeliest outcomes: {length}"
     if not np.isnan(optimum):
         length += f"; optimum v* = {_number(optimum, 4)}"
-    ax.set_title(f"{title}\n{length}", fontsize=TITLE)
+    _title(ax, f"{title}\n{length}")
 
 
 def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
@@ -385,7 +466,7 @@ def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
     image = ax.imshow(np.ma.masked_array(v, ~shown).reshape(env.shape), cmap="viridis", zorder=1)
     _draw_grid(ax, env, moves)
     _draw_arrows(ax, env, _greedy(q) & (shown & ~moves.terminal)[:, None], "white", raised=0.1)
-    _draw_ends(ax, env)
+    _draw_ends(ax, env, aside=True)
     for s in np.flatnonzero(shown & ~moves.terminal):
         row, column = divmod(int(s), env.shape[1])
         text = ax.text(
@@ -393,7 +474,7 @@ def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
         )
         text.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
     assert ax.figure is not None
-    ax.figure.colorbar(image, ax=ax, label="value", shrink=0.75, pad=0.02)
+    color_bar(image, [ax], shrink=0.75, pad=0.02)
 
 
 def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
@@ -406,9 +487,9 @@ def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
     down, right = np.diff(rows), np.diff(columns)
     moved = (down != 0) | (right != 0)  # against the edge it stays
     x, y = columns[:-1] - 0.12 * down, rows[:-1] + 0.12 * right
-    _quiver(ax, x[moved], y[moved], right[moved], down[moved], COLORS[0])
-    _draw_ends(ax, env)
-    ax.set_title(title, fontsize=TITLE)
+    _quiver(ax, x[moved], y[moved], right[moved], down[moved], COLORS[0], width=0.07)
+    _draw_ends(ax, env, aside=True)
+    _title(ax, title)
 
 
 def changes(ax: Axes, env: Grid, change: np.ndarray, title: str) -> None:
@@ -420,9 +501,9 @@ def changes(ax: Axes, env: Grid, change: np.ndarray, title: str) -> None:
     size = np.abs(change[states, actions])
     faint = 0.3 + 0.7 * size.astype(float) / size.max(initial=0)
     color = np.column_stack([np.tile(to_rgb(COLORS[1]), (len(size), 1)), faint])
-    _quiver(ax, columns + 0.1 * right, rows + 0.1 * down, 0.4 * right, 0.4 * down, color, width=0.07)
-    _draw_ends(ax, env)
-    ax.set_title(title, fontsize=TITLE)
+    _quiver(ax, columns + 0.1 * right, rows + 0.1 * down, 0.4 * right, 0.4 * down, color, width=0.065)
+    _draw_ends(ax, env, aside=True)
+    _title(ax, title)
 
 
 class _Moves(NamedTuple):
@@ -459,17 +540,19 @@ class _Moves(NamedTuple):
         )
 
     def distance(self, q: np.ndarray) -> np.ndarray:
-        """Steps to a terminal state by greedy actions, float [..., S] for `q` [..., S, A]; inf if never."""
-        greedy = _greedy(q)
-        steps = np.where(self.terminal, 0.0, np.full(q.shape[:-1], np.inf))
-        for _ in range(len(self.terminal)):
-            onward = np.where(greedy, steps[..., self.successor], np.inf).min(-1)
-            steps = np.where(self.terminal, 0.0, onward + 1)
-        return steps
+        """Steps to a terminal state by greedy actions, float32 [n, S] for `q` [n, S, A]; inf if never."""
+        cost = np.where(np.moveaxis(_greedy(q), 0, -1), np.float32(1), np.float32(np.inf))  # [S, A, n]
+        cost[self.terminal] = 0
+        steps = np.full((len(cost), len(q)), np.float32(np.inf))
+        steps[self.terminal] = 0
+        while True:
+            before, steps = steps, (steps[self.successor] + cost).min(1)
+            if (steps == before).all():
+                return steps.T
 
     def path(self, q: np.ndarray, s: int) -> tuple[np.ndarray, bool]:
         """The states of the greedy path from `s`, and whether it ends; else its last state is a repeat."""
-        steps, greedy = self.distance(q), _greedy(q)
+        steps, greedy = self.distance(q[None])[0], _greedy(q)
         path = [s]
         while not self.terminal[s] and s not in path[:-1]:
             onward = self.successor[s][greedy[s]]
@@ -478,10 +561,19 @@ class _Moves(NamedTuple):
         return np.array(path), bool(self.terminal[s])
 
 
+def _tables(ds: xr.Dataset) -> Iterable[np.ndarray]:
+    """The tables of all seeds, [n, S, A] of some after others; what is worked out from them may be larger."""
+    q = ds.q.transpose("seed", "state", "action").values
+    for block in memory.blocks(len(q), 16 * q[0].nbytes):
+        yield q[block]
+
+
 def _greedy(q: np.ndarray) -> np.ndarray:
     """Which actions are maximal, up to rounding, bool [..., S, A]."""
     q = np.where(np.isnan(q), -np.inf, q)  # a diverged entry is no maximum
-    return np.isclose(q, q.max(-1, keepdims=True), rtol=1e-6, atol=1e-9)
+    most = q.max(-1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # infinities
+        return (q == most) | (q >= most - (1e-9 + 1e-6 * abs(most)))
 
 
 def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
@@ -494,9 +586,9 @@ def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
         if strength:
             ax.add_patch(Rectangle((column - 0.5, -0.5), 1, rows, color=shade, lw=0, zorder=0))
         if wind.any():
-            ax.text(column, rows - 0.1, _number(strength), ha="center", va="center", color=INK)
+            ax.text(column, rows - 0.1, _number(strength), ha="center", va="center", color=INK, size=SMALL)
     if wind.any():
-        ax.text(-0.65, rows - 0.1, "wind", ha="right", va="center", color=INK)
+        ax.text(-0.65, rows - 0.1, "wind", ha="right", va="center", color=INK, size=SMALL)
     style = {"fc": "#f4f4f4", "ec": "#bdbdbd", "hatch": "////", "lw": 0, "zorder": 1}
     for s in np.flatnonzero(~moves.reachable):
         row, column = divmod(int(s), columns)
@@ -542,14 +634,25 @@ def _quiver(
     ax.quiver(
         *(x, y, right, down),
         **{"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": width},
-        **{"headwidth": 4, "headlength": 4, "headaxislength": 3.6, "color": color, "zorder": 3},
+        **{
+            "headwidth": 4,
+            "headlength": 4,
+            "headaxislength": 3.6,
+            "minlength": 0,
+            "color": color,
+            "zorder": 3,
+        },
     )
 
 
-def _draw_ends(ax: Axes, env: Grid) -> None:
+def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
+    """The start and the goal; as letters in a corner where arrows need the middle of the cell."""
+    disc = None if aside else {"boxstyle": "circle,pad=0.25", "fc": "white", "ec": INK, "lw": 1}
+    style = {"size": SMALL, "weight": "bold", "ha": "center", "va": "center", "color": INK, "zorder": 6}
+    corner = 0.32 if aside else 0
     for (row, column), letter in ((env.start, "S"), (env.goal, "G")):
-        disc = {"boxstyle": "circle,pad=0.25", "fc": "white", "ec": INK, "lw": 1.2}
-        ax.text(column, row, letter, weight="bold", ha="center", va="center", zorder=6, color=INK, bbox=disc)
+        text = ax.text(column - corner, row - corner, letter, bbox=disc, **style)
+        text.set_path_effects([patheffects.withStroke(linewidth=2, foreground="white")])
 
 
 # --- what is no grid ---------------------------------------------------------------------------------
@@ -572,7 +675,7 @@ def panels(
         env: the environment.
         v: values, [S].
         best: which actions are best, bool [S, A]; named below the values. None: names none.
-        title: stands over each, above what the states of the table have in common.
+        title: stands over all, above what the states of each table have in common.
         limits: the values at the ends of the colours, so that pictures compare; by default those of `v`.
     """
     model = planning.exact_model(env)
@@ -584,43 +687,76 @@ def panels(
         image = ax.imshow(values, cmap="viridis", vmin=low, vmax=high)
         for row, column in np.argwhere(shown[table.states]):
             s = table.states[row, column]
-            text = f"{round(float(v[s]), 2) + 0:.2f}".replace("-", "−")
+            text = _cell(float(v[s]))
             if best is not None:
-                text += "\n" + "/".join(np.array(env.action_names)[best[s]])
-            note = ax.text(column, row, text, size=SMALL - 1, ha="center", va="center", color="white")
-            note.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
-        ax.set_xticks(range(len(table.columns)), table.columns)
-        ax.set_yticks(range(len(table.rows)), table.rows)
-        ax.set_xlabel(table.along)
-        ax.set_ylabel(table.down)
-        ax.tick_params(length=0)
+                text += "\n" + _either([env.action_names[a] for a in np.flatnonzero(best[s])])
+            color = (
+                INK if v[s] > low + 0.6 * (high - low) else "white"
+            )  # on the bright colours, and on the dark
+            middle = {"ha": "center", "va": "center", "linespacing": 1}
+            ax.text(column, row, literal(text), size=CELL, color=color, **middle)
+        ax.set_xticks(range(len(table.columns)), map(literal, table.columns))
+        ax.set_yticks(range(len(table.rows)), map(literal, table.rows))
+        ax.set_xlabel(literal(table.along), fontsize=TYPE)
+        ax.set_ylabel(literal(table.down), fontsize=TYPE)
+        ax.tick_params(length=0, labelsize=SMALL)
         ax.spines[:].set_visible(False)
-        ax.set_title("\n".join(filter(None, [title, table.title])), fontsize=TITLE)
-    figure = axes[0].figure
-    assert figure is not None and image is not None
-    figure.colorbar(image, ax=list(axes), label="value", shrink=0.75, pad=0.02)
+        over = title if ax is axes[0] else ""  # it may be as long as all the tables are wide
+        ax.set_title(literal("\n".join(filter(None, [over, table.title]))), fontsize=TYPE, loc="left")
+    color_bar(image, axes, location="bottom", shrink=0.5, aspect=40, pad=0.01)
+
+
+def _cell(x: float) -> str:
+    """A value in as few characters as a cell has room for."""
+    text = f"{round(x, 2) + 0:.2f}" if abs(x) < 10 else _number(x, 3)
+    return (text.replace("0.", ".", 1) if abs(x) < 1 else text).replace("-", "−")
+
+
+def _either(names: Sequence[str]) -> str:
+    """Several actions in a cell: "←↑", or long names one below the other, as far as there is room for them."""
+    if all(len(name) == 1 for name in names):
+        return "".join(names)
+    return "\n".join(names) if len(names) < 3 else f"{len(names)} tied"
 
 
 def panels_canvas(env: Finite, rows: int) -> tuple[Figure, np.ndarray]:
     """A figure with the axes for so many rows of `panels`, [rows, panels]."""
     tables = env.panels()
+    widths = [1.5 + len(table.columns) for table in tables]  # in cells, with the names of the rows
+    cell = min(0.5, WIDTH / sum(widths))
     tallest = max(len(table.rows) for table in tables)
-    widths = [2.0 + 0.42 * len(table.columns) for table in tables]
-    figure = canvas(sum(widths) + 1, (1.6 + 0.42 * tallest) * rows)
+    figure = canvas(max(NARROW, cell * sum(widths)), (1.3 + cell * tallest) * rows + 0.5)
     return figure, figure.subplots(rows, len(tables), squeeze=False, width_ratios=widths)
 
 
 def action_values(ax: Axes, env: Finite, q: np.ndarray) -> None:
-    """A mark for the value of each action, `q` [S, A], in each state that is not terminal."""
+    """A mark for the value of each action, `q` [S, A], in each state that is not terminal.
+
+    Where there are more actions than states, the actions lie along the axis and the marks tell the states
+    apart. Of more than `MOST_MARKS` kinds of marks two are left: for the largest value and for all others.
+    """
     states = np.flatnonzero(~planning.terminal_states(planning.exact_model(env)))
-    for a, style in zip(range(env.num_actions), _styles(), strict=False):
-        ax.plot(states, q[states, a], ls="none", label=env.action_names[a], **style)
-    if len(states) <= MOST_TICKS:
-        ax.set_xticks(states)
+    along, marked = ("state", states.astype(str)), ("action", np.array(env.action_names))
+    x, shown = states, q[states].T  # [marks, places]
+    if env.num_actions > len(states):
+        along, marked = marked, along
+        x, shown = np.arange(env.num_actions), q[states]
+    style = {"ls": "none", "ms": 5}
+    if len(shown) > MOST_MARKS:
+        ax.plot(x, shown.T, ".", color="#9a9a9a")[0].set_label(f"any {marked[0]}")
+        ax.plot(x, np.nanmax(shown, 0), "o", color=COLORS[0], label=f"the best {marked[0]}", **style)
+    else:
+        for y, name, mark in zip(shown, marked[1], _styles(), strict=False):
+            ax.plot(x, y, label=literal(name), **mark | style)
+    if len(x) <= MOST_TICKS:
+        ax.set_xticks(x, map(literal, along[1]))
+    else:
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.margins(0.1)
-    tidy(ax, "state", "value")
-    if env.num_actions > 1:
-        ax.legend(title="action", loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)
+    tidy(ax, along[0], "value")
+    if len(shown) > 1:
+        columns = -(-min(len(shown), MOST_MARKS) // 12)
+        legend(ax, title=marked[0], loc="center left", bbox_to_anchor=(1, 0.5), ncols=columns)
 
 
 def state_values(ax: Axes, datasets: Datasets, env: Environment, **given: Any) -> None:
@@ -637,7 +773,7 @@ def state_values(ax: Axes, datasets: Datasets, env: Environment, **given: Any) -
         ax.plot(states, exact[states], color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=1)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     tidy(ax, "state", "V")
-    ax.legend(loc="best", framealpha=0.8, edgecolor="none")
+    legend(ax)
 
 
 def _uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
@@ -646,7 +782,9 @@ def _uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
     gamma, *others = {stats.fixed(ds).get("gamma", np.nan) for ds in datasets.values()}
     if given or others or np.isnan(gamma):
         return None
-    uniform = np.full((env.num_states, env.num_actions), 1 / env.num_actions)
+    available = available_actions(env)
+    there = np.ones((env.num_states, env.num_actions)) if available is None else np.asarray(available, float)
+    uniform = there / there.sum(1, keepdims=True)
     try:
         return planning.evaluate(env, uniform, gamma)
     except InputError:  # not finite everywhere
@@ -665,23 +803,24 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
     """
     curves = _curves(datasets, env)
     if isinstance(env, Grid) and not stats.is_prediction(*datasets.values()):
-        table = stats.summary(datasets)
-        winner = table.method[table.last_tenth_return.fillna(-np.inf).argmax()]
+        winner = stats.ranked(datasets)[0]
         curves["greedy_path"] = lambda ax: _median_path(ax, env, winner, datasets[winner])
-    columns = 3 if len(curves) in (3, 5, 6) else min(2, len(curves))
+    columns = min(2, len(curves))
     rows = -(-len(curves) // columns)
-    figure = canvas(6 * columns, 4.3 * rows + 0.4)
+    figure = canvas(WIDTH, 2.8 * rows + 0.4)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, draw in zip(grid, curves.values(), strict=False):
         draw(ax)
     for ax in grid[len(curves) :]:
         ax.remove()
-    figure.suptitle(_caption(datasets, env), fontsize=TITLE + 1)
+    _say_what_ran(figure, datasets, env, intervals=True)
     return figure
 
 
-def save_all(datasets: Datasets, env: Environment, folder: Path | str) -> list[Path]:
-    """Writes the pictures of a sweep as PNG into `folder`, which is made if need be.
+def save_all(
+    datasets: Datasets, env: Environment, folder: Path | str, kind: Literal["png", "pdf", "svg"] = "png"
+) -> list[Path]:
+    """Writes the pictures of a sweep into `folder`, which is made if need be.
 
     `episodes.png`, `learning_curves.png`, `sensitivity.png` and `sensitivity_NAME.png` (where hyperparameters
     were swept), `greedy_path.png` (on grids: every method, and the exact optimum), `values.png` (where people
@@ -692,6 +831,7 @@ def save_all(datasets: Datasets, env: Environment, folder: Path | str) -> list[P
         datasets: a sweep for each method, at least one.
         env: the environment of all of them.
         folder: where to write; files of these names are overwritten.
+        kind: of the files. "pdf" and "svg" are sharp at any size, as for a paper, and take longer.
 
     Returns:
         The files written.
@@ -699,9 +839,18 @@ def save_all(datasets: Datasets, env: Environment, folder: Path | str) -> list[P
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     figures = pictures(datasets, env) | {"overview": overview(datasets, env)}
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png")
-    return [folder / f"{name}.png" for name in figures]
+    files = [folder / f"{name}.{kind}" for name in figures]
+    for file, figure in zip(files, figures.values(), strict=True):
+        save(figure, file)
+    return files
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Writes a figure as the ending of `file` says: .png, .pdf or .svg. The same figure gives the same bytes."""
+    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+    # Journals take fonts of kind 42 (TrueType) alone.
+    with mpl.rc_context({"svg.hashsalt": "jaxrl_tab", "pdf.fonttype": 42}):
+        figure.savefig(file, metadata=undated.get(file.suffix))
 
 
 def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
@@ -709,9 +858,9 @@ def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
     prediction = stats.is_prediction(*datasets.values())
     figures = {}
     for name, draw in _curves(datasets, env).items():
-        figure = canvas(7.2, 4.8)
+        figure = canvas(NARROW, 4.2)
         draw(figure.subplots())
-        figure.suptitle(_caption(datasets, env), fontsize=TITLE)
+        _say_what_ran(figure, datasets, env, intervals=True)
         figures[name] = figure
     if isinstance(env, Grid) and not prediction:
         figures["greedy_path"] = _all_paths(datasets, env)
@@ -726,12 +875,14 @@ def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], 
     curves: dict[str, Callable[[Axes], None]] = {}
     if not prediction:
         curves["episodes"] = lambda ax: episodes_against_steps(ax, datasets)
-    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets)
+    soft = _common_soft_optimum(datasets, env)
+    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets, soft=soft)
     names = (name for ds in datasets.values() for name in stats.hyperparameters(ds) + stats.drawn(ds))
     swept = dict.fromkeys(name for name in names if name != "draw")
     for i, name in enumerate(sorted(swept, key=lambda name: name != "alpha")):
         key = f"sensitivity_{name}" if i else "sensitivity"
-        curves[key] = lambda ax, name=name: sensitivity(ax, datasets, name)
+        line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
+        curves[key] = lambda ax, name=name, line=line: sensitivity(ax, datasets, name, soft=line)
     if prediction and not (isinstance(env, Finite) and env.panels()):
         curves["values"] = lambda ax: state_values(ax, datasets, env)
     return curves
@@ -745,21 +896,20 @@ def value_tables(datasets: Datasets, env: Finite) -> Figure:
     """
     learned = {}
     for label, ds in _chosen(datasets, {}):
-        q = ds.q.values
-        often = _greedy(q).mean(0)
-        best = often == often.max(-1, keepdims=True)
-        shown = None if stats.is_prediction(ds) else best
-        learned[f"{label}: mean of {len(q)} seeds"] = q.max(-1).mean(0), shown
+        often = sum(_greedy(q).sum(0) for q in _tables(ds))
+        best = often == np.max(often, -1, keepdims=True)
+        value = sum(q.max(-1).sum(0, dtype=float) for q in _tables(ds)) / ds.sizes["seed"]
+        learned[f"{label}: mean of {_seeds({label: ds})}"] = value, None if stats.is_prediction(ds) else best
     limits = None
     if (exact := _exact_table(datasets, env)) is not None:
-        learned["exact"] = exact
+        learned["Exact"] = exact
         model = planning.exact_model(env)
         there = exact[0][planning.reachable(model) & ~planning.terminal_states(model)]
         limits = there.min(), there.max()
     figure, grid = panels_canvas(env, len(learned))
     for row, (title, (v, best)) in zip(grid, learned.items(), strict=True):
         panels(row, env, v, best, title, limits)
-    figure.suptitle(_caption(datasets, env), fontsize=TITLE + 1)
+    _say_what_ran(figure, datasets, env)
     return figure
 
 
@@ -779,14 +929,15 @@ def _all_paths(datasets: Datasets, env: Grid) -> Figure:
     optimum = _common_optimum(datasets)
     count = len(datasets) + bool(np.isfinite(optimum))
     columns, rows = min(2, count), -(-count // 2)
-    figure = canvas(6 * columns, (1.1 + 5.4 * env.shape[0] / env.shape[1]) * rows)
+    width = WIDTH * columns / 2
+    figure = canvas(width, (0.9 + 0.95 * width / columns * env.shape[0] / env.shape[1]) * rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, (method, ds) in zip(grid, datasets.items(), strict=False):
         _median_path(ax, env, method, ds)
     if np.isfinite(optimum):
         gamma = stats.fixed(next(iter(datasets.values()))).get("gamma", 1.0)
         _, q = planning.value_iteration(env, gamma)
-        greedy_path(grid[len(datasets)], env, q, "an optimal policy", optimum)
+        greedy_path(grid[len(datasets)], env, q, "An optimal policy", optimum)
     for ax in grid[count:]:
         ax.remove()
     return figure
@@ -796,28 +947,52 @@ def _median_path(ax: Axes, env: Grid, method: str, ds: xr.Dataset) -> None:
     """The greedy path that is the median over seeds in length, at the best hyperparameters."""
     setting = stats.best(ds)
     label, ds = _label(method, stats.named(ds, setting)), ds.sel(setting)
-    lengths = _Moves.of(env).distance(ds.q.values)[:, env.start_state]
+    moves = _Moves.of(env)
+    lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in _tables(ds)])
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]
-    title = f"greedy path of {label}; median of {len(lengths)} seeds"
+    title = f"{label}\ngreedy path, median of {_seeds({label: ds})}"
     greedy_path(ax, env, ds.q.values[median], title, float(stats.optimum(ds)))
+
+
+class _Canvas(Figure):
+    """A figure in which a character that the font lacks is a box, and nothing else happens."""
+
+    def draw(self, renderer: Any) -> None:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph .* missing from font")
+            super().draw(renderer)
 
 
 def canvas(width: float, height: float) -> Figure:
     """An empty figure of so many inches."""
-    return Figure((width, height), dpi=DPI, layout=ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.1))
+    return _Canvas((width, height), dpi=DPI, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06))
 
 
-def _caption(datasets: Datasets, env: Environment) -> str:
-    """What was run: the environment, what is not as usual in it, the hyperparameters of all, the seeds."""
-    names = dict.fromkeys(str(ds.attrs["environment"]) for ds in datasets.values())
+def head(figure: Figure, text: str) -> None:
+    """The title of a whole figure."""
+    figure.suptitle(literal(text), fontsize=TITLE)
+
+
+def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, *, intervals: bool = False) -> None:
+    """The title of a whole figure: what was run, and whether means with `intervals` are shown of it.
+
+    What was run: the environment, what is not as usual in it, the hyperparameters of all, the seeds.
+    """
+    names = dict.fromkeys(_short(describe.title(str(ds.attrs["environment"]))) for ds in datasets.values())
     first, *others = [stats.fixed(ds) for ds in datasets.values()]
     common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
-    # Lines that fit the narrowest figure, broken between settings and not within.
+    # Lines that fit the figure, broken between settings and not within.
     settings = [setting.replace(" ", "\xa0") for setting in [*names, *unusual(env), *in_words(common)]]
-    lines = textwrap.wrap(", ".join(settings), LINE, break_on_hyphens=False)
-    what = "\n".join(lines).replace("\xa0", " ")
-    seeds = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
-    return f"{what}\nmean and 95% interval over {seeds} seeds"
+    line = int(LINE * figure.get_figwidth() / WIDTH)
+    lines = textwrap.wrap(", ".join(settings), line, break_on_hyphens=False)
+    lines += [f"mean over {_seeds(datasets)}, and its 95% interval at each point"] if intervals else []
+    head(figure, "\n".join(lines).replace("\xa0", " "))
+
+
+def _seeds(datasets: Datasets) -> str:
+    """How many seeds there are: "20 seeds"."""
+    count = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
+    return f"{count} seed{'s' * (count != '1')}"
 
 
 def unusual(env: Environment) -> list[str]:

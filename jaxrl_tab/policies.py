@@ -2,7 +2,12 @@
 
 A policy turns a row of action values Q(s, .) into probabilities, float [A]. What is drawn, what Expected
 Sarsa averages over, what importance sampling divides by and what `planning` evaluates are therefore the same
-numbers. Ties for the maximum share its probability equally, everywhere.
+numbers. Ties for the maximum share its probability equally, everywhere. (In float32, the precision of JAX
+unless told otherwise, values of a deterministic task become exact ties after fewer visits than in float64, so
+ties are broken more often and single entries of Q may differ: in the windy gridworld, by Q-learning with
+alpha = 0.5, Q(15, 2) is -10.781 on average and would be -10.751. Returns and lengths of episodes do not.)
+
+Where a state does not have every action (`types.Environment`), none of these takes another one.
 
 Every method takes one as its `behaviour`, and methods that learn about another policy take one as their
 `target`: `Greedy`, `EpsilonGreedy`, `Softmax`, `UCB`, or any `Table` of probabilities. All but tables are
@@ -15,7 +20,7 @@ from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from functools import reduce
 from itertools import accumulate
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -24,9 +29,21 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import schedules, tables
 from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
-from jaxrl_tab.types import InputError, concrete, first, is_distribution, nearest, pytree, shown
+from jaxrl_tab.types import (
+    InputError,
+    as_array,
+    check_available,
+    concrete,
+    first,
+    is_distribution,
+    nearest,
+    pytree,
+    shown,
+)
 
-UNAVAILABLE = -1e30  # the value of an action that a state does not have; finite, for 0 times it must be 0
+# The value of an action that a state does not have: no maximum is there, and no softmax. It is finite, for 0
+# times it must be 0, and nobody learns about it, so it stays.
+UNAVAILABLE = -1e30
 UNROLLED = 16  # rows up to this length are worked through entry by entry
 
 # Where set, `sample` and `coin` ask it for the index, given the weights, and do not look at the key: so
@@ -56,6 +73,14 @@ def softmax(q: Float[Array, " A"], temperature: Float[Array, ""] | float) -> Flo
     """Probabilities proportional to exp(q / temperature), [A] -> [A] (book, equation 2.11)."""
     weights = jnp.exp((q - largest(q)) / temperature)
     return weights / _reduce(jnp.add, weights)
+
+
+def among(q: Any, available: Any) -> Float[Array, "S A"]:
+    """Action values, one for all or [S, A], with UNAVAILABLE in place of those that are not `available` [S, A].
+
+    `available` may be numbers, as the leaves of a method in a sweep are.
+    """
+    return jnp.where(jnp.asarray(available, float) > 0, jnp.asarray(q, float), UNAVAILABLE)
 
 
 def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
@@ -97,7 +122,11 @@ def _reduce(op: Any, x: Array) -> Array:
 
 @runtime_checkable
 class Policy(Protocol):
-    """A rule of choosing actions: a pytree whose numbers are leaves, so that `vmap` batches them."""
+    """A rule of choosing actions: a pytree whose numbers are leaves, so that `vmap` batches them.
+
+    Where states do not have every action, Q(s, a) of the others is UNAVAILABLE, and the policy is asked for
+    what it is among those there are: `restricted_to(available) -> Policy`, available bool [S, A].
+    """
 
     @property
     def by_visit(self) -> bool:
@@ -132,10 +161,24 @@ def _check_table(what: str, table: Any, num_states: int, num_actions: int) -> No
         )
 
 
+def check_among(what: str, probabilities: Any, available: Any) -> None:
+    """Raises InputError where probabilities [..., S, A] are not 0 of an action that is not `available` [S, A].
+
+    Traced ones are let through.
+    """
+    pi, there = concrete(probabilities), concrete(available)
+    if pi is not None and there is not None and (at := first((pi > 0) & ~there)):
+        *_, s, a = at
+        raise InputError(
+            f"{what}: state {s} does not have action {a}, so its probability must be 0, not {pi[at]}"
+        )
+
+
 class _Anywhere:
     """What policies share that fit every task and, unless they say so, count nothing.
 
-    Their `str` is what is typed for them.
+    Their `str` is what is typed for them. Unless they say so, that an action is not available is plain to
+    them from its value.
     """
 
     @property
@@ -144,6 +187,9 @@ class _Anywhere:
 
     def check(self, num_states: int, num_actions: int) -> None:
         pass
+
+    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+        return self
 
     def __str__(self) -> str:
         name = next((name for name, cls in POLICIES.items() if cls is type(self)), None)
@@ -169,8 +215,9 @@ class EpsilonGreedy(_Anywhere):
 
     Attributes:
         epsilon: probability of exploring, in [0, 1]; a number or a schedule.
-        available: which actions there are in each state, bool [S, A]; None where there are all everywhere.
-            The values of the others are UNAVAILABLE, so that no target takes them for the best either.
+        available: the actions to choose from in each state, bool [S, A]; None for all that there are. The
+            values of the others are UNAVAILABLE, so that no target takes them for the best either. (What an
+            environment says about its actions need not be said again.)
     """
 
     epsilon: Rate = 0.1
@@ -178,13 +225,11 @@ class EpsilonGreedy(_Anywhere):
 
     def __post_init__(self):
         check_rate(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
-        if self.available is None or (there := concrete(self.available)) is None:
+        if self.available is None or (there := as_array(self.available)) is None:
             return
-        if there.ndim != 2 or not np.isin(there, (0, 1)).all() or not there.any(1).all():
-            raise InputError(
-                "EpsilonGreedy: available must be booleans [S, A], with an action in every state, not "
-                f"{there.dtype} {list(there.shape)}"
-            )
+        if there.ndim != 2:
+            raise InputError(f"EpsilonGreedy: available must be booleans [S, A], not of shape {there.shape}")
+        check_available("EpsilonGreedy: available", there, *there.shape)
         object.__setattr__(self, "available", there)  # rows of a list would be leaves by themselves
 
     @property
@@ -198,6 +243,12 @@ class EpsilonGreedy(_Anywhere):
     def check(self, num_states: int, num_actions: int) -> None:
         if self.available is not None:
             _check_table("EpsilonGreedy: available", self.available, num_states, num_actions)
+
+    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+        if self.available is not None:
+            _check_table("EpsilonGreedy: available", self.available, *np.shape(available))
+            available = (jnp.asarray(self.available) > 0) & available
+        return dataclasses.replace(self, available=available)
 
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
         epsilon = schedules.exploration(self.epsilon, clock, s)
@@ -252,8 +303,10 @@ class UCB(_Anywhere):
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
         assert clock.visits is not None
         visits = tables.row(clock.visits, s)
-        bonus = jnp.sqrt(jnp.log(_reduce(jnp.add, visits) + 1.0) / jnp.maximum(visits, 1))
-        return greedy(jnp.where(visits == 0, jnp.inf, q + self.c * bonus))
+        n = _reduce(jnp.add, visits).astype(q.dtype)
+        bonus = jnp.sqrt(jnp.log(n + 1) / jnp.maximum(visits, 1).astype(q.dtype))
+        new = (visits == 0) & (q > UNAVAILABLE)
+        return greedy(jnp.where(new, jnp.inf, q + self.c * bonus))
 
 
 @pytree
@@ -267,14 +320,13 @@ class Table:
     probabilities: Any
 
     def __post_init__(self):
-        try:
-            pi = concrete(self.probabilities)
-        except ValueError:
-            raise InputError("Table: probabilities must be numbers [S, A], in rows of equal length") from None
-        if pi is None:
+        if (pi := as_array(self.probabilities)) is None:
             return
         if pi.ndim != 2 or pi.dtype.kind not in "biuf":
-            raise InputError(f"Table: probabilities must be numbers [S, A], not of shape {pi.shape}")
+            raise InputError(
+                "Table: probabilities must be numbers [S, A], in rows of equal length, not "
+                f"{shown(self.probabilities)}"
+            )
         if (s := first(~is_distribution(pi))) is not None:
             raise InputError(
                 f"Table: the probabilities in state {s[0]} are not a distribution: {shown(pi[s])}"
@@ -291,8 +343,19 @@ class Table:
     def check(self, num_states: int, num_actions: int) -> None:
         _check_table("Table: probabilities", self.probabilities, num_states, num_actions)
 
+    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+        self.check(*np.shape(available))
+        check_among("Table: probabilities", self.probabilities, available)
+        return self
+
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
         return tables.row(jnp.asarray(self.probabilities, float), s)
+
+
+def uniform(available: Bool[Array, "S A"]) -> Table:
+    """The policy that takes all actions of a state that are available with equal probability."""
+    there = jnp.asarray(available, float)
+    return Table(there / there.sum(1, keepdims=True))
 
 
 POLICIES: dict[str, type] = {
@@ -311,14 +374,16 @@ def parse(text: str) -> Policy:
     Raises:
         InputError: `text` is none of these; the message says what would be right.
     """
+    if not isinstance(text, str):
+        raise InputError(f"a policy is written as a text, such as 'softmax:0.5', not {shown(text)}")
     name, colon, number = text.partition(":")
     if name not in POLICIES:
-        raise InputError(f"there is no policy {text!r}; {nearest(name, POLICIES)}")
+        raise InputError(f"there is no policy {shown(text)}; {nearest(name, POLICIES)}")
     if not colon:
         return POLICIES[name]()
     field = _number_of(name)
     if field is None:
-        raise InputError(f"{text!r} is not of the form {form(name)}")
+        raise InputError(f"{shown(text)} is not of the form {form(name)}")
     takes_schedule = field.type == Rate
     if takes_schedule and schedules.is_named(number):
         return POLICIES[name](schedules.parse(number))
@@ -327,7 +392,7 @@ def parse(text: str) -> Policy:
     except ValueError:
         what = "a number or a schedule" if takes_schedule else "a number"
         raise InputError(
-            f"{text!r} is not of the form {form(name)}, where {field.name.upper()} is {what}"
+            f"{shown(text)} is not of the form {form(name)}, where {field.name.upper()} is {what}"
         ) from None
     return POLICIES[name](value)
 
@@ -369,8 +434,8 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
         target: pi, which is learned about.
         behaviour: b, which acts.
     """
-    if _is_greedy(target) and isinstance(behaviour, EpsilonGreedy):
-        behaviour = EpsilonGreedy(behaviour.epsilon)  # no greedy action is one that is not available
+    if isinstance(behaviour, EpsilonGreedy) and not isinstance(target, Table | EpsilonGreedy):
+        behaviour = EpsilonGreedy(behaviour.epsilon)  # to all others what is not available is plain from Q
     out = _left_out(behaviour)
     if out is None or (_is_greedy(behaviour) and _is_greedy(target)):
         return

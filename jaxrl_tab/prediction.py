@@ -11,14 +11,15 @@ Off-policy, b acts while v_pi is learned; ratios rho = pi(A | S) / b(A | S) then
     state.v, log.v_error          # V [S]; the root of its mean squared error at the end of each row
 """
 
+import dataclasses
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import planning, policies, tables
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
@@ -30,9 +31,11 @@ from jaxrl_tab.types import (
     InputError,
     Task,
     Transition,
+    available_actions,
     check_switches,
     init_learner,
     pytree,
+    restricted,
     shown,
     static,
 )
@@ -93,6 +96,10 @@ class Prediction:
         """The method of control that learns V."""
         raise NotImplementedError
 
+    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+        """The method where states have these actions only, as `TDControl.restricted_to`."""
+        return dataclasses.replace(self, pi=_among(self.pi, available), **more)
+
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
         learner = init_learner(self.control(), Task(num_states, 1, max_steps))
         return ValueState(learner, _probabilities(self.pi, num_states, num_actions), None)
@@ -108,7 +115,8 @@ class Prediction:
     def exact_value(self, env: Environment) -> float:
         """v_pi from the start distribution, float64; -inf where pi may go round for ever at a cost."""
         with jax.enable_x64():
-            pi = np.asarray(_probabilities(self.pi, env.num_states, env.num_actions))
+            method = restricted(self, available_actions(env))
+            pi = np.asarray(_probabilities(method.pi, env.num_states, env.num_actions))
         return planning.policy_value(env, pi, self.gamma)
 
     def measurer(self, env: Environment):
@@ -149,8 +157,9 @@ class TDLambda(Prediction):
     Attributes:
         lam: lambda, in [0, 1].
         trace: "accumulating", "replacing" or "dutch": dutch is true online TD(lambda).
-        offline: add all increments at the end of the episode; with accumulating traces it then is the
-            off-line lambda-return algorithm.
+        offline: keep V as it is in an episode, and add the sum of all increments at its end: off-line
+            TD(lambda) (Silver, lecture 4), not the book's off-line lambda-return algorithm; see
+            `SarsaLambda`. It goes with accumulating traces.
     """
 
     lam: float = 0.9
@@ -205,6 +214,9 @@ class OffPolicyPrediction(Prediction):
             any_action = EpsilonGreedy(1.0)
             check_coverage(type(self).__name__, any_action if self.pi is None else self.pi, self.behaviour)
 
+    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+        return super().restricted_to(available, behaviour=_among(self.behaviour, available), **more)
+
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
         state = super().init(num_states, num_actions, max_steps)
         acting = _probabilities(self.behaviour, num_states, num_actions)
@@ -220,6 +232,7 @@ class OffPolicyTD(OffPolicyPrediction, TD):
     One ratio for one step: its variance is far lower than that of whole returns.
     """
 
+    multiplies_returns: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[str] = "transitions of b"
 
@@ -255,6 +268,10 @@ class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[str] = "episodes of b"
+
+    @property
+    def multiplies_returns(self) -> bool:
+        return self.weighting != "weighted"
 
     def control(self, acting: Any = None, target: Any = None) -> Algorithm:
         return _OfStates(
@@ -303,6 +320,10 @@ def _as_table(obj: Any, name: str) -> None:
         object.__setattr__(obj, name, Table(value))
     except InputError as error:
         raise InputError(f"{what}: {str(error).partition(': ')[2]}") from None
+
+
+def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:
+    return policies.uniform(available) if table is None else restricted(table, available)
 
 
 def _probabilities(table: Table | None, num_states: int, num_actions: int) -> Float[Array, "S A"]:

@@ -26,7 +26,8 @@ CAPTIONS = {
     "episodes": "How many episodes are over after so many steps. The steeper the line, the shorter the "
     "episodes; where it is straight, nothing more is learned.",
     "learning_curves": "The mean return of an episode while the method learns, each method with its best "
-    "setting. The dashed line is the exact optimum.",
+    "setting. The dashed line is the exact optimum, the dotted one what the best policy earns that explores as "
+    "much.",
     "sensitivity": "How much it matters which {0} one takes: the mean return at the end for each that was "
     "tried, with its 95% interval. What else can be set stays where the method did best.",
     "greedy_path": "Where the agent goes if it always takes an action that it learned to be best; of all "
@@ -43,6 +44,12 @@ OF_PREDICTION = {
     "values": "What the methods learned that the states are worth, as a mean over seeds, beside the exact "
     "values.",
 }
+
+# As measured, see `stats.score_interval`; of 10, 30 and 100 seeds.
+COVERAGE = (
+    "and 10, 30 and 100 seeds, 94 to 96 of 100 such intervals were right; where 1 or 2 runs in 100 get stuck, at "
+    "least 82, 94 and 96 were."
+)
 
 Datasets = Mapping[str, xr.Dataset]
 
@@ -94,6 +101,8 @@ def write(
         speed=[_speed(name, ds) for name, ds in datasets.items()],
         seeds=_range(ds.sizes["seed"] for ds in datasets.values()),
         fresh=bool(fresh),
+        coverage=COVERAGE,
+        unseen=stats.unseen(min(ds.sizes["seed"] for ds in datasets.values())),
         at_once=AT_ONCE,
         version=jaxrl_tab.__version__,
     )
@@ -138,13 +147,18 @@ class Chapter(NamedTuple):
     finding: str
     prediction: bool
     compared: bool
+    on_fresh: bool
+    notes: list[str]
     chosen: Table
     pictures: list[Picture]
     settings: Table
     num_settings: int
     diverged: list[str]
     num_diverged: int
-    some_seeds_missing: bool
+    unfinished: bool
+    doubtful: bool
+    tied: bool
+    explores: bool
     greedy_worth: bool
 
 
@@ -154,13 +168,19 @@ class Row(NamedTuple):
     Attributes:
         method: its name.
         setting: all its hyperparameters, swept and fixed.
-        mean, low, high, n: mean of the score, its 95% interval, and how many seeds are in it.
+        mean, low, high: mean of the score and its 95% interval, as `stats.score_interval` has them.
         run_low, run_high: where at least nine of ten runs lie, with confidence 95%.
-        seeds, diverged: how many seeds it was run on, and how many of these diverged.
+        middle: median and interquartile mean, each with its 95% interval, where the mean is doubtful.
+        seeds, unfinished, diverged: how many seeds it was run on, how many of these finished no episode in
+            the last tenth, and how many diverged.
+        wanted: how many seeds it takes until the mean's interval can be trusted.
         episodes: finished in a run, mean; NaN where their number was given.
         end: exact value of the greedy policy at the end, median; of prediction the error at the end, mean.
         optimum: v* from the start, of prediction v_pi.
+        soft: what the best policy earns that explores as this setting does.
         star: whether it is the best of its method.
+        tied: whether it cannot be told apart from that.
+        edges: the hyperparameters that have the largest or the smallest value that was tried, if it is best.
     """
 
     method: str
@@ -168,15 +188,25 @@ class Row(NamedTuple):
     mean: float
     low: float
     high: float
-    n: int
     run_low: float
     run_high: float
+    middle: dict[str, tuple[float, float, float]]
     seeds: int
+    unfinished: int
     diverged: int
+    wanted: int
     episodes: float
     end: float
     optimum: float
+    soft: float
     star: bool
+    tied: bool
+    edges: dict[str, str]
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the mean rests on few bad runs."""
+        return self.wanted > self.seeds
 
 
 class View(NamedTuple):
@@ -202,19 +232,17 @@ class View(NamedTuple):
 
 def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) -> Chapter:
     prediction = stats.is_prediction(*datasets.values())
-    rows = [row for method, ds in datasets.items() for row in _rows(method, ds)]
-    again = {method: _rows(method, ds)[0] for method, ds in fresh.items()}
+    rows = [row for method, ds in datasets.items() for row in _rows(method, ds, env)]
+    again = {method: _rows(method, ds, env)[0] for method, ds in fresh.items()}
     ranked = sorted(rows, key=lambda row: _rank(row, prediction))
     stars = [row for row in ranked if row.star]
     if len(again) == len(stars):
         stars.sort(key=lambda row: _rank(again[row.method], prediction))
     view = View(prediction, _varied(rows), _decimals([*stars, *again.values()]))
-    judged = (
-        fresh if len(fresh) == len(datasets) else {m: ds.sel(stats.best(ds)) for m, ds in datasets.items()}
-    )
-    differences = _differences({row.method: stats.score(judged[row.method]) for row in stars}, view)
+    judged = fresh if len(fresh) == len(datasets) else datasets
+    differences = _differences({row.method: judged[row.method] for row in stars}, view)
     return Chapter(
-        label=label,
+        label=describe.title(label),
         about=describe.summary(type(env)),
         unusual=", ".join(plot.unusual(env)),
         methods=list(datasets),
@@ -225,24 +253,30 @@ def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) 
         finding=_finding(stars, again, view),
         prediction=prediction,
         compared=bool(differences),
+        on_fresh=judged is fresh,
+        notes=_notes(stars, again, view),
         chosen=_chosen_table(stars, again, differences, view),
         pictures=_pictures(label, datasets, env, stars, view),
         settings=_settings_table(ranked, view),
         num_settings=len(rows),
         diverged=[f"{_setting_of(row, view)}: {row.diverged} of {row.seeds}" for row in rows if row.diverged],
         num_diverged=sum(row.diverged for row in rows),
-        some_seeds_missing=_some_seeds_missing(rows),
+        unfinished=any(row.unfinished for row in rows),
+        doubtful=any(row.doubtful for row in [*rows, *again.values()]),
+        tied=any(row.tied and not row.star for row in rows),
+        explores=not np.isnan([row.soft for row in rows]).all(),
         greedy_worth=not prediction and any("greedy_value" in ds for ds in datasets.values()),
     )
 
 
-def _rows(method: str, ds: xr.Dataset) -> list[Row]:
+def _rows(method: str, ds: xr.Dataset, env: Environment) -> list[Row]:
     """All settings of a method, in the order of its axes."""
     names, constant = stats.hyperparameters(ds), stats.fixed(ds)
-    score, diverged = stats.score(ds), ds.diverged
-    mean, low, high, n = stats.mean_interval(score)
-    runs = stats.tolerance_interval(score)
-    if stats.is_prediction(ds):
+    score, diverged, prediction = stats.score(ds), ds.diverged, stats.is_prediction(ds)
+    known = lambda _: score
+    mean, low, high, _ = stats.score_interval(ds, by=known)
+    runs = stats.possible(stats.tolerance_interval(score), score, ds)
+    if prediction:
         end = ds.v_error.isel(row=-1).astype(float).where(~diverged).mean("seed")
     elif "greedy_value" in ds:
         end = ds.greedy_value.isel(row=-1).where(~diverged).median("seed")
@@ -252,36 +286,47 @@ def _rows(method: str, ds: xr.Dataset) -> list[Row]:
         "mean": mean,
         "low": low,
         "high": high,
-        "n": n,
         "run_low": runs.low,
         "run_high": runs.high,
+        "unfinished": xr.zeros_like(mean, int) if prediction else stats.unfinished(ds).sum("seed"),
         "diverged": diverged.sum("seed"),
+        "wanted": stats.seeds_wanted(score, higher_is_better=not prediction),
         # Where episodes were the budget all have the same.
         "episodes": ds.episodes.sum("row").where(~diverged & ("num_steps" in ds.attrs)).mean("seed"),
         "end": end,
         "optimum": stats.optimum(ds).broadcast_like(mean),
+        "tied": stats.tied(ds, known),
     }
     flat = {name: x.transpose(*names).values.ravel().tolist() for name, x in numbers.items()}
-    best = stats.best(ds)
+    best = stats.best(ds, known)
     rows = []
     for i, values in enumerate(product(*(ds[name].values.tolist() for name in names))):
         place = dict(zip(names, values, strict=True))
+        setting, star = stats.named(ds, place) | constant, place == best
         rows.append(
             Row(
                 method=method,
-                setting=stats.named(ds, place) | constant,
+                setting=setting,
+                middle={},
                 seeds=ds.sizes["seed"],
-                star=place == best,
+                soft=stats.soft_optimum(env, setting) if star and not prediction else np.nan,
+                star=star,
+                edges=stats.at_edge(ds, best) if star else {},
                 **{name: x[i] for name, x in flat.items()},
             )
         )
+        if star and rows[i].doubtful:
+            own = score.sel(place)
+            found = {"median": stats.median_interval(own), "interquartile mean": stats.iqm_interval(own)}
+            middle = {name: tuple(float(x) for x in interval[:3]) for name, interval in found.items()}
+            rows[i] = rows[i]._replace(middle=middle)
     return rows
 
 
 def _rank(row: Row, prediction: bool) -> tuple[bool, int, float]:
-    """The best first, and as `stats.best` has it: what is not known of all seeds cannot be the best."""
+    """The best first, as `stats.best` has it: the fewest that diverged, and then the mean."""
     merit = row.mean if prediction else -row.mean
-    return np.isnan(merit), -row.n, merit
+    return np.isnan(merit), row.diverged, merit
 
 
 def _varied(rows: Sequence[Row]) -> list[str]:
@@ -314,25 +359,40 @@ def _finding(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> str:
 # --- tables ------------------------------------------------------------------------------------------
 
 
-def _differences(scores: Mapping[str, xr.DataArray], view: View) -> dict[str, list[str]]:
-    """How each method differs from the first on the same seeds: the mean with its interval, and p.
-
-    Args:
-        scores: of the chosen setting of each method, [seed]; nothing is said where their seeds differ.
-        view: of the chapter.
-    """
-    (first, best), *others = scores.items()
-    if not others or any(not np.array_equal(score.seed, best.seed) for score in scores.values()):
-        return {}
-    bare = lambda score: score.reset_coords(drop=True)  # its setting, which is another one for each
-    found = {method: stats.paired_difference(bare(score), bare(best)) for method, score in others}
-    p = stats.holm(xr.concat([x.p for x in found.values()], "method"))
-    cells = {first: ["–", "–"]}
-    for (method, (interval, _, _)), p_value in zip(found.items(), p.values, strict=True):
+def _differences(datasets: Datasets, view: View) -> dict[str, list[str]]:
+    """How each method differs from the best: the mean with its interval, and p. See `stats.differences`."""
+    found = stats.differences(datasets)
+    cells = {method: ["–", "–"] for method in datasets} if found else {}
+    for method, (interval, p, _) in found.items():
         mean, low, high = (float(x) for x in interval[:3])
         by = f"{_number(mean, view.decimals)} ({_between(low, high, view)})"
-        cells[method] = [by, _unbroken("< 0.001") if p_value < 0.001 else _number(p_value, 3)]
+        cells[method] = [by, _unbroken("< 0.001") if p < 0.001 else _number(float(p), 3)]
     return cells
+
+
+def _notes(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> list[str]:
+    """What a reader of the methods' table must know of single rows, in sentences."""
+    notes = []
+    for row in [*stars, *(again[star.method] for star in stars if star.method in again)]:
+        where = " on fresh seeds" if row is again.get(row.method) else ""
+        name = _setting_of(row, view)
+        if row.doubtful:
+            middle = "; ".join(f"{kind} {_of(found, view)}" for kind, found in row.middle.items())
+            notes.append(
+                f"! The mean of {name}{where} rests on few bad runs and may be worse than it looks: {row.seeds} seeds "
+                f"were run, and {row.wanted} would be needed. The middle of the runs is sure: {middle}."
+            )
+        if row.unfinished:
+            notes.append(
+                f"{row.unfinished} of {row.seeds} runs of {name}{where} finished no episode in the last tenth: they "
+                "score the rewards that they collected there, as if the episode had been cut off at the end."
+            )
+        for parameter, end in row.edges.items():
+            parameter = plot.GREEK.get(parameter, parameter)
+            notes.append(
+                f"The best {parameter} of {row.method} is the {end} that was tried; beyond may be a better one."
+            )
+    return notes
 
 
 def _chosen_table(
@@ -344,6 +404,8 @@ def _chosen_table(
     """The setting chosen for each method, and what it gave: on fresh seeds where it was run on them, too."""
     last = [again.get(row.method, row) for row in stars]
     columns = _columns(last, view)
+    if not np.isnan([row.soft for row in last]).all():
+        columns["best ε-soft"] = lambda row: _number(row.soft)
     columns["exact value" if view.prediction else "exact optimum"] = lambda row: _number(row.optimum)
     seeds = _range(row.seeds for row in again.values())
     mean = f"{view.what} (95% interval)"
@@ -352,7 +414,7 @@ def _chosen_table(
     head += ["difference from the first", "p"] if differences else []
     rows = [
         [
-            row.method,
+            describe.title(row.method),
             _setting(row, view) or "as given",
             _mean_cell(row, view),
             *([_mean_cell(again[row.method], view) if row.method in again else "–"] if again else []),
@@ -382,10 +444,10 @@ def _settings_table(ranked: Sequence[Row], view: View) -> Table:
     ]
     rows = [
         [
-            f"{row.method} ★" if star else row.method,
+            f"{describe.title(row.method)}{' ★' if star else ' ≈' if row.tied and not row.star else ''}",
             *(plot.written(row.setting[name]) if name in row.setting else "–" for name in view.varied),
             _number(row.mean, view.decimals),
-            _between(row.low, row.high, view),
+            _between(row.low, row.high, view) + _doubt(row),
             *(cell(row) for cell in columns.values()),
         ]
         for row, star in zip(ranked, stars, strict=False)
@@ -398,8 +460,8 @@ def _columns(rows: Sequence[Row], view: View) -> dict[str, Callable[[Row], str]]
     columns: dict[str, Callable[[Row], str]] = {
         "9 of 10 runs": lambda row: _between(row.run_low, row.run_high, view)
     }
-    if _some_seeds_missing(rows):
-        columns["seeds counted"] = lambda row: f"{row.n} of {row.seeds}"
+    if any(row.unfinished for row in rows):
+        columns["unfinished"] = lambda row: str(row.unfinished)
     if any(row.diverged for row in rows):
         columns["diverged"] = lambda row: str(row.diverged)
     if not np.isnan([row.end for row in rows]).all():
@@ -408,12 +470,18 @@ def _columns(rows: Sequence[Row], view: View) -> dict[str, Callable[[Row], str]]
     return columns
 
 
-def _some_seeds_missing(rows: Iterable[Row]) -> bool:
-    return any(row.n < row.seeds - row.diverged for row in rows)
-
-
 def _mean_cell(row: Row, view: View) -> str:
-    return f"{_number(row.mean, view.decimals)} ({_between(row.low, row.high, view)})"
+    return _of((row.mean, row.low, row.high), view) + _doubt(row)
+
+
+def _doubt(row: Row) -> str:
+    return _unbroken(" !") if row.doubtful else ""
+
+
+def _of(found: Sequence[float], view: View) -> str:
+    """An estimate with its interval."""
+    estimate, low, high = found
+    return f"{_number(estimate, view.decimals)} ({_between(low, high, view)})"
 
 
 def _between(low: float, high: float, view: View) -> str:
@@ -426,8 +494,8 @@ def _unbroken(text: str) -> str:
 
 
 def _decimals(rows: Iterable[Row]) -> int:
-    """How many decimals show two digits of the usual half width of an interval, from 0 to 5."""
-    widths = np.array([(row.high - row.low) / 2 for row in rows])
+    """How many decimals show two digits of the usual width of an interval, on its shorter side, from 0 to 5."""
+    widths = np.array([min(row.high - row.mean, row.mean - row.low) for row in rows])
     widths = widths[np.isfinite(widths) & (widths > 0)]
     return int(np.clip(1 - np.floor(np.log10(np.median(widths))), 0, 5)) if widths.size else 2
 
@@ -446,7 +514,7 @@ def _setting(row: Row, view: View) -> str:
 
 
 def _setting_of(row: Row, view: View) -> str:
-    return ", ".join(filter(None, [row.method, _setting(row, view)]))
+    return ", ".join(filter(None, [describe.title(row.method), _setting(row, view)]))
 
 
 # --- pictures ----------------------------------------------------------------------------------------
@@ -459,7 +527,7 @@ def _pictures(
     if isinstance(env, Grid) and not view.prediction:
         figures["values"] = plot.value_tables(datasets, env)
     captions = CAPTIONS | (OF_PREDICTION if view.prediction else {})
-    ends = ", ".join(f"{row.method} {_number(row.mean, view.decimals)}" for row in stars)
+    ends = ", ".join(f"{describe.title(row.method)} {_number(row.mean, view.decimals)}" for row in stars)
     what = view.what if view.prediction else f"{view.what} at the end"
     optimum = stars[0].optimum
     known = "" if view.prediction or np.isnan(optimum) else f"; exact optimum {_number(optimum)}"
@@ -497,9 +565,9 @@ def _method(name: str) -> str:
 
 
 def _title(datasets: Datasets, chapters: Sequence[Chapter]) -> str:
-    methods = list(dict.fromkeys(method for chapter in chapters for method in chapter.methods))
+    methods = dict.fromkeys(describe.title(method) for chapter in chapters for method in chapter.methods)
     labels = [chapter.label for chapter in chapters]
-    return f"{_list(methods, 'methods')} in {_list(labels, 'environments')}"
+    return f"{_list(list(methods), 'methods')} in {_list(labels, 'environments')}"
 
 
 def _list(names: Sequence[str], what: str) -> str:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from jaxrl_tab import memory
 from jaxrl_tab.axes import DRAW
-from jaxrl_tab.policies import Policy
+from jaxrl_tab.policies import UNAVAILABLE, Policy
 from jaxrl_tab.schedules import Schedule, typed
 from jaxrl_tab.train import Log
 from jaxrl_tab.types import Environment
@@ -17,6 +18,8 @@ from jaxrl_tab.types import Environment
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+CHUNK = 2**20  # bytes of the pieces in which a file holds a large variable
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +42,8 @@ class SweepResult:
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
         first_seed: see `root_seed`.
+        largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `sweep.Part`.
+        fresh: whether the root is instead the one that is kept for fresh seeds; see `sweep.Part`.
     """
 
     environment: str
@@ -56,6 +61,8 @@ class SweepResult:
     seconds: float
     compile_seconds: float
     first_seed: int = 0
+    largest_value: Any = np.inf
+    fresh: bool = False
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -69,8 +76,12 @@ class SweepResult:
 
     @property
     def diverged(self) -> np.ndarray:
-        """Whether a NaN or an infinity is in the table or in the sums of the log, bool [*grid, seeds]."""
-        return is_diverged(self.q, self.log.returns, self.log.rewards)
+        """Whether the table or the sums of the log became no finite numbers, or |Q| grew beyond any possible
+
+        return (`largest_value`), bool [*grid, seeds].
+        """
+        bound = np.asarray(self.largest_value)[..., None]
+        return is_diverged(self.q, self.log.returns, self.log.rewards, largest=bound)
 
     def to_xarray(self) -> "xr.Dataset":
         """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
@@ -109,6 +120,7 @@ class SweepResult:
             **{name: value for name, value in budget.items() if value is not None},
             "log_every": self.log_every,
             "root_seed": self.root_seed,
+            **({"fresh_seeds": 1} if self.fresh else {}),
             "optimal_value": float(self.optimal_value) if self.optimal_value.ndim == 0 else float("nan"),
             "seconds": self.seconds,
             "compile_seconds": self.compile_seconds,
@@ -126,12 +138,22 @@ class SweepResult:
         return export.to_pandas(self.to_xarray(), per)
 
 
-def is_diverged(q: Any, *sums: Any) -> np.ndarray:
-    """Whether there is a NaN or an infinity in a table [..., S, A] or in sums [..., rows], bool [...]."""
+def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
+    """Whether there is a NaN or an infinity in a table [..., S, A] or in sums [..., rows], bool [...].
+
+    Or an entry of the table that is larger, either way, than `largest` [...].
+    """
     found = np.zeros(q.shape[:-2], bool)
-    for x in (q, *(x[..., None] for x in sums)):
-        for extreme in (x.min((-2, -1)), x.max((-2, -1))):  # where there is a NaN, both are NaN
-            found |= ~np.isfinite(extreme)
+    flat, beyond = found.reshape(-1), np.broadcast_to(largest, found.shape).reshape(-1)
+    nowhere = np.array(UNAVAILABLE, q.dtype)
+    for x in (q, *sums):
+        runs = x.reshape(found.size, -1)
+        for block in memory.blocks(found.size, runs[:1].nbytes):
+            for extreme in (runs[block].min(-1), runs[block].max(-1)):  # where there is a NaN, both are NaN
+                flat[block] |= ~np.isfinite(extreme)
+            if x is q:
+                size = np.max(abs(runs[block]), -1, initial=0, where=runs[block] != nowhere)
+                flat[block] |= size > beyond[block]
     return found
 
 
@@ -141,8 +163,34 @@ def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> 
 
     if not file.exists():
         xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in ds.items() if x.ndim}
-    ds.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
+    large = [name for name, x in ds.items() if x.nbytes > memory.BLOCK and name != "diverged"]
+    rest = ds.drop_vars(large)
+    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in rest.items() if x.ndim}
+    rest.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
+    for name in large:
+        _save_large(ds[name], file, group)
+
+
+def _save_large(x: "xr.DataArray", file: Path, group: str) -> None:
+    """Adds a variable [*hyperparameters, seed, ...] of numbers to a group, some seeds at a time."""
+    import h5netcdf
+
+    before, seeds = x.dims.index("seed"), x.sizes["seed"]
+    each = max(1, x.nbytes // (x.size // int(np.prod(x.shape[before + 1 :], dtype=int))))
+    with h5netcdf.File(file, "a") as whole:
+        to = whole[group]
+        for dim, size in x.sizes.items():
+            if dim not in to.dimensions:
+                to.dimensions[dim] = size
+        chunks = (*(1,) * before, min(seeds, max(1, CHUNK // each)), *x.shape[before + 1 :])
+        missing = np.nan if x.dtype.kind == "f" else None
+        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "chunks": chunks}
+        variable = to.create_variable(x.name, x.dims, x.dtype, fillvalue=missing, **packed)
+        if drawn := [str(name) for name in x.coords if name not in x.dims]:
+            variable.attrs["coordinates"] = " ".join(drawn)
+        for setting in np.ndindex(x.shape[:before]):
+            for block in memory.blocks(seeds, each):
+                variable[*setting, block] = x.values[*setting, block]
 
 
 def label(value: Any) -> Any:

@@ -94,6 +94,11 @@ _word_impl = jex.random.define_prng_impl(
 )
 
 
+def key(seed: int) -> Key[Array, ""]:
+    """`jax.random.key(seed)` as JAX has it by default: of Threefry, whatever generator and offset are chosen."""
+    return jax.random.wrap_key_data(jnp.array([0, seed], jnp.uint32), impl="threefry2x32")
+
+
 def as_key(word: UInt32[Array, "*n"]) -> Key[Array, "*n"]:
     """Random words as keys: one draw of 32 bits from each returns the word itself."""
     return jax.random.wrap_key_data(word[..., None], impl=_word_impl)
@@ -112,8 +117,12 @@ def check_key(key: Any) -> None:
 
 
 def stream(key: Key[Array, ""]) -> Stream:
-    """The two words that name a run's random stream, from a JAX key of any kind."""
-    word0, word1 = jax.random.bits(key, (2,), jnp.uint32)
+    """The two words that name a run's random stream, from a JAX key of any kind.
+
+    (Threefry has two ways to draw several words; it is always the newer one, whatever JAX is set to.)
+    """
+    with jax.threefry_partitionable(True):
+        word0, word1 = jax.random.bits(key, (2,), jnp.uint32)
     return word0, word1
 
 

@@ -18,12 +18,10 @@ import platform
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from importlib import metadata
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -31,15 +29,15 @@ import jax
 import numpy as np
 
 import jaxrl_tab
-from jaxrl_tab import batch, storage
+from jaxrl_tab import batch, provenance, storage
 from jaxrl_tab.executors import Executor, Local
 from jaxrl_tab.experiment import Experiment, PartPlan, Plan, difference
-from jaxrl_tab.memory import Results, free, size, words
+from jaxrl_tab.memory import Results, free, let_go, size, words
 from jaxrl_tab.results import is_diverged, save
 from jaxrl_tab.storage import Store
 from jaxrl_tab.sweep import Computed, Part, compute, leaves_as_arrays, result
 from jaxrl_tab.train import Log
-from jaxrl_tab.types import Environment, InputError, RunError
+from jaxrl_tab.types import Environment, InputError, RunError, as_path, one_line, shown
 
 if TYPE_CHECKING:  # these take their time to import
     import pandas as pd
@@ -51,6 +49,7 @@ SHARD_STEPS = 2**27  # of the runs in a shard, about: a few seconds on two cores
 SHARD_BYTES = 2**26  # that its runs give, at most, unless one block of lanes gives more
 EPISODE_STEPS = 100  # so long an episode is taken to be, where episodes are the budget
 FRESH = "fresh seeds/"  # before the name of a part that runs a chosen setting again
+NOT_RECORDED = "what it was computed with is not recorded"
 
 Report = Callable[["Progress"], None]
 
@@ -77,7 +76,7 @@ class Progress(NamedTuple):
         steps: steps taken since it began, or was resumed.
         seconds: the time since then.
         left: how many more seconds it will take, about; None where nothing can be said yet.
-        diverged: runs in which a number has become infinite or NaN.
+        diverged: runs in which a number became infinite or NaN, or grew beyond any possible return.
     """
 
     label: str
@@ -133,13 +132,15 @@ def run(
         InputError: something given is wrong; nothing was computed.
         RunError: there was not enough memory, or room on the disk. What is finished is kept.
     """
-    command = shlex.join(sys.argv) if command is None else command
+    if not isinstance(experiment, Experiment):
+        raise InputError(f"run takes an Experiment, not {shown(experiment)}")
+    command = _typed(command)
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
             _begin(path, experiment, memory)
             return _go_on(path, experiment, executor, memory, progress, command, keep=False)
-    path = Path(os.path.normpath(folder))
+    path = _path(folder)
     _begin(path, experiment, memory)
     with storage.lock(path):
         return _go_on(path, experiment, executor, memory, progress, command)
@@ -152,28 +153,44 @@ def resume(
     memory: int | None = None,
     progress: Report = lambda state: None,
     command: str | None = None,
+    mixed: bool = False,
 ) -> Outcome:
     """Goes on with what `run` left: computes the shards that are missing or damaged, and no others.
 
-    What is damaged is named in a warning of the logger `jaxrl_tab.runner`, and set aside.
+    What is damaged is named in a warning of the logger `jaxrl_tab.runner`, and set aside. The settings of JAX
+    that change numbers are as in `run` while it computes, and afterwards what they were.
 
     Args:
         folder: the folder.
         executor, memory, progress, command: as in `run`.
+        mixed: go on also with other versions, or on another kind of processor, which may give numbers that
+            differ in the last bits. The folder's provenance and report tell of it.
 
     Raises:
         InputError: there is no experiment in the folder, or another process is at work in it, or the
-            experiment was changed: the message says in what.
+            experiment was changed, or what is missing would be computed otherwise than the rest: the message
+            says in what.
         RunError: as in `run`.
     """
-    path = Path(os.path.normpath(folder))
-    if not path.is_dir():
-        raise InputError(f"{path} is no folder" if path.exists() else f"there is no folder {path}")
-    if not (path / GIVEN).exists() and not (path / RESOLVED).exists():
+    path = _path(folder)
+    if not os.path.isdir(path):
+        name = one_line(str(path))
+        raise InputError(f"{name} is no folder" if os.path.exists(path) else f"there is no folder {name}")
+    if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
-    command = shlex.join(sys.argv) if command is None else command
+    command = _typed(command)
     with storage.lock(path):
-        return _go_on(path, _experiment_in(path), executor, memory, progress, command)
+        return _go_on(path, _experiment_in(path), executor, memory, progress, command, mixed=mixed)
+
+
+def _typed(command: str | None) -> str:
+    """What was typed, as text that can be written: names of files need not be text in UTF-8."""
+    command = shlex.join(sys.argv) if command is None else command
+    return command.encode(errors="backslashreplace").decode()
+
+
+def _path(folder: Any) -> Path:
+    return Path(os.path.normpath(as_path("the folder", folder)))
 
 
 def _go_on(
@@ -184,31 +201,100 @@ def _go_on(
     report: Report,
     command: str,
     keep: bool = True,
+    mixed: bool = False,
 ) -> Outcome:
     """All that is still to be done in a folder."""
     store = Store(path, experiment.fingerprint)
-    for line in store.found:
-        _warn(line)
-    with _session(store, command) as records:
-        job, meter, select = Job(json.dumps(experiment.data()), limit), _Meter(report), experiment.select
-        later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
-        executor = executor or Local()
-        new = _compute(store, job, executor, meter, later)
-        datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
-        envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-        fresh = {}
-        if select:
-            job = job._replace(
-                chosen=json.dumps({name: _chosen(ds, select["by"]) for name, ds in datasets.items()})
-            )
-            new |= _compute(store, job, executor, meter, {})
-            fresh, _ = _collect(store, job, list(later), room)
-            fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
-        outcome = Outcome(datasets, fresh, envs, select["by"] if select else None)
-        if keep and (new or not store.files):
-            meter.show("tables, pictures, report")
-            _write_files(store, outcome, records)
+    _warn_of_what_was(store)
+    records = _records(store)
+    job, meter, select = Job(json.dumps(experiment.data()), limit), _Meter(report), experiment.select
+    with _settings_of(store, records):
+        origin = Origin.of(store, records, mixed)
+        if _missing(store, job):
+            origin.check(path)
+        with _session(store, records, command):
+            later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
+            executor = executor or Local()
+            new = _compute(store, job, executor, meter, later, origin)
+            datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
+            envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
+            fresh = {}
+            if select:
+                job = job._replace(
+                    chosen=json.dumps({name: _chosen(ds, select["by"]) for name, ds in datasets.items()})
+                )
+                new |= _compute(store, job, executor, meter, {}, origin)
+                fresh, _ = _collect(store, job, list(later), room)
+                fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
+            outcome = Outcome(datasets, fresh, envs, select["by"] if select else None)
+            if keep and (new or not store.files):
+                if origin.changed and not new:
+                    _warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
+                meter.show("tables, pictures, report")
+                _write_files(store, outcome, records)
     return outcome
+
+
+# --- what numbers depend on --------------------------------------------------------------------------
+
+
+class Origin(NamedTuple):
+    """What the numbers of shards depend on beside the experiment, see `provenance`.
+
+    Attributes:
+        name: of the surroundings of this process; each shard that it computes keeps it.
+        changed: what was otherwise where shards were computed that are there; empty where nothing was.
+        mixed: whether it is allowed to go on nevertheless.
+    """
+
+    name: str
+    changed: list[str]
+    mixed: bool
+
+    @staticmethod
+    def of(store: Store, records: Mapping[str, Any], mixed: bool) -> "Origin":
+        now = provenance.surroundings()
+        name = provenance.digest(now)
+        others = _origins(store) - {name}
+        if not others:
+            return Origin(name, [], mixed)
+        was = _recorded(records, others)
+        lines = provenance.differences(was[0]["surroundings"], now) if was else [NOT_RECORDED]
+        return Origin(name, lines, mixed)
+
+    def check(self, path: Path) -> None:
+        """Raises InputError where what is computed now would be numbers of another kind."""
+        if self.changed and not self.mixed:
+            raise InputError(
+                f"what is missing in {path} would not be computed as the rest was: {'; '.join(self.changed)}; "
+                f"go on with what it was, or begin a new folder with {path / GIVEN}, or allow it with --mixed "
+                "(mixed=True), and the report says so"
+            )
+
+
+def _origins(store: Store) -> set[str | None]:
+    """The names of the surroundings in which the shards were computed."""
+    return {facts.surroundings for facts in store.shards.values()}
+
+
+def _recorded(records: Mapping[str, Any], origins: Collection[str | None]) -> list[dict[str, Any]]:
+    """The sessions in which shards of these origins were computed, in order."""
+    named = [(provenance.digest(x.get("surroundings", {})), x) for x in records["sessions"]]
+    return [session for name, session in named if name in origins]
+
+
+def _mixture(sessions: Sequence[Mapping[str, Any]]) -> str:
+    """What was not the same in all of them."""
+    first, *others = [session["surroundings"] for session in sessions] or [{}]
+    lines = [line for other in others for line in provenance.differences(first, other)]
+    return "; ".join(dict.fromkeys(lines)) or NOT_RECORDED
+
+
+def _settings_of(store: Store, records: Mapping[str, Any]) -> contextlib.AbstractContextManager[None]:
+    """Gives JAX the settings that the shards were computed with, within the block."""
+    sessions = _recorded(records, _origins(store))
+    was = sessions[0]["surroundings"] if sessions else {}
+    return provenance.using({name: was[name] for name in provenance.settings() if name in was})
 
 
 # --- shards ------------------------------------------------------------------------------------------
@@ -267,9 +353,9 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
 
 
 def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: those that follow."""
+    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
     one = [part.configs[config]]
-    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=part.num_seeds)
+    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
 
 
 def _split(name: str, part: Part) -> Iterator[Shard]:
@@ -301,20 +387,47 @@ def _runs(part: Part, shard: Shard) -> np.ndarray:
     return part.programs[shard.program][config] * part.num_seeds + place
 
 
-def _compute(store: Store, job: Job, executor: Executor, meter: "_Meter", later: Mapping[str, int]) -> bool:
+def _compute(
+    store: Store, job: Job, executor: Executor, meter: "_Meter", later: Mapping[str, int], origin: Origin
+) -> bool:
     """Computes the shards that are not there; whether there were any. `later`: see `_Meter.begin`."""
-    missing = [number for number, shard in enumerate(job.shards) if not _is_there(store, job, number, shard)]
+    missing = _missing(store, job)
+    if missing:
+        origin.check(store.path)
     meter.begin(store, job, missing, later)
     with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
         for number, arrays in finished:
-            diverged = int(is_diverged(arrays["q"], arrays["returns"], arrays["rewards"]).sum())
-            store.write(number, arrays, diverged=diverged, setting=job.setting(job.shards[number]))
+            part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
+            largest = part.largest_values[_runs(part, job.shards[number]) // part.num_seeds]
+            diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
+            setting = job.setting(job.shards[number])
+            store.write(number, arrays, diverged, setting, origin.name)
+            let_go()
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)
 
 
+def _missing(store: Store, job: Job) -> list[int]:
+    """The numbers of the shards that are to be computed."""
+    missing = [number for number, shard in enumerate(job.shards) if not _is_there(store, job, number, shard)]
+    _warn_of_what_was(store)
+    return missing
+
+
 def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
-    return number in store.shards and store.shards[number]["setting"] == job.setting(shard)
+    """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give."""
+    if number not in store.shards or store.shards[number].setting != job.setting(shard):
+        return False
+    return store.keep_if(number, _shapes(job.parts[shard.part], shard))
+
+
+def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
+    """(shape, dtype) of each array of a shard."""
+    method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
+    q, log = batch.gives(part.env, method, part.root, part.budget)
+    of_one = {"q": q, **{name: x for name, x in log._asdict().items() if x is not None}}
+    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in of_one.items()}
+    return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
 def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[dict[str, xr.Dataset], int]":
@@ -375,7 +488,7 @@ class _Meter:
         self._state = self._state._replace(
             done=sum(job.shards[number].runs for number in there),
             total=sum(shard.runs for shard in job.shards) + sum(later.values()),
-            diverged=sum(store.shards[number]["diverged"] for number in there),
+            diverged=sum(store.shards[number].diverged for number in there),
         )
         self._last = time.perf_counter()
         self.show()
@@ -423,7 +536,7 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
     for part in parts.values():
         instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
         runs = min(part.runs, _shard_runs(part))
-        planned = batch.plan(part.env, instances, jax.random.key(part.seed), runs, part.budget, limit)
+        planned = batch.plan(part.env, instances, part.root, runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
     if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
         raise InputError(
@@ -435,34 +548,80 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
 def _experiment_in(path: Path) -> Experiment:
     """The experiment that a folder was made for.
 
+    It is there twice, and its fingerprint is in the manifest: where one of the two is missing or damaged, it is
+    made again of the other. Nobody edits `resolved.json`, so what differs from the fingerprint in it is damage;
+    in `experiment.toml` it may be a wish.
+
     Raises:
         InputError: what the folder says of it, or the file that it was read from, is not what it was.
     """
     manifest = storage.read_manifest(path)
-    data = _read_json(path / RESOLVED)
-    given = Experiment.load(path / GIVEN) if (path / GIVEN).exists() else None
-    if data is None:
-        if given is None or (manifest and manifest["fingerprint"] != given.fingerprint):
-            raise InputError(f"{path / RESOLVED} is missing or damaged, and {GIVEN} is another experiment")
-        storage.write_json(path / RESOLVED, given.data())
-        _warn(f"{RESOLVED} was missing or damaged: it is made again, of {GIVEN}")
-        return given
-    experiment = Experiment.from_data(data)
-    if given is None:
-        storage.write(path / GIVEN, experiment.to_toml())
-        _warn(f"{GIVEN} was missing: it is made again, of {RESOLVED}")
-    elif changed := difference(data, given.data()):
-        raise InputError(f"{path / GIVEN} was changed since: {'; '.join(changed)}; put it back to go on")
-    if manifest and manifest["fingerprint"] != experiment.fingerprint:
+    begun_with = manifest and manifest["fingerprint"]
+    data = storage.read_json(path / RESOLVED)
+    resolved = _understood(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
+    given = None
+    if storage.is_file(path / GIVEN):
+        with storage.said(path / GIVEN, "read"):
+            (path / GIVEN).read_bytes()
+        given = _understood(lambda: Experiment.load(path / GIVEN))
+    if resolved and begun_with in (None, resolved.fingerprint):
+        experiment = resolved
+        if given is None:
+            _warn_of_a_new(path / GIVEN, f"made again, of {RESOLVED}")
+            storage.write(path / GIVEN, experiment.to_toml())
+        elif changed := difference(experiment.data(), given.data()):
+            raise InputError(f"{path / GIVEN} was changed since: {'; '.join(changed)}; put it back to go on")
+    elif given and begun_with in (None, given.fingerprint):
+        experiment = given
+        _warn_of_a_new(path / RESOLVED, f"made again, of {GIVEN}")
+        storage.write_json(path / RESOLVED, experiment.data())
+    elif resolved or given:
         raise InputError(
-            f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed since"
+            f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed or damaged since"
         )
-    source = (_read_json(path / PROVENANCE) or {}).get("file")
-    if source and Path(source).is_file() and (changed := _changed(source, data)):
+    else:
+        raise InputError(f"there is no experiment in {path} any more: {GIVEN} and {RESOLVED} are damaged")
+    source = (_records_in(path) or {}).get("file")
+    if source and Path(source).is_file() and (changed := _changed(source, experiment.data())):
         raise InputError(
             f"{source} was changed since: {changed}; put it back, or rename it to go on with what it was"
         )
     return experiment
+
+
+def _understood(read: Callable[[], Experiment]) -> Experiment | None:
+    """The experiment, or None where what is read is none."""
+    try:
+        return read()
+    except Exception:  # there is no end to what a flipped bit makes of data
+        return None
+
+
+def _warn_of_a_new(file: Path, then: str) -> None:
+    """Says that a file is made again; what is there now is set aside."""
+    if os.path.lexists(file):
+        _warn(storage.set_aside(file, file.parent, then))
+    else:
+        _warn(f"{file.name} is missing: it is {then}")
+
+
+def _records_in(path: Path) -> dict[str, Any] | None:
+    """The records of all sessions in a folder; None where they are missing or damaged."""
+    records = storage.read_json(path / PROVENANCE)
+    if not isinstance(records, dict) or records.keys() != {"file", "sessions"}:
+        return None
+    if not isinstance(records["file"], str | None) or not isinstance(records["sessions"], list):
+        return None
+    return records if all(map(_is_session, records["sessions"])) else None
+
+
+def _is_session(found: Any) -> bool:
+    """Whether data are the record of a session, with what is looked at later."""
+    return (
+        isinstance(found, dict)
+        and isinstance(found.get("command"), str)
+        and isinstance(found.get("started"), str)
+    )
 
 
 def _changed(source: str, data: Mapping[str, Any]) -> str:
@@ -473,48 +632,40 @@ def _changed(source: str, data: Mapping[str, Any]) -> str:
         return str(error)
 
 
-@contextlib.contextmanager
-def _session(store: Store, command: str) -> Iterator[dict[str, Any]]:
-    """Keeps records of one process that computes, which it is given."""
-    file = store.path / PROVENANCE
-    records = _read_json(file)
+def _records(store: Store) -> dict[str, Any]:
+    """The records of the processes that computed."""
+    records = _records_in(store.path)
     if records is None:
-        _warn(f"{PROVENANCE} is missing or damaged: a new one is begun")
+        _warn_of_a_new(store.path / PROVENANCE, "begun anew")
         records = {"file": None, "sessions": []}
-    session = {"command": command, "started": _now(), "ended": None, **_surroundings()}
-    for name, version in records["sessions"][-1]["versions"].items() if records["sessions"] else ():
-        if version != session["versions"][name]:
-            _warn(
-                f"this was begun with {name} {version} and goes on with {session['versions'][name]}: what is "
-                "computed now may differ from what it would have been"
-            )
+    return records
+
+
+@contextlib.contextmanager
+def _session(store: Store, records: dict[str, Any], command: str) -> Iterator[None]:
+    """Keeps records of this process, which computes."""
+    file = store.path / PROVENANCE
+    session = {"command": command, "started": _now(), "ended": None, **_machine()}
     records["sessions"].append(session)
     storage.write_json(file, records)
     try:
-        yield records
+        yield
     finally:
         session["ended"] = _now()
         with contextlib.suppress(RunError):  # the disk may be full, which somebody else says
             storage.write_json(file, records)
 
 
-def _surroundings() -> dict[str, Any]:
-    """What a result may depend on beside the experiment: versions, flags, devices."""
+def _machine() -> dict[str, Any]:
+    """What numbers depend on, and more about this process."""
     devices = jax.devices()
-    git = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    commit = None
-    with contextlib.suppress(OSError):
-        done = subprocess.run(git, capture_output=True, text=True, check=False)
-        commit = done.stdout.strip() or None
-    packages = {name: metadata.version(name) for name in ("jax", "jaxlib", "numpy")}
     return {
-        "versions": {"jaxrl_tab": jaxrl_tab.__version__, "python": platform.python_version(), **packages},
-        "xla_flags": os.environ.get("XLA_FLAGS", ""),
-        "x64": bool(jax.config.jax_enable_x64),  # pyright: ignore[reportAttributeAccessIssue]
-        "device": devices[0].device_kind if devices[0].platform != "cpu" else _processor(),
+        "surroundings": provenance.surroundings(),
+        "python": platform.python_version(),
+        "processor": devices[0].device_kind if devices[0].platform != "cpu" else _processor(),
         "devices": len(devices),
         "platform": platform.platform(),
-        "git_commit": commit,
+        "git_commit": provenance.git_commit(),
     }
 
 
@@ -537,16 +688,18 @@ def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> 
     if outcome.fresh:
         files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
         files.append(_write_table(folder / SELECTION, selection(outcome)))
-    scratch = folder / f"pictures{storage.UNFINISHED}"
+    scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
+    names = storage.file_names(outcome.envs)
     try:
         with storage.said(folder):
             for label, env in outcome.envs.items():
-                place = scratch / "pictures" / label if len(outcome.envs) > 1 else scratch
+                place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
                 plot.save_all(outcome.of(label), env, place)
             report.write(scratch, outcome.datasets, outcome.envs, _about(store, records), outcome.fresh)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
-            goal.parent.mkdir(parents=True, exist_ok=True)
+            with storage.said(goal):
+                goal.parent.mkdir(parents=True, exist_ok=True)
             with storage.writing(goal) as unfinished:
                 file.replace(unfinished)
             files.append(goal)
@@ -617,27 +770,32 @@ def selection(outcome: Outcome) -> "pd.DataFrame":
 
 def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
     """How the results came about, for the report."""
-    first, *_, last = [*records["sessions"], records["sessions"][-1]]
-    sessions = len(records["sessions"])
+    with storage.said(store.path / GIVEN, "read"):
+        given = (store.path / GIVEN).read_text(encoding="utf-8", errors="replace")
+    first, last = records["sessions"][0], records["sessions"][-1]
+    sessions, origins = len(records["sessions"]), _origins(store)
+    computed = _recorded(records, origins)
+    one = (computed or [last])[0]  # the last may have made nothing but files
+    now = one["surroundings"]
     return {
         "command": first["command"],
-        "experiment": (store.path / GIVEN).read_text(encoding="utf-8"),
+        "experiment": given,
         "fingerprint": store.fingerprint,
         "started": first["started"],
         "finished": _now(),
         **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
-        "versions": last["versions"],
-        "XLA flags": last["xla_flags"],
-        "computed on": f"{last['device']}, {last['devices']} devices, {last['platform']}",
-        **({"git commit": last["git_commit"]} if last["git_commit"] else {}),
+        **({"mixed": _mixture(computed)} if len(origins) > 1 else {}),
+        "versions": {name: now[name] for name in provenance.installed()} | {"python": one.get("python")},
+        "XLA flags": now["XLA_FLAGS"],
+        "computed on": f"{one.get('processor')}, {one.get('devices')} devices, {one.get('platform')}",
+        **({"git commit": one["git_commit"]} if one.get("git_commit") else {}),
     }
 
 
-def _read_json(file: Path) -> Any:
-    """What is in the file; None where it is missing or damaged."""
-    with contextlib.suppress(OSError, ValueError):
-        return json.loads(file.read_bytes())
-    return None
+def _warn_of_what_was(store: Store) -> None:
+    """Warns of what was damaged or missing, once."""
+    while store.found:
+        _warn(store.found.pop(0))
 
 
 def _warn(line: str) -> None:

@@ -16,12 +16,13 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab import tables
-from jaxrl_tab.types import InputError, build, concrete, nearest, pytree, shown, static
+from jaxrl_tab.types import InputError, as_array, build, concrete, nearest, pytree, shown, static
 
 ClockName: TypeAlias = Literal["step", "episode", "visit"]
 CLOCKS = ("step", "episode", "visit")
@@ -41,8 +42,8 @@ Rate: TypeAlias = "float | Float[Array, ''] | Schedule"
 
 
 def _check_clock(clock: str) -> None:
-    if clock not in CLOCKS:
-        raise InputError(f"a schedule's clock is 'step', 'episode' or 'visit', not {clock!r}")
+    if not isinstance(clock, str) or clock not in CLOCKS:
+        raise InputError(f"a schedule's clock is 'step', 'episode' or 'visit', not {shown(clock)}")
 
 
 # --- the named families ------------------------------------------------------------------------------
@@ -213,9 +214,11 @@ def parse(text: str) -> Family:
     Raises:
         InputError: `text` is none of these; the message says what would be right.
     """
+    if not isinstance(text, str):
+        raise InputError(f"a schedule is written as a text, such as 'glie', not {shown(text)}")
     name, *numbers = SHORT.get(text, text).split(":")
     if name not in FAMILIES:
-        raise InputError(f"there is no schedule {text!r}; {nearest(name, [*SHORT, *FAMILIES])}")
+        raise InputError(f"there is no schedule {shown(text)}; {nearest(name, [*SHORT, *FAMILIES])}")
     fields, clock = _numbers(FAMILIES[name]), numbers.pop() if numbers else None
     try:
         given = dict(zip(fields, map(float, numbers), strict=False))
@@ -224,7 +227,7 @@ def parse(text: str) -> Family:
     needed = list(fields.values()).count(dataclasses.MISSING)
     if clock not in CLOCKS or len(given) < max(len(numbers), needed):
         raise InputError(
-            f"{text!r} is not of the form {form(name)}, where CLOCK is one of {', '.join(CLOCKS)}"
+            f"{shown(text)} is not of the form {form(name)}, where CLOCK is one of {', '.join(CLOCKS)}"
         )
     return build(FAMILIES[name], name, {**given, "clock": clock})
 
@@ -269,27 +272,68 @@ class Optax:
             raise InputError(f"Optax: schedule must be a function of a count, not {shown(self.schedule)}")
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
-        return jnp.asarray(self.schedule(n - 1), float)
+        with jax.numpy_dtype_promotion("standard"):  # the function is somebody else's
+            return jnp.asarray(self.schedule(n - 1), float)
 
 
 def check_rate(obj, name: str, ok, wanted: str) -> None:
     """Raises InputError unless field `name` of `obj` is a schedule, a tracer, or numbers that are `ok`."""
     value = getattr(obj, name)
+    if isinstance(value, type):
+        raise InputError(f"{type(obj).__name__}: {name} must be a number or a schedule, not a class")
     if callable(value) and not isinstance(value, Schedule):
         raise InputError(
             f"{type(obj).__name__}: {name} is a function; wrap it: schedules.Optax(f, clock='step')"
         )
     if not isinstance(value, Schedule):
-        check_number(obj, name, ok, wanted)
+        check_number(obj, name, ok, wanted, "a number or a schedule")
 
 
-def check_number(obj, name: str, ok, wanted: str) -> None:
-    """Raises InputError unless field `name` of `obj` is a tracer, or numbers that are `ok`."""
-    value = getattr(obj, name)
-    if (number := concrete(value)) is None:
+def check_number(obj, name: str, ok, wanted: str, kinds: str = "a number") -> None:
+    """Raises InputError unless field `name` of `obj` is a tracer, or a number or an array of them.
+
+    All must be `ok`, which is `wanted` in words, and still be it in the precision in which JAX computes.
+    """
+    value, field = getattr(obj, name), f"{type(obj).__name__}: {name}"
+    number = np.empty(0, object) if isinstance(value, list | tuple) else as_array(value)
+    if number is None:
         return
-    if number.dtype.kind not in "fiu" or not bool(ok(number).all()) or not np.isfinite(number).all():
-        raise InputError(f"{type(obj).__name__}: {name} must be {wanted}, not {shown(value)}")
+    if number.dtype.kind not in "fiu":
+        raise InputError(f"{field} must be {kinds}, not {shown(value)}{_instead(value)}")
+    if not bool(ok(number).all()) or not np.isfinite(number).all():
+        raise InputError(f"{field} must be {wanted}, not {shown(value)}")
+    dtype = jax.dtypes.canonicalize_dtype(float)
+    with np.errstate(over="ignore", under="ignore"):
+        rounded = number.astype(dtype)
+    limits = np.finfo(dtype)
+    if not np.isfinite(rounded).all() or ((number != 0) & (abs(rounded) < limits.tiny)).any():
+        raise InputError(
+            f"{field} is {shown(value)}, and {dtype} holds 0 and sizes from {limits.tiny:.2g} to {limits.max:.2g}"
+        )
+    if not bool(ok(rounded).all()):
+        raise InputError(f"{field} must be {wanted}, and {shown(value)} is not when rounded to {dtype}")
+
+
+def _instead(value: Any) -> str:
+    """What somebody may have meant who gave `value` for a number."""
+    if isinstance(value, list | tuple):
+        return ": sweep(...) tries the values of a list, and jax.vmap takes an array"
+    return ": a text is read by schedules.parse, or on the command line" if isinstance(value, str) else ""
+
+
+def check_single(what: str, obj: Any) -> None:
+    """Raises InputError where a number of `obj`, or of a schedule or a policy in it, is an array of several."""
+    for field in dataclasses.fields(obj):
+        value = getattr(obj, field.name)
+        if field.metadata.get("static"):
+            continue
+        if dataclasses.is_dataclass(value):
+            check_single(f"{what}: {field.name}", value)
+        elif field.type in (float, Rate) and (shape := np.shape(value)):
+            raise InputError(
+                f"{what}: {field.name} is an array of shape {shape}: one run takes one number; sweep(...) "
+                "tries all of a list, and jax.vmap runs all of an array"
+            )
 
 
 # --- what schedules count ----------------------------------------------------------------------------
@@ -475,7 +519,7 @@ def _tail(asker: str, rate: Any, fits: Callable[[float], bool], wanted: str) -> 
             f"{asker} cannot tell of {kind}: no number of its values decides about a limit; "
             f"give a number or a schedule of the families {known}"
         )
-    number = concrete(rate)
+    number = as_array(rate)
     if number is None or number.ndim or number.dtype.kind not in "fiu" or not fits(float(number)):
         raise InputError(f"{asker}: {wanted}, or a schedule, not {shown(rate)}")
     return _tail_at(float(number), "is 0")

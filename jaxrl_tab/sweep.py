@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
 from typing import Any, NamedTuple, cast
@@ -11,9 +12,10 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab import batch, planning
-from jaxrl_tab.axes import DRAW, spread, swept_names
+from jaxrl_tab import batch, planning, rng
+from jaxrl_tab.axes import DRAW, check_settings, spread, swept_names
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.results import SweepResult, label, parameters
 from jaxrl_tab.train import Log, Record, check_budget, default_log_every
@@ -22,12 +24,20 @@ from jaxrl_tab.types import (
     Environment,
     FiniteEnvironment,
     InputError,
+    available_actions,
     build,
     check_pytree,
+    foreign,
     is_whole,
     nearest,
+    one_line,
+    repeated,
+    restricted,
     shown,
 )
+
+BEYOND = 10  # times the largest possible return: step sizes above 1 and traces go beyond it, and come back
+FRESH = 2**32 - 1  # what is folded into a root for the root of its fresh seeds
 
 
 class Computed(NamedTuple):
@@ -51,6 +61,10 @@ class Part:
     Its runs have numbers, 0 to `runs` - 1: the number of the configuration times `num_seeds` plus the place
     of the seed. A run with the seed at place i has the key `fold_in(key(seed), first_seed + i)`.
 
+    Fresh seeds must be seeds of no other sweep, not even of a larger one of the same root. So they have a
+    root of their own, `fold_in(key(seed), FRESH)`, in place of `key(seed)`: no sweep has a seed with this
+    number, for numbers of seeds are below 2**31.
+
     Attributes:
         env: the environment.
         algorithm: the class of the method.
@@ -59,6 +73,7 @@ class Part:
         num_seeds, first_seed: how many seeds there are, and the first of them.
         seed: the root seed.
         budget: how long each run is and what it records.
+        fresh: whether the seeds are fresh ones, of the root that is kept for them.
     """
 
     env: Environment
@@ -69,10 +84,41 @@ class Part:
     first_seed: int
     seed: int
     budget: batch.Budget
+    fresh: bool = False
+
+    @property
+    def root(self) -> Any:
+        """The key whose folds are those of the runs."""
+        key = rng.key(self.seed)
+        return jax.random.fold_in(key, FRESH) if self.fresh else key
 
     @property
     def runs(self) -> int:
         return len(self.configs) * self.num_seeds
+
+    @functools.cached_property
+    def largest_values(self) -> Float[np.ndarray, " configs"]:
+        """Of each configuration, the |Q| beyond which a run has diverged; infinite where that is not judged.
+
+        It is `BEYOND` times what no average of returns exceeds: the initial value, and the largest return of
+        as many steps as the run has. Judged are environments whose rewards are those of their outcomes, and
+        methods that multiply no return by ratios.
+        """
+        budget, env = self.budget, self.env
+        steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps
+        sampled = isinstance(env, Finite) and type(env).step is Finite.step and not hasattr(env, "instance")
+
+        @functools.cache
+        def largest_return(gamma: float, anywhere: bool) -> float:
+            return planning.largest_return(env, gamma, steps, anywhere)
+
+        def largest(config: Any) -> float:
+            if not sampled or getattr(config, "multiplies_returns", False):
+                return np.inf
+            first = abs(getattr(config, "q0", getattr(config, "v0", 0.0)))
+            return BEYOND * (first + largest_return(config.gamma, getattr(config, "exploring_starts", False)))
+
+        return np.array([largest(config) for config in self.configs])
 
     @functools.cached_property
     def programs(self) -> list[np.ndarray]:
@@ -156,8 +202,7 @@ def prepare(
     """All checks of a sweep; nothing is compiled.
 
     Args:
-        first_seed: the first of the `num_seeds` seeds, which follow each other: 100 where fresh seeds are
-            wanted after a sweep over 100.
+        first_seed: the first of the `num_seeds` seeds, which follow each other.
         Others: as in `sweep`.
 
     Raises:
@@ -170,14 +215,24 @@ def prepare(
                 f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
             )
     if not isinstance(env, Environment):
-        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
+        raise InputError(
+            f"env must be an environment such as make('windy-gridworld'), not {shown(env)}{foreign(env)}"
+        )
     check_pytree("env", env)
     if exact:
         planning.check_finite(env)
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
-    axes, configs = configurations(cls, grid or {}, num_draws, seed)
+    axes, configs = configurations(cls, {} if grid is None else grid, num_draws, seed)
+    if len(configs) * num_seeds >= 2**31:
+        raise InputError(
+            f"{len(configs):,} settings x {num_seeds:,} seeds are more than the 2**31 runs that can be numbered: "
+            "take fewer seeds or settings"
+        )
+    available = available_actions(env)
+    for config in configs:
+        restricted(config, available)  # for what it refuses
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
@@ -199,7 +254,7 @@ def compute(
     Raises:
         InputError: there is not enough memory; nothing was compiled.
     """
-    root = jax.random.key(part.seed)
+    root = part.root
     instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
     total = part.runs if runs is None else len(runs)
     results, room = batch.plan(part.env, instances, root, total, part.budget, memory)
@@ -240,6 +295,8 @@ def result(part: Part, computed: Computed) -> SweepResult:
         optimal_value=_exact_value(part.env, axes, part.configs),
         root_seed=part.seed,
         first_seed=part.first_seed,
+        largest_value=part.largest_values.reshape(shape[:-1]),
+        fresh=part.fresh,
         num_steps=part.budget.num_steps,
         num_episodes=part.budget.num_episodes,
         log_every=part.budget.log_every or default_log_every(part.budget.num_steps),
@@ -251,12 +308,16 @@ def result(part: Part, computed: Computed) -> SweepResult:
 def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
     if isinstance(algorithm, str):
         if algorithm not in METHODS:
-            raise InputError(f"no method is called {algorithm!r}; {nearest(algorithm, METHODS)}")
+            raise InputError(f"no method is called {shown(algorithm)}; {nearest(algorithm, METHODS)}")
         return METHODS[algorithm]
-    if not isinstance(algorithm, type) or not dataclasses.is_dataclass(algorithm):
+    if (
+        not isinstance(algorithm, type)
+        or not dataclasses.is_dataclass(algorithm)
+        or not hasattr(algorithm, "update")
+    ):
         raise InputError(
             "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
-            f"(got {algorithm!r})"
+            f"(got {shown(algorithm)})"
         )
     return algorithm
 
@@ -271,24 +332,26 @@ def configurations(
     name = _name_in(METHODS, cls)
     if not isinstance(grid, Mapping):
         raise InputError(f"grid must be a dict from hyperparameters to values, not {shown(grid)}")
+    if wrong := [key for key in grid if not isinstance(key, str)]:
+        raise InputError(f"the keys of grid must be names of hyperparameters, not {shown(wrong[0])}")
     axes, single = {}, {}
     for parameter, values in spread(grid, num_draws, seed, name).items():
-        if isinstance(values, Sequence | np.ndarray | jax.Array) and np.ndim(values) > 0:
-            if np.ndim(values) > 1:
+        if _is_list(values):
+            if any(map(_is_list, values)):
                 raise InputError(
-                    f"the grid of {parameter} must be a flat list, not of shape {np.shape(values)}; "
+                    f"the grid of {parameter} must be a flat list, not {shown(values)}; "
                     "probabilities [S, A] are one value where they are a policies.Table"
                 )
             axes[parameter] = tuple(_plain(value) for value in values)
         else:
             single[parameter] = _plain(values)
     for parameter, values in axes.items():
-        labels = [label(v) for v in values]
-        repeated = [v for i, v in enumerate(labels) if v in labels[:i]]
         if not values:
             raise InputError(f"the grid of {parameter} is empty")
-        if repeated and parameter != DRAW:
-            raise InputError(f"the grid of {parameter} holds {repeated[0]} more than once")
+        if parameter != DRAW and (again := repeated(map(label, values))):
+            raise InputError(f"the grid of {parameter} holds {one_line(str(again[0]))} more than once")
+    sizes = [len(values) for values in axes.values()]
+    check_settings(math.prod(sizes), f"{' x '.join(map(str, sizes))} values of {', '.join(axes)}")
     names = [name for name in axes if name != DRAW]
 
     def instance(point: tuple) -> Algorithm:
@@ -296,6 +359,12 @@ def configurations(
         return build(cls, name, single | dict(zip(names, values, strict=True)) | trial)
 
     return axes, [instance(point) for point in itertools.product(*axes.values())]
+
+
+def _is_list(value: Any) -> bool:
+    if isinstance(value, np.ndarray | jax.Array):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def _plain(value: Any) -> Any:

@@ -5,6 +5,7 @@ words of a step (`rng`) depend on its number alone, so the learner's path does n
 """
 
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -14,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab import planning, policies, rng, tables
+from jaxrl_tab import planning, policies, rng, schedules, tables
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.prediction import METHODS
@@ -23,10 +24,12 @@ from jaxrl_tab.types import (
     Environment,
     InputError,
     Transition,
+    available_actions,
     check_pytree,
     concrete,
     init_learner,
     is_whole,
+    restricted,
     said_of_update,
     shown,
 )
@@ -151,7 +154,10 @@ def train(
     check_budget(num_steps, num_episodes, log_every)
     rng.check_key(key)
     check_pytree("algorithm", algorithm, METHODS)
+    if is_dataclass(algorithm):
+        schedules.check_single(type(algorithm).__name__, algorithm)
     check_pytree("env", env, ENVS)
+    restricted(algorithm, available_actions(env))  # for what it refuses
     if exact:
         planning.check_finite(env)
     full = in_full((algorithm, env)) if exact else None
@@ -175,7 +181,9 @@ def unchecked(
     stream = rng.stream(key)
     if hasattr(env, "instance"):
         env = env.instance(rng.as_key(rng.word(stream, jnp.int32(0), INSTANCE)))
+        full = full and (full[0], env)  # drawn here: there is nothing fuller
     measure = _make_measure(algorithm, env, full, record)
+    algorithm = restricted(algorithm, available_actions(env))
     start = _make_start(algorithm, env)
     step = _make_step(algorithm, env, start)
     run = _start(stream, algorithm, env, start)
@@ -235,11 +243,16 @@ def _make_start(algorithm: Algorithm, env: Environment) -> _Start:
         return _Start(env.reset, algorithm.policy)
     planning.check_finite(env)
     states = ~planning.terminal_states(planning.enumerate_model(env))
-    actions = jnp.ones(env.num_actions)
     return _Start(
         lambda key: policies.sample(key, states.astype(float)),
-        lambda key, learner, s: policies.sample(key, actions),
+        lambda key, learner, s: policies.sample(key, _any_action(env, s)),
     )
+
+
+def _any_action(env: Environment, s: Int[Array, ""]) -> Float[Array, " A"]:
+    """Equal weights for the actions of a state."""
+    there = available_actions(env)
+    return jnp.ones(env.num_actions) if there is None else tables.row(there.astype(float), s)
 
 
 def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
@@ -428,6 +441,7 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
     if full is not None:
         with planning.doubled():
             exact_algorithm, exact_env = _restored(full, (algorithm, env))
+            exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
         measures.append(_exact_measurer(exact_algorithm, exact_env))
     if record:
         measures.append(lambda learner: {"recorded": _recorded(record, learner)})

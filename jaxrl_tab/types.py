@@ -7,12 +7,16 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 import dataclasses
 import difflib
 import inspect
+import os
 import reprlib
+import sys
 from collections.abc import Iterable, Mapping
 from numbers import Integral
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar, dataclass_transform, runtime_checkable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, Key
@@ -31,6 +35,7 @@ class RunError(RuntimeError):
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 60
+SHOWN = 120  # characters of a value, at most
 
 
 def shown(value: Any) -> str:
@@ -38,16 +43,31 @@ def shown(value: Any) -> str:
     if isinstance(value, np.ndarray | jax.Array) and value.ndim:
         if value.ndim > 1 or concrete(value) is None:
             return f"an array of shape {value.shape}"
-        return np.array2string(np.asarray(value), max_line_width=1000, threshold=8)
-    return " ".join(_SHORT.repr(value).split())
+        return one_line(np.array2string(np.asarray(value[:9]), max_line_width=1000, threshold=8))
+    try:
+        return one_line(_SHORT.repr(value))
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return f"a number of more than {sys.get_int_max_str_digits()} digits"
 
 
-def nearest(name: str, names: Iterable[str]) -> str:
+def one_line(text: str) -> str:
+    """`text` in one line that is not long: the end is cut off where it would be."""
+    line = " ".join(text.split())
+    return line if len(line) <= SHOWN else line[: SHOWN - 4] + " ..."
+
+
+def nearest(name: Any, names: Iterable[str]) -> str:
     """Returns "did you mean 'x'?" for the name most like `name`, or one that begins so; else all `names`."""
-    names, name = list(names), name.lower().replace("_", "-")
+    names, name = list(names), (name if isinstance(name, str) else "").lower().replace("_", "-")
     begins = [x for x in names if name and x.startswith(name)]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5) or begins
     return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
+
+
+def check_choice(name: str, what: str, value: Any, choices: Iterable[str]) -> None:
+    """Raises InputError unless `value` is one of the texts in `choices`; the message names the nearest."""
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"{name}: {what} {shown(value)} is unknown; {nearest(value, choices)}")
 
 
 def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
@@ -59,8 +79,19 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
     known = [f.name for f in dataclasses.fields(cls)]  # pyright: ignore[reportArgumentType]
     for parameter in parameters:
         if parameter not in known:
-            raise InputError(f"{name} has no parameter {parameter!r}; {nearest(parameter, known)}")
+            raise InputError(f"{name} has no parameter {shown(parameter)}; {nearest(parameter, known)}")
     return cls(**parameters)
+
+
+def as_path(what: str, given: Any) -> Path:
+    """`given` as a path. Raises InputError unless it is one that the system can be asked for."""
+    try:
+        known = isinstance(given, str | os.PathLike) and b"\0" not in os.fsencode(given)
+    except UnicodeEncodeError:
+        known = False
+    if not known:
+        raise InputError(f"{what} must be named by a text, or a Path, not {shown(given)}")
+    return Path(given)
 
 
 TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds written as 0.333 do not
@@ -74,6 +105,17 @@ def is_distribution(prob: np.ndarray) -> Any:
 def first(wrong: np.ndarray) -> Any:
     """The index of the first True, as a tuple of int, or None: what a message about an array names."""
     return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
+
+
+def repeated(values: Iterable[Any]) -> list[Any]:
+    """Those of `values` that were there before, in their order."""
+    seen, again = set(), []
+    for value in values:
+        key = value if type(value).__hash__ else repr(value)
+        if key in seen:
+            again.append(value)
+        seen.add(key)
+    return again
 
 
 def is_whole(value: Any, least: int = 1) -> bool:
@@ -108,8 +150,16 @@ def check_pytree(what: str, obj: Any, registry: Mapping[str, type] | None = None
         raise InputError(f"{what} must be an instance, such as {cls.__name__}(), not {shown(obj)}")
     if isinstance(obj, type):
         raise InputError(f"{what} must be an instance, such as {obj.__name__}(), not the class")
+    if hint := foreign(obj):
+        raise InputError(f"{what} must be an environment of jaxrl_tab, not {shown(obj)}{hint}")
     if jax.tree_util.all_leaves([obj]):
         raise InputError(f"{what} is no JAX pytree: decorate its class with jaxrl_tab.types.pytree")
+
+
+def foreign(obj: Any) -> str:
+    """What a message adds about `obj` where it is an environment of Gymnasium or gymnax."""
+    library = "gymnasium" if hasattr(obj, "unwrapped") else "gymnax" if hasattr(obj, "step_env") else None
+    return f"; rl.interop.from_{library} imports it" if library else ""
 
 
 # --- frozen dataclasses that are pytrees -------------------------------------------------------------
@@ -149,6 +199,14 @@ def pytree(cls: type[T]) -> type[T]:
 def concrete(x: Any) -> np.ndarray | None:
     """The value of `x` as a NumPy array, or None where it is a tracer and has no value yet."""
     return None if isinstance(x, Tracer) else np.asarray(x)
+
+
+def as_array(x: Any) -> np.ndarray | None:
+    """`concrete(x)`; what cannot become an array, such as rows of unlike lengths, is an empty one of objects."""
+    try:
+        return concrete(x)
+    except (TypeError, ValueError, OverflowError):
+        return np.empty(0, object)
 
 
 # --- what environments and methods exchange ----------------------------------------------------------
@@ -210,6 +268,10 @@ class Environment(Protocol):
     It may have a method `instance(key) -> Environment`, which draws the problem of one run; `train` calls it
     once. `mean_optimal_value(gamma) -> float` may then say the mean over problems of v* from the start.
 
+    Where a state does not have every action, a method `available(s) -> bool [A]` says which there are in `s`,
+    at least one, in terminal states too. Nobody then takes another one, and no maximum and no mean counts it:
+    see `restricted`.
+
     Attributes:
         num_states: the number of states, terminal ones included.
         num_actions: the number of actions, the same in every state.
@@ -263,6 +325,12 @@ class Algorithm(Protocol[L]):
     `offline`): "transitions", any of them in any order; "transitions of b", where the method is told the
     policy b that acted, as a table in its field `behaviour`; or "episodes of b", in order. A method that does
     not say can learn only from what it did itself.
+
+    A method that multiplies returns by ratios of importance sampling says `multiplies_returns = True`: what
+    it learns may be greater than any return, and is no sign that it diverges.
+
+    Where the environment says which actions are `available`, the method is asked for what it is among those:
+    `restricted_to(available) -> Algorithm`, available bool [S, A].
     """
 
     @property
@@ -292,6 +360,48 @@ def init_learner(algorithm: Algorithm[L], task: Environment | Task) -> L:
     takes = inspect.signature(algorithm.init).parameters
     longest = {"max_steps": task.max_steps} if "max_steps" in takes else {}
     return algorithm.init(task.num_states, task.num_actions, **longest)
+
+
+def available_actions(env: Any) -> Bool[Array, "S A"] | None:
+    """Which actions there are in each state, or None where the environment does not say: then it is all.
+
+    Raises:
+        InputError: what `available` gives has the wrong shape, or a state has no action.
+    """
+    if getattr(env, "available", None) is None:
+        return None
+    there = jax.vmap(env.available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
+    check_available(f"{type(env).__name__}: available", there, env.num_states, env.num_actions)
+    return there
+
+
+def check_available(what: str, available: Any, num_states: int, num_actions: int) -> None:
+    """Raises InputError unless these are booleans [S, A], with an action in every state."""
+    there = concrete(available)
+    if (shape := np.shape(available)) != (num_states, num_actions):
+        raise InputError(f"{what} must be booleans [S, A] = [{num_states}, {num_actions}], not {list(shape)}")
+    if there is None:
+        return
+    if not np.isin(there, (0, 1)).all():
+        raise InputError(f"{what} must be True or False in each place, not {shown(there)}")
+    if (s := first(np.asarray(~there.any(1)))) is not None:
+        raise InputError(f"{what} must name an action in every state, in terminal ones too; {s[0]} has none")
+
+
+def restricted(chooser: T, available: Bool[Array, "S A"] | None) -> T:
+    """A method or a policy as it is where there are these actions only, which is all where it is None.
+
+    Raises:
+        InputError: it cannot be told, for it has no method `restricted_to`; or it takes another action.
+    """
+    if available is None:
+        return chooser
+    if not hasattr(chooser, "restricted_to"):
+        raise InputError(
+            f"{type(chooser).__name__} cannot be told that some states do not have every action: give it a "
+            "method restricted_to(available), available bool [S, A], that returns what takes no other"
+        )
+    return chooser.restricted_to(available)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def said_of_update(algorithm: Any, name: str) -> Any:

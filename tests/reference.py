@@ -55,8 +55,14 @@ def draw(probabilities, u):
 
 
 def epsilon_greedy(row, epsilon):
-    best = [q == max(row) for q in row]
-    return [F(epsilon) / F(len(row)) + (F(1) - F(epsilon)) * F(b) / F(sum(best)) for b in best]
+    """Over the actions that there are: the values of the others are -inf, here and in all loops."""
+    there, best = [q > -np.inf for q in row], [q == max(row) for q in row]
+    explore, exploit = F(epsilon) / F(sum(there)), (F(1) - F(epsilon)) / F(sum(best))
+    return [F(t) * explore + F(b) * exploit for t, b in zip(there, best, strict=True)]
+
+
+def mean(probabilities, row):
+    return sum(p * q for p, q in zip(probabilities, row, strict=True) if p)
 
 
 def td_control(kind, task, num_actions, rates, gamma, num_steps, words, q0=0.0):
@@ -89,7 +95,7 @@ def td_control(kind, task, num_actions, rates, gamma, num_steps, words, q0=0.0):
                 bootstrap = max(q[s_next])
             else:
                 pi = epsilon_greedy(q[s_next], epsilon)
-                bootstrap = sum(pi[b] * q[s_next, b] for b in range(num_actions))
+                bootstrap = mean(pi, q[s_next])
             target = F(reward) + (F(0) if terminal else F(gamma) * bootstrap)
             q[s, a] += F(rates.alpha(t + 1, episode, visits[s, a])) * (target - q[s, a])
             if kind != "sarsa":
@@ -165,10 +171,7 @@ class OffPolicy(Agent):
     def learn(self, s, a, r, s_next, terminal, ended, u):
         row = self.q[s_next]
         pi = self.target(row, s_next)
-        if self.words is None:
-            bootstrap = sum(F(p) * x for p, x in zip(pi, row, strict=True))
-        else:
-            bootstrap = row[draw(pi, self.words[self.t - 1])]
+        bootstrap = mean(map(F, pi), row) if self.words is None else row[draw(pi, self.words[self.t - 1])]
         target = r + self.discount(terminal) * bootstrap
         self.q[s, a] += self.alpha(s, a) * (target - self.q[s, a])
         return self.act(s_next, u)
@@ -313,7 +316,7 @@ class WholeReturns(Agent):
         return self.choose(self.probs(s), u)
 
     def first_action(self, s, u):
-        return self.choose(np.ones(self.q.shape[1]), u) if self.exploring_starts else self.act(s, u)
+        return self.choose(self.q[s] > -np.inf, u) if self.exploring_starts else self.act(s, u)
 
     def choose(self, probs, u):
         a = draw(probs, u)
@@ -330,7 +333,7 @@ class WholeReturns(Agent):
         return self.act(s_next, u)
 
     def rest(self, s):
-        return float(np.dot(self.probs(s), self.q[s]))
+        return mean(self.probs(s), self.q[s])
 
     def counts(self, i):
         """Whether the return from step i is one of those that are averaged."""
@@ -352,8 +355,8 @@ class WholeReturns(Agent):
 
 def soft(row, epsilon):
     """The epsilon-greedy policy, in float64."""
-    best = np.array([q == max(row) for q in row], float)
-    return float(epsilon) / len(row) + (1 - float(epsilon)) * best / best.sum()
+    there, best = (np.array(x, float) for x in (row > -np.inf, row == max(row)))
+    return float(epsilon) * there / there.sum() + (1 - float(epsilon)) * best / best.sum()
 
 
 class OffPolicyReturns(WholeReturns):
@@ -368,7 +371,7 @@ class OffPolicyReturns(WholeReturns):
         self.c = np.zeros_like(self.q)
 
     def rest(self, s):
-        return float(np.dot(self.target(self.q[s], s), self.q[s]))
+        return mean(self.target(self.q[s], s), self.q[s])
 
     def walk_back(self, g):
         terms, ratios = [g], []  # discounted rewards from here on; ratios of the steps after this one
@@ -549,9 +552,10 @@ def lambda_return(r, discount, values, lam, t, horizon):
 
 
 def offline_forward(q, episode, alpha, lam):
-    """Q after an episode by the off-line lambda-return algorithm, all by its first Q (section 12.1).
+    """Q after an episode by the sum of the increments towards its lambda-returns, all by its first Q.
 
-    alpha may be one number, or one for each step.
+    That is the off-line forward view of Silver's lecture 4. (The algorithm of the book's section 12.1 makes
+    its updates one after another.) alpha may be one number, or one for each step.
     """
     values = q[episode.s_next, episode.a_next]
     new = q.copy()

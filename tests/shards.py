@@ -41,6 +41,21 @@ def waits(task, folder, wait):
     return learn(task)
 
 
+def begun_on_ray(task):
+    """How Ray lets others in, and on which addresses the processes of this cluster listen."""
+    import psutil
+
+    node = psutil.Process().parent()
+    assert node
+    listens = {
+        one.laddr.ip
+        for process in (node, *node.children(recursive=True))
+        for one in process.net_connections("tcp")
+        if one.status == psutil.CONN_LISTEN
+    }
+    return {"mode": np.array([os.environ.get("RAY_AUTH_MODE", "none")]), "listens": np.array(sorted(listens))}
+
+
 def waits_on_node(task, folder, node):
     """Tasks wait for ever on this Ray node, and elsewhere until there is one on it."""
     import ray

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import os
+import shlex
 import subprocess
 import sys
 
@@ -10,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from made_up import make_result
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, describe, options, planning, plot, runner, stats
@@ -89,7 +92,7 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
         lines = [line.split("│") for line in printed.out.splitlines() if f"│ {method} " in line]
         assert [float(line[2]) for line in lines] == [0.5, 1.0]
         np.testing.assert_allclose([float(line[3]) for line in lines], rows.episodes, atol=0.05)
-        bounds = [line[5].replace("–", "nan to nan").split(" to ") for line in lines]
+        bounds = [line[5].replace("–", "nan to nan").strip(" !").split(" to ") for line in lines]
         means = [line[4].replace("–", "nan") for line in lines]
         shown = [[float(mean), *map(float, ends)] for mean, ends in zip(means, bounds, strict=True)]
         columns = rows[["last_tenth_return", "last_tenth_low", "last_tenth_high"]]
@@ -103,12 +106,32 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
     assert main([*argv, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["folder"] is None
-    frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second")
+    frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second").replace({None: np.nan})
     expected = summary.drop(columns="steps_per_second")
     pd.testing.assert_frame_equal(frame, expected, check_dtype=False)
 
     assert main([*argv, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
+
+
+def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
+    """Eight seeds; at the best alpha, the largest tried, one run is unfinished: -400 in the last two rows."""
+    ds = make_result(windy, np.zeros((70, 4)), seeds=8).to_xarray()
+    ds["episodes"][2, 0, -2:] = 0
+    ds["returns"][2, 0, -2:] = 0
+    ds["returns"][1] = ds.returns[2] + 0.1 * ds.episodes[2]
+    ds["episodes"][1] = ds.episodes[2]
+    cli._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    out = capsys.readouterr().out
+    marks = [line.split("│")[1].strip() for line in out.splitlines() if "│ sarsa" in line]
+    assert marks == ["sarsa", "sarsa *", "sarsa ~"]
+    assert "unfinished runs end no episode in the last tenth" in out
+    assert "up to 38% of all runs may be stuck, which 8 seeds need not show" in out
+    assert "! sarsa: median -1" in out
+    assert "exploring with epsilon 0.1, gamma 1: the best policy is worth -17.0483" in out
+    ds = ds.isel(alpha=[0, 2])
+    cli._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    assert "the best alpha is the largest that was tried: sarsa" in capsys.readouterr().out
 
 
 @pytest.fixture
@@ -598,3 +621,65 @@ def test_listing_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == ""
+
+
+# --- what it writes to -------------------------------------------------------------------------------
+
+
+def in_a_shell(words, tmp_path, **environment):
+    """The exit code of a command in a shell, and what it wrote to the files `out` and `err` there."""
+    command = f"{shlex.quote(sys.executable)} -m jaxrl_tab {words}"
+    unset = {"JAXRL_TAB_TRACEBACK": ""}
+    code = subprocess.run(command, shell=True, cwd=tmp_path, env=os.environ | unset | environment).returncode
+    texts = [(tmp_path / name).read_text() if (tmp_path / name).exists() else "" for name in ("out", "err")]
+    return code, *texts
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (
+            "list --json > /dev/full 2> err",
+            1,
+            "jaxrl-tab: reading or writing failed: No space left on device\n",
+        ),
+        ("--version >&- 2> err", 0, ""),
+        ("swep > out 2>&-", 2, ""),
+        ("swep > out 2> /dev/full", 2, ""),
+    ],
+)
+def test_what_cannot_be_written_to_ends_it_without_a_traceback(tmp_path, words, code, said):
+    """Broken once: as Python leaves it, which raises, and exits with 1 or 120 -> fails."""
+    assert in_a_shell(words, tmp_path) == (code, "", said)
+
+
+def test_a_terminal_of_other_characters_gets_lookalikes(tmp_path):
+    code, out, err = in_a_shell("solve windy-gridworld > out 2> err", tmp_path, PYTHONIOENCODING="ascii")
+    assert (code, err) == (0, "")
+    assert out.isascii() and "> " in out and "?" not in out
+
+
+def test_a_defect_is_said_in_one_line_with_the_way_to_its_traceback(monkeypatch, capsys):
+    def fail(*_):
+        raise ZeroDivisionError("by nothing\nat all")
+
+    monkeypatch.setattr(cli, "_conduct", fail)
+    monkeypatch.delenv("JAXRL_TAB_TRACEBACK")
+    assert call("sweep windy-gridworld sarsa") == 1
+    said = capsys.readouterr().err
+    assert "this is a defect of jaxrl-tab: ZeroDivisionError: by nothing at all; please report it" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", ["--alpha", "--out x --seeds", "--memory", "--log-every"])
+def test_none_is_not_the_same_as_not_given(capsys, words):
+    assert "'None'" in refused(capsys, f"sweep windy-gridworld sarsa {words} None")
+
+
+def test_help_in_a_narrow_terminal_ends(monkeypatch, capsys):
+    """Broken once: tyro looks for a place to break lines in less than ten columns, for ever."""
+    monkeypatch.setenv("COLUMNS", "1")
+    with pytest.raises(SystemExit):
+        main(["list", "--help"])
+    assert "Print JSON" in " ".join(capsys.readouterr().out.split())
+    assert os.environ["COLUMNS"] == "1"

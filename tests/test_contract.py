@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch
+from jaxrl_tab import batch, planning, policies, schedules
+from jaxrl_tab.prediction import METHODS
 from jaxrl_tab.sweep import _same_program
 from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, Transition, pytree
 
@@ -69,6 +70,46 @@ def test_methods_keep_the_protocol(name):
     assert len(_same_program([cls(), cls(alpha=1, epsilon=0.5, gamma=0.25, q0=1), cls(alpha=0.3)])) == (
         1 if isinstance(cls().alpha, float) else 2  # a schedule by default, and a number
     )
+
+
+def traced(method, env, **budget):
+    jax.eval_shape(lambda key: rl.train(key, method, env, **budget), jax.random.key(0))
+
+
+@pytest.mark.parametrize("name", [*METHODS, *rl.ENVS])
+def test_what_is_traced_mixes_no_types(name):
+    """So that it runs where somebody has forbidden that (`jax_numpy_dtype_promotion=strict`).
+
+    Broken once: `2 * s_next + terminal` -> fails in every environment.
+    """
+    with jax.numpy_dtype_promotion("strict"):
+        env = rl.make(name) if name in rl.ENVS else rl.RandomWalk()
+        method = METHODS[name]() if name in METHODS else rl.Sarsa(epsilon=schedules.glie())
+        traced(method, env, num_steps=3, exact=name == "td")
+        planning.exact_model(env)
+
+
+def test_a_sweep_mixes_no_types():
+    with jax.numpy_dtype_promotion("strict"):
+        result = rl.sweep(rl.RandomWalk(), "sarsa", {"alpha": [0.1, 0.2]}, num_seeds=2, num_steps=3)
+    assert result.log.steps.sum() == 12
+
+
+@pytest.mark.parametrize("behaviour", policies.POLICIES)
+def test_no_policy_and_no_schedule_mixes_types(behaviour):
+    with jax.numpy_dtype_promotion("strict"):
+        for schedule in (
+            "harmonic:9:visit",
+            "power:0.8:step",
+            "linear:1:0.1:9:visit",
+            "exponential:1:0.9:step",
+        ):
+            traced(
+                rl.MonteCarlo(alpha=schedules.parse(schedule), behaviour=policies.parse(behaviour)),
+                rl.RandomWalk(),
+                num_steps=3,
+            )
+        traced(rl.Sarsa(alpha=schedules.Optax(lambda n: 1 / (n + 1))), rl.RandomWalk(), num_steps=3)
 
 
 ACTS_LATE = [name for name, cls in rl.ALGORITHMS.items() if getattr(cls, "acts_after_update", False)]

@@ -1,6 +1,8 @@
 """Two processes of one `jax.distributed` job, on this machine."""
 
 import os
+import platform
+import shutil
 import signal
 import socket
 import subprocess
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 import shards
 
-from jaxrl_tab import executors
+from jaxrl_tab import executors, provenance
 from jaxrl_tab.types import RunError
 
 PROGRAM = """
@@ -46,19 +48,28 @@ def start(tmp_path):
     """Starts both processes; they are gone after the test, in any case."""
     started = []
 
-    def start(what, doomed=0):
+    def start(what, doomed=0, second=()):
+        """`second`: folders where only the second process looks for modules, first of all."""
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
+        modules = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
         env = os.environ | {
-            "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]),
             "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir,
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
         }
-        for process in "01":
+        for process, first in zip("01", ((), second), strict=True):
+            env["PYTHONPATH"] = os.pathsep.join([*map(str, first), *modules])
             command = [sys.executable, "-c", PROGRAM, str(tmp_path), str(port), process, what, str(doomed)]
             started.append(
-                subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+                subprocess.Popen(
+                    command,
+                    env=env,
+                    cwd=tmp_path,  # where Python looks before all
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    text=True,
+                )
             )
         return started
 
@@ -83,6 +94,21 @@ def test_an_error_ends_both(start, tmp_path):
     assert first.returncode == 1
     assert "ended 1" in second.communicate(timeout=60)[0]
     assert (tmp_path / "0.npz").exists()
+
+
+def test_other_sources_in_the_second_process_are_refused(start, tmp_path):
+    """One line is another one, and the version is the same. Broken once: sources not compared -> it goes on."""
+    copy = tmp_path / "changed" / "jaxrl_tab"
+    shutil.copytree(provenance.PACKAGE, copy)
+    (copy / "algorithms" / "q_learning.py").open("a").write("# one line more\n")
+    first, second = start("learn", second=[copy.parent])
+    _, errors = first.communicate(timeout=120)
+    refused = (
+        f"{platform.node()} would not compute as the machine where this was started: digest of jaxrl_tab's"
+    )
+    assert f"InputError: {refused} sources was {provenance.sources()}, and is " in errors
+    assert "ended 1" in second.communicate(timeout=60)[0]
+    assert [file.name for file in tmp_path.glob("*.npz")] == ["0.npz"]  # what the first has computed itself
 
 
 @pytest.mark.parametrize("dies", [0, 1])

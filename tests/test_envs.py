@@ -628,16 +628,17 @@ def reward_with(index, value, rewards=R):
         ),
         (
             lambda: FiniteMDP(P[0], R),
-            "FiniteMDP: probabilities must have shape [S, A, S'], not (2, 4)",
+            "FiniteMDP: probabilities must have shape [S, A, S'], not (2, 4): they come first, and then the rewards",
         ),
         (
             lambda: FiniteMDP(P.swapaxes(0, 1), R),
             "FiniteMDP: probabilities must have shape [S, A, S'], not (2, 4, 4); "
-            "np.swapaxes(probabilities, 0, 1) turns [A, S, S'] into it",
+            "FiniteMDP.from_arrays takes [A, S, S'], and the rewards that belong to it",
         ),
         (
             mdp(rewards=R[:, 0, 0]),
-            "FiniteMDP: rewards must have shape [S, A] = (4, 2) or [S, A, S'] = (4, 2, 4), not (4,)",
+            "FiniteMDP: rewards must have shape [S, A] = (4, 2) or [S, A, S'] = (4, 2, 4), not (4,); "
+            "FiniteMDP.from_arrays takes [S]",
         ),
         (mdp({(1, 1, 3): 0.2}), "FiniteMDP: the probabilities after (s, a) = (1, 1) add up to 0.9, not to 1"),
         (

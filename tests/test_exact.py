@@ -201,6 +201,16 @@ def test_a_policy_that_dithers_for_long_is_measured_to_the_last_digit_of_float32
         assert value == want if np.isinf(want) else value == pytest.approx(want, rel=1e-7)
 
 
+def test_a_problem_that_is_drawn_in_the_run_is_measured_as_it_was_drawn():
+    """Some 1000 pulls of each arm: Q is near q* of that problem. Broken once: the numbers of `env` -> fails."""
+    env, method = rl.make("k-armed-testbed"), rl.QLearning(alpha=rl.schedules.sample_average(), epsilon=1.0)
+    log = rl.sweep(
+        env, type(method), vars(method), num_seeds=3, num_steps=10_000, log_every=10_000, exact=True
+    ).log
+    assert log.q_error.max() < 0.2
+    assert len(set(log.greedy_value.ravel())) == 3
+
+
 # --- shapes ------------------------------------------------------------------------------------------
 
 

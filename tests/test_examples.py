@@ -8,10 +8,11 @@ import jax
 import nbformat
 import numpy as np
 import pytest
+import quick_start
 import xarray as xr
-from nbclient import NotebookClient
 
 import jaxrl_tab as rl
+from jaxrl_tab import stats
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -41,10 +42,15 @@ def one_device(monkeypatch):
 def test_a_sweep(capsys, one_device):
     names, printed = run_example("sweep", capsys)
     assert names["optimum"] == pytest.approx(-15)
-    sarsa, expected = (np.array([line[1] for line in printed[i : i + 4]]) for i in (0, 4))
+    sarsa, expected = (np.array([line[1] for line in printed[i : i + 6]]) for i in (0, 6))
     assert (np.diff(expected) > 0).all()
     assert (expected > sarsa - 1).all()
-    assert 8 < names["gain"].low < names["gain"].estimate < names["gain"].high < 14
+    # The best step size of Sarsa is in the grid and not at its edge: a grid without it taught a gain of 10.55.
+    assert names["best"]["sarsa"] == {"alpha": 0.5}
+    assert 4.5 < names["gain"].low < names["gain"].high < 8
+    # What is compared was not chosen on the same runs.
+    chosen = stats.score(names["datasets"]["sarsa"]).sel(alpha=0.5)
+    assert np.isin(names["fresh"]["sarsa"], chosen).mean() < 0.1
 
 
 def test_jit_and_vmap(capsys):
@@ -82,7 +88,13 @@ def test_an_experiment(capsys, one_device, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["experiment.py", str(folder)])
     names, printed = run_example("experiment", capsys)
     assert set(names["outcome"].fresh) == {"cliff-walking/sarsa", "cliff-walking/q-learning"}
-    assert all(-26 < line[0] < -14 for line in printed if line[0] < -1)
+    # A chosen setting is flattered, here by much; on fresh seeds no mean is above what can be had with epsilon 0.1.
+    assert names["soft"] == pytest.approx(-20.7077, abs=5e-5)
+    sarsa, sarsa_again, q, q_again = [line[0] for line in printed if line[0] < -1][-4:]
+    assert -27 < sarsa_again < -20.7077
+    assert -52 < q_again < -46
+    assert sarsa > sarsa_again + 2
+    assert q > q_again + 2
     assert {"results.nc", "fresh.nc", "report.html", "experiment.toml"} <= {x.name for x in folder.iterdir()}
     assert "fresh seeds" in (folder / "report.html").read_text(encoding="utf-8")
 
@@ -102,17 +114,34 @@ def test_results_of_long_ago(capsys, tmp_path, monkeypatch):
     assert set(names["table"].environment) == {"cliff"}
 
 
-def test_the_notebook_runs_and_is_kept_without_output(monkeypatch):
+def test_the_notebook_shows_what_it_gives(monkeypatch):
+    """It is kept with its outputs, for it is read where it cannot run; `python tests/quick_start.py` makes them anew.
+
+    Words are the same; numbers may differ a little on another processor.
+    """
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
-    notebook = nbformat.read(EXAMPLES / "quick_start.ipynb", as_version=4)
-    nbformat.validate(notebook)
+    kept = nbformat.read(quick_start.FILE, as_version=4)
+    nbformat.validate(kept)
+    assert quick_start.FILE.stat().st_size < 400_000
+    shown, again = outputs(kept), outputs(quick_start.executed())
+    number = re.compile(r"-?\d+(?:\.\d+)?")
+    assert number.sub("N", shown) == number.sub("N", again)
+    values, new_values = ([float(x) for x in number.findall(text)] for text in (shown, again))
+    assert new_values == pytest.approx(values, rel=0.1)
+    assert "the shortest way takes 15 steps" in shown
+    assert shown.count("a picture") == 2
+    assert str(Path.home()) not in quick_start.FILE.read_text()
+
+
+def outputs(notebook):
+    """All that the cells print and show, as text."""
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
-    assert not any(cell.outputs or cell.execution_count for cell in code)
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(EXAMPLES)}}).execute()
-    texts = [output.get("text", "") for cell in code for output in cell.outputs]
-    assert "the shortest way takes 15 steps" in "".join(texts)
-    pictures = [output for cell in code for output in cell.outputs if "image/png" in output.get("data", {})]
-    assert len(pictures) == 2
+    assert [cell.execution_count for cell in code] == [*range(1, len(code) + 1)]
+    found = [output for cell in code for output in cell.outputs]
+    assert {output.get("name", "stdout") for output in found} == {"stdout"}  # no warnings
+    return "\n".join(
+        output.get("text") or ("a picture" if output.data["image/png"] else "") for output in found
+    )
 
 
 # --- off-policy learning -----------------------------------------------------------------------------

@@ -1,12 +1,15 @@
 """Executors: what is the same for all of them, and the one in this process."""
 
 import functools
+import platform
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shards
 
-from jaxrl_tab import executors
+from jaxrl_tab import executors, provenance
 from jaxrl_tab.executors import base
 from jaxrl_tab.types import InputError, RunError
 
@@ -53,8 +56,27 @@ def test_a_job_does_the_work_and_returns_its_errors(tmp_path):
     assert "in fails" in raised.value.__notes__[0]  # where it happened
 
 
-def test_a_job_refuses_another_version():
-    job = base.Job.of(shards.square)
-    result = job._replace(versions=job.versions | {"jax": "0.9.0"})(0)
-    assert isinstance(result, base.Failed)
-    assert "but 0.9.0 where this was started: install the same on all machines" in result.line
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("jax", "0.9.0", f"jax was 0.9.0, and is {jax.__version__} there"),
+        ("digest of jaxrl_tab's sources", "abc", "sources was abc, and is"),
+        ("XLA_FLAGS", "--xla_cpu_max_isa=AVX2", "XLA_FLAGS was --xla_cpu_max_isa=AVX2, and is"),
+        ("instruction set", "x86_64 avx9", "instruction set was "),
+    ],
+)
+def test_a_job_refuses_to_compute_other_numbers(name, value, said):
+    """Where the driver has something else: in one line with the name of this machine, before any work."""
+    job = base.Job.of(lambda _: pytest.fail("it was begun"))
+    result = job._replace(surroundings=job.surroundings | {name: value})(0)
+    with pytest.raises(InputError, match=f"^{platform.node()} would not compute as .*{said}"):
+        base.given(0, result)
+
+
+def test_a_job_sets_what_can_be_set():
+    job = base.Job.of(lambda _: {"x": jnp.ones(2) / 3})
+    with jax.enable_x64(True):
+        other = base.Job.of(job.work)
+    with provenance.using(provenance.settings()):  # and back again after the test
+        assert other(0)["x"].dtype == np.float64
+        assert job(0)["x"].dtype == np.float32

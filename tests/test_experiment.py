@@ -233,7 +233,7 @@ WRONG = [  # what stands in the file, what stands there instead, the line, and w
     ('[[method]]\nname = "sarsa"', '[method]\nname = "sarsa"', 17, "cannot overwrite a value"),
     ('"sarsa"', '"sara"', 10, "'sara' is not a method; did you mean 'sarsa'?"),
     ('"sarsa"', "3", 10, "3 is not a method; choose one of sarsa, q-learning"),
-    ('"sarsa"', '"sarsa"\nlabel = "a/b"', 11, "a label must be a text without '/' that begins with a letter"),
+    ('"sarsa"', '"sarsa"\nlabel = "a/b"', 11, "a label must be a text in one line that begins with a letter"),
     ('"sarsa"', '"n-step-sarsa"', 17, "the method n-step-sarsa is named more than once: give each a label"),
     ("    0.1", "    0", 11, "alpha must be greater than 0, not 0.0"),
     ("    0.1", "    nan", 11, "alpha must be greater than 0, not nan"),
@@ -278,7 +278,7 @@ WRONG = [  # what stands in the file, what stands there instead, the line, and w
     ("[select]", "[selct]", 24, "an experiment has no 'selct'; did you mean 'select'?"),
     ("fresh_seeds", "fresh", 25, "select has no 'fresh'; did you mean 'fresh_seeds'?"),
     ("= 7", "= 0", 25, "fresh_seeds must be a whole number of at least 1"),
-    ("fresh_seeds = 7", "by = 'scor'", 25, "by: there is no 'scor'; did you mean 'score'?"),
+    ("fresh_seeds = 7", "by = 'scor'", 25, "by 'scor' is unknown; did you mean 'score'?"),
 ]
 
 

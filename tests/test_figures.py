@@ -10,7 +10,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.text import Text
 
+from jaxrl_tab import plot
 from jaxrl_tab.cli import main
 from jaxrl_tab.figures import FIGURES, Check, Number
 from jaxrl_tab.figures.page import page
@@ -98,7 +100,11 @@ def check_drawing(figure, datasets, file):
     assert all(math.isfinite(number.expected) for number in figure.numbers)
     for number in figure.numbers:
         assert math.isfinite(number.check(datasets).got), number.what
-    figure.draw(datasets).savefig(file)
+    drawn = figure.draw(datasets)
+    assert drawn.get_figwidth() <= plot.WIDTH
+    plot.save(drawn, file)
+    sizes = [text.get_fontsize() for text in drawn.findobj(Text) if text.get_text()]
+    assert min(sizes) >= plot.SMALL
 
 
 @pytest.mark.parametrize("name", [name for name in FIGURES if name not in {*IN_FULL, *BY_HAND}])
@@ -160,7 +166,8 @@ def test_one_figure_leaves_its_picture_and_data(two_figures, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["figure"] == "cliff-walking"
     assert [n["got"] for n in found["numbers"]] == pytest.approx([-13, -20.7077], abs=1e-4)
-    assert {file.name for file in out.iterdir()} == {"results.nc", "cliff-walking.png"}
+    assert {file.name for file in out.iterdir()} == {"results.nc", "cliff-walking.png", "cliff-walking.pdf"}
+    assert (out / "cliff-walking.pdf").read_bytes().startswith(b"%PDF")
     assert set(xr.open_datatree(out / "results.nc").children) == {"sarsa", "q-learning"}
 
 
@@ -190,14 +197,16 @@ def test_all_figures_are_made_with_a_page_that_shows_them(two_figures, tmp_path,
     assert "Sarsa on the windy gridworld" in printed
     assert "Sarsa <b> & the [cliff]" in printed
     pictures = ["windy-gridworld.png", "cliff-walking.png"]
-    assert {file.name for file in out.iterdir()} == {"results.nc", "index.html", *pictures}
+    sharp = ["windy-gridworld.pdf", "cliff-walking.pdf"]
+    assert {file.name for file in out.iterdir()} == {"results.nc", "index.html", *pictures, *sharp}
     tree = xr.open_datatree(out / "results.nc")
     (how,) = re.findall(r'open_datatree\(.*\)\["(.*)"\]', printed)
     assert tree[how].episodes.dims == ("seed", "row")
     assert set(tree["cliff-walking"].children) == {"sarsa", "q-learning"}
     tags = Tags((out / "index.html").read_text(encoding="utf-8"))
     assert tags.images == pictures
-    assert tags.links == ["#windy-gridworld", "#cliff-walking", *pictures]
+    beside = [link for pair in zip(sharp, pictures, strict=True) for link in pair]
+    assert tags.links == ["#windy-gridworld", "#cliff-walking", *beside]
     assert "1 of 2 numbers off" in tags.text
     assert "all 2 numbers ok" in tags.text
     assert "Sarsa <b> & the [cliff]" in tags.text

@@ -11,7 +11,7 @@ ROOT = Path(jaxrl_tab.__file__).parent
 # Each module may import only from those in earlier rows (its own row only where it is a package).
 LAYERS = [
     ["types"],
-    ["storage", "interrupt"],
+    ["storage", "interrupt", "provenance"],
     ["tables", "rng", "memory", "programs"],
     ["episode"],
     ["schedules"],

@@ -7,12 +7,17 @@ import jax
 import numpy as np
 import pytest
 import sampling
+from gymnasium import wrappers
+from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.utils.env_checker import check_env
+from test_finite_mdp import JUNK
 
 import jaxrl_tab as rl
-from jaxrl_tab import planning
+from jaxrl_tab import cli, planning
 from jaxrl_tab.envs import FiniteMDP
+from jaxrl_tab.envs.base import MAX_STEPS
 from jaxrl_tab.interop import from_gymnasium, make, to_gymnasium
+from jaxrl_tab.interop.gymnasium import HARMLESS
 
 SLIPPERY = {"desc": ["SFF", "FHF", "FFG"], "success_rate": 0.5}
 
@@ -111,7 +116,23 @@ def test_a_state_that_ends_and_goes_on_gets_two_numbers():
         ),
         ("NoSuchLake-v1", {}, "gymnasium: Environment `NoSuchLake` doesn't exist"),
         ("FrozenLake-v1", {"slip": 1}, "FrozenLake-v1: .*slip"),
-        ("Blackjack-v1", {}, "Blackjack-v1 has no table of its outcomes"),
+        (
+            "Blackjack-v1",
+            {},
+            r'Blackjack-v1 has no table of its outcomes .*; rl.make\("blackjack", rules="gymnasium"\) is that game',
+        ),
+        (
+            "CartPole-v1",
+            {},
+            "CartPole-v1 has no table of its outcomes .*only an environment such as FrozenLake-v1",
+        ),
+        ("FrozenLake-v1", {"map_name": "5x5"}, "FrozenLake-v1: '5x5'"),
+        (
+            "FrozenLake-v1",
+            {"max_episode_steps": 0},
+            "FrozenLake-v1: Expect the `max_episode_steps` to be positive",
+        ),
+        ("no_such_module:Lake-v0", {}, "no_such_module:Lake-v0: .*no_such_module"),
         ("Taxi-v4", {"fickle_passenger": True}, "Taxi-v4: the moods of a fickle passenger"),
         (Odd(), {"slip": 1}, "slip: parameters go with the name"),
         (7, {}, "env must be the name of an environment of Gymnasium, or one, not 7"),
@@ -120,6 +141,247 @@ def test_a_state_that_ends_and_goes_on_gets_two_numbers():
 def test_what_is_wrong_is_said(given, parameters, message):
     with pytest.raises(rl.InputError, match=message):
         from_gymnasium(given, **parameters)
+
+
+class Table(gymnasium.Env):
+    """Two states, of which 1 is the end, and two actions; it plays by its table."""
+
+    observation_space = action_space = gymnasium.spaces.Discrete(2)
+    initial_state_distrib = np.array([1.0, 0.0])
+
+    def __init__(self, actions):
+        self.P = {1: {a: [(1.0, 1, 0.0, True)] for a in actions}, 0: actions}
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return 0, {}
+
+    def step(self, action):
+        _, s_next, reward, terminated = self.P[0][action][0]
+        return s_next, reward, terminated, False, {}
+
+
+FIVE_OR_ONE = {1: [(1.0, 1, 5.0, True)], 0: [(1.0, 1, 1.0, True)]}
+
+
+def test_actions_and_states_go_by_their_keys():
+    """Broken once: in the order in which they stand -> q(0) is [5, 1]."""
+    for actions in (FIVE_OR_ONE, {np.int64(a): x for a, x in FIVE_OR_ONE.items()}):
+        assert planning.value_iteration(from_gymnasium(Table(actions)))[1][0].tolist() == [1, 5]
+    with pytest.raises(
+        rl.InputError, match="the keys of the actions of s = 0 must be 0 to 2, and 0 is missing"
+    ):
+        from_gymnasium(Table({1: FIVE_OR_ONE[1], 2: FIVE_OR_ONE[0]}))
+    with pytest.raises(
+        rl.InputError, match=r"Table: its table has 1 actions, and its action_space is Discrete\(2\)"
+    ):
+        from_gymnasium(Table({0: FIVE_OR_ONE[0]}))
+    env = Table(FIVE_OR_ONE)
+    del env.P[1][1]
+    with pytest.raises(rl.InputError, match="s = 1 has 1 actions, and s = 0 has 2"):
+        from_gymnasium(env)
+
+
+def test_nonsense_gets_one_line():
+    """Any part of an environment that a table is made of, replaced by anything."""
+    said = []
+    for name in ("P", "initial_state_distrib", "observation_space", "action_space"):
+        for junk in JUNK:
+            env = Table(FIVE_OR_ONE)
+            setattr(env, name, junk)
+            try:
+                from_gymnasium(env)
+            except rl.InputError as error:
+                said.append(str(error))
+    assert len(said) > 100
+    assert not any("\n" in text or len(text) > 500 for text in said)
+
+
+# --- what is around a table ----------------------------------------------------------------------------
+
+
+def lake(limit=100):
+    return gymnasium.make("FrozenLake-v1", max_episode_steps=limit)
+
+
+class Reversed(gymnasium.ActionWrapper):
+    def action(self, action):
+        return 3 - action
+
+
+class Doubled(gymnasium.RewardWrapper):
+    def reward(self, reward):
+        return 2 * reward
+
+
+class Moved(gymnasium.ObservationWrapper):
+    def observation(self, observation):
+        return 15 - observation
+
+
+class Patient(wrappers.TimeLimit):
+    def step(self, action):
+        *outcome, _, info = self.env.step(action)
+        return *outcome, False, info
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        Reversed,
+        Doubled,
+        Moved,
+        lambda env: Patient(env, 50),
+        lambda env: wrappers.TimeLimit(Doubled(env), 50),
+        lambda env: wrappers.StickyAction(env, 0.5),
+        lambda env: wrappers.TimeAwareObservation(env, flatten=False),
+        lambda env: wrappers.TransformReward(env, lambda r: r),
+        wrappers.NormalizeReward,
+        wrappers.FlattenObservation,
+        wrappers.Autoreset,
+    ],
+)
+def test_wrappers_that_change_something_are_refused(wrap):
+    """Broken once: wrappers not looked at -> every one is dropped, and nothing is said."""
+    env = wrap(lake())
+    name = type(env if type(env) is not wrappers.TimeLimit else env.env).__name__
+    with pytest.raises(
+        rl.InputError, match=f"does not know what the wrapper {name} changes; import env.unwrapped"
+    ):
+        from_gymnasium(env)
+
+
+@pytest.mark.parametrize("wrap", [*HARMLESS[:3], lambda env: wrappers.TimeLimit(env, 10**6)])
+def test_wrappers_that_are_passed_through_change_nothing(wrap):
+    plain, wrapped = (walk(env, 500, seed=0) for env in (lake(), wrap(lake())))
+    for x, y in zip(plain, wrapped, strict=True):
+        np.testing.assert_array_equal(x, y)
+    assert from_gymnasium(wrap(lake())).max_steps == 100
+
+
+@pytest.mark.parametrize(
+    ("env", "max_steps"),
+    [
+        (wrappers.TimeLimit(lake(), 30), 30),
+        (wrappers.TimeLimit(lake(7), 30), 7),  # the outer one is never met
+        (lake(-1), MAX_STEPS),  # as Gymnasium says that there is none
+        (wrappers.TimeLimit(lake().unwrapped, 500), 500),
+        (wrappers.TimeLimit(to_gymnasium(rl.CliffWalking(max_steps=20)), 99), 20),
+    ],
+)
+def test_the_time_limit_is_the_shortest(env, max_steps):
+    assert from_gymnasium(env).max_steps == max_steps
+
+
+class Shaped(FrozenLakeEnv):
+    def step(self, action):
+        s, reward, *rest = super().step(action)
+        return s, reward - 0.01, *rest
+
+
+class Mirrored(FrozenLakeEnv):
+    def step(self, action):
+        return super().step(3 - action)
+
+
+class Hasty(FrozenLakeEnv):
+    def step(self, action):
+        s, reward, terminated, _, info = super().step(action)
+        return s, reward, terminated, True, info
+
+
+class Elsewhere(FrozenLakeEnv):
+    def reset(self, **kwargs):
+        _, info = super().reset(**kwargs)
+        self.s = 14
+        return 14, info
+
+
+class Broken(FrozenLakeEnv):
+    def step(self, action):
+        raise RuntimeError("no\ngame")
+
+
+class Louder(FrozenLakeEnv):
+    """Other pictures, the same game."""
+
+    def step(self, action):
+        return super().step(action)
+
+
+@pytest.mark.parametrize(
+    ("env", "message"),
+    [
+        (Shaped(), "Shaped: action . in state . was followed by state . with reward -0.01, which its table"),
+        (
+            Mirrored(),
+            "Mirrored: action . in state .* was followed by state .* with reward 0.*, which its table",
+        ),
+        (wrappers.TimeLimit(Hasty(), 9), "Hasty: an episode was truncated after 1 steps, which its table"),
+        (Elsewhere(), "Elsewhere: an episode starts in state 14, which its table"),
+        (Broken(), r"Broken: its steps could not be compared with its table \(RuntimeError: no game\)"),
+    ],
+)
+def test_what_an_environment_does_must_be_in_its_table(env, message):
+    """Gymnasium's own are not tried. Broken once: nor any other -> what they change is lost."""
+    with pytest.raises(
+        rl.InputError, match=f"{message}.*FiniteMDP.from_outcomes takes env.unwrapped.P alone"
+    ):
+        from_gymnasium(env)
+
+
+def test_an_environment_that_does_what_it_says_is_taken_and_left_as_it_is():
+    env = Louder(is_slippery=True, map_name="8x8")
+    env.reset(seed=3)
+    before = env.s, env.np_random.bit_generator.state
+    assert from_gymnasium(env).num_states == 64
+    assert (env.s, env.np_random.bit_generator.state) == before
+
+
+def test_a_vector_of_environments_is_not_one():
+    with pytest.raises(rl.InputError, match=r"env is a vector of environments.*env.envs\[0\]"):
+        from_gymnasium(gymnasium.make_vec("FrozenLake-v1", num_envs=2))
+
+
+def test_theirs_is_not_ours():
+    for call in (to_gymnasium, lambda env: rl.train(jax.random.key(0), rl.Sarsa(), env, num_steps=1)):
+        with pytest.raises(
+            rl.InputError,
+            match=r"env must be an environment of jaxrl_tab, not .*; rl.interop.from_gymnasium imports it",
+        ):
+            call(lake())
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("FrozenLake-v1", "in Python, rl.interop.from_gymnasium('FrozenLake-v1') imports it"),
+        ("frozen-lake", "in Python, rl.interop.from_gymnasium('FrozenLake-v1') imports it"),
+        ("Taxi-v3", "in Python, rl.interop.from_gymnasium('Taxi-v4') imports it"),
+        (
+            "CartPole-v1",
+            "in Python, rl.interop.from_gymnasium('CartPole-v1') imports it, if it has a table of its outcomes",
+        ),
+        (
+            "Catch-bsuite",
+            "in Python, rl.interop.from_gymnax('Catch-bsuite') imports it, if its states can be counted",
+        ),
+        ("gymnasium:Taxi-v4", "in Python, rl.interop.make('gymnasium:Taxi-v4') imports it"),
+        ("CliffWalking-v1", "did you mean 'cliff-walking'?"),
+        ("Blackjack-v1", "did you mean 'blackjack'?"),
+    ],
+)
+def test_names_that_are_not_ours_lead_to_where_they_are(name, message, tmp_path, capsys):
+    """In Python, on the command line, and in a file."""
+    with pytest.raises(rl.InputError) as error:
+        rl.make(name)
+    assert str(error.value) == f"no environment is called {name!r}; {message}"
+    for command in (["solve", name], ["sweep", name, "sarsa"]):
+        assert cli.main(command) == 2
+        assert capsys.readouterr().err == f"jaxrl-tab: {name!r} is not an environment; {message}\n"
+    with pytest.raises(rl.InputError) as error:
+        rl.Experiment(name, "sarsa", seeds=2, steps=9)
+    assert str(error.value).endswith(f"{name!r} is not an environment; {message}")
 
 
 @pytest.mark.parametrize("name", ["taxi", "gym:Taxi-v4", "gymnasium:", ""])

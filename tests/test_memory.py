@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, memory
+from jaxrl_tab import batch, memory, runner
 from jaxrl_tab.types import InputError
 
 BUDGET = {"num_steps": 200, "log_every": 100}
@@ -42,10 +42,10 @@ def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
     env = rl.make(env) if isinstance(env, str) else env
     root, method = jax.random.key(0), jax.tree.map(np.float32, method)
     devices, lanes = tuple(jax.devices()[:1]), (1, blocks, batch.LANES)
-    one = batch._needs(budget, *batch._signature(batch._given(budget, root, np.uint32(0), method, env)))
+    one = batch._needs(budget, batch._signature(batch._given(budget, root, np.uint32(0), method, env)))
     many = jax.tree.map(lambda x: np.full(lanes, x), (np.uint32(0), method))
     found = batch._compiled(
-        devices, budget, *batch._signature(batch._given(budget, root, *many, env))
+        devices, budget, batch._signature(batch._given(budget, root, *many, env))
     ).memory_analysis()
     total = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
     np.testing.assert_allclose(one.call.bytes(batch.LANES, blocks), total, rtol=0.1)
@@ -168,3 +168,30 @@ def test_a_sweep_streams_through_in_bounded_memory():
     assert int(needed) == 264_000_000
     assert int(taken) < 64_000_000
     assert results == ["4000", "True"]
+
+
+def test_an_experiment_ends_in_bounded_memory(tmp_path):
+    """2 x 50 000 runs with tables, intervals, pictures and the report: 114 MB of results, in 50 MB and a shard.
+
+    Beside what Python, JAX and the libraries hold once they have done all of it. Broken once: results written
+    as a whole, all tables looked at at once -> each fails.
+    """
+    code = """if True:
+        import resource, sys, jaxrl_tab as rl
+        peak = lambda: 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        method = {"name": "sarsa", "alpha": [0.25, 0.5]}
+        run = lambda seeds, name: rl.run(
+            rl.Experiment("windy-gridworld", method, seeds=seeds, steps=20),
+            f"{sys.argv[1]}/{name}",
+            memory=50_000_000,
+        )
+        run(2000, "few")
+        before = peak()
+        run(50_000, "many")
+        print(peak() - before)
+    """
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    assert "are kept in files" in run.stderr
+    assert int(run.stdout) < 50_000_000 + runner.SHARD_BYTES

@@ -1,16 +1,20 @@
 """The pictures: the data that they show, read back from the axes; and the files."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 import xarray as xr
 from made_up import ALPHAS, make_result
+from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
+from matplotlib.text import Text
 
 import jaxrl_tab as rl
-from jaxrl_tab import plot, stats
+from jaxrl_tab import describe, plot, stats
+from jaxrl_tab.prediction import PREDICTION
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -34,7 +38,7 @@ def ax():
 @pytest.fixture
 def unwritten(monkeypatch, tmp_path):
     """A folder to save pictures in, which takes no time, for none is rendered."""
-    monkeypatch.setattr(Figure, "savefig", lambda *_: None)
+    monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)
     return tmp_path
 
 
@@ -60,7 +64,7 @@ def test_a_mean_curve_is_the_mean_with_its_interval(ax):
 def test_episodes_against_steps(ax, datasets):
     plot.episodes_against_steps(ax, datasets, alpha=0.2)
     lines = ax.get_lines()
-    assert [line.get_label() for line in lines] == ["sarsa, α = 0.2", "q-learning, α = 0.2"]
+    assert [line.get_label() for line in lines] == ["Sarsa, α = 0.2", "Q-learning, α = 0.2"]
     episodes = datasets["sarsa"].episodes.sel(alpha=0.2).cumsum("row")
     np.testing.assert_array_equal(lines[0].get_xdata(), 200 * np.arange(21))
     np.testing.assert_allclose(lines[0].get_ydata(), [0, *episodes.mean("seed").values])
@@ -86,7 +90,7 @@ def test_episodes_against_steps_where_episodes_were_the_budget(ax, windy, solved
 def test_learning_curves(ax, datasets):
     plot.learning_curves(ax, datasets)
     sarsa, _, optimum = ax.get_lines()
-    assert sarsa.get_label() == "sarsa, α = 0.9"
+    assert sarsa.get_label() == "Sarsa, α = 0.9"
     ds = datasets["sarsa"].sel(alpha=0.9)
     interval = stats.mean_interval(stats.learning_curve(ds))
     enough = interval.n.values == 5
@@ -128,7 +132,7 @@ def test_learning_curves_of_runs_that_finish_nothing(ax, datasets):
 def test_sensitivity(ax, datasets):
     plot.sensitivity(ax, datasets)
     table = stats.summary(datasets).query("method == 'q-learning'")
-    line = next(line for line in ax.get_lines() if line.get_label() == "q-learning")
+    line = next(line for line in ax.get_lines() if line.get_label() == "Q-learning")
     np.testing.assert_array_equal(line.get_xdata(), ALPHAS)
     np.testing.assert_allclose(line.get_ydata(), table.last_tenth_return)
     bars = ax.containers[1].lines[2][0].get_segments()
@@ -138,13 +142,22 @@ def test_sensitivity(ax, datasets):
     assert "exact optimum −15" in texts(ax)
 
 
+def test_what_explores_has_its_own_optimum(datasets, windy):
+    """-17.0483, see GROUND_TRUTH.md: dotted, beside the optimum."""
+    _, curves, alphas, _ = plot.overview(datasets, windy).axes
+    for ax in (curves, alphas):
+        (dotted,) = [line for line in ax.get_lines() if line.get_linestyle() == ":"]
+        assert dotted.get_ydata()[0] == pytest.approx(-17.0483, abs=1e-4)
+        assert "best ε-soft −17.05" in texts(ax)
+
+
 def test_sensitivity_marks_settings_that_lose_seeds(ax, datasets):
     ds = datasets["sarsa"].copy(deep=True)
     ds["episodes"][1, 0, -2:] = 0
     plot.sensitivity(ax, {"sarsa": ds.isel(alpha=[1, 2])})
     hollow = [line for line in ax.get_lines() if line.get_color() == "white"]
     assert [x for line in hollow for x in line.get_xdata()] == [0.2]
-    assert "hollow: some seeds finish no episode" in [text.get_text() for text in ax.get_legend().texts]
+    assert "hollow: some runs unfinished" in [text.get_text() for text in ax.get_legend().texts]
     assert ax.get_xscale() == "linear"
 
 
@@ -166,9 +179,9 @@ def test_sensitivity_puts_schedules_and_numbers_side_by_side(ax, datasets):
         "sample-average",
         "power:0.8:1:visit",
     ]
-    np.testing.assert_array_equal(lines["sarsa"].get_xdata(), [0, 1, 2])
+    np.testing.assert_array_equal(lines["Sarsa"].get_xdata(), [0, 1, 2])
     np.testing.assert_array_equal(lines["kept"].get_xdata(), [0])
-    assert lines["sarsa"].get_linestyle() == "None"
+    assert lines["Sarsa"].get_linestyle() == "None"
 
 
 def test_curves_need_what_was_swept(ax, datasets):
@@ -178,6 +191,69 @@ def test_curves_need_what_was_swept(ax, datasets):
         plot.sensitivity(ax, datasets, "epsilon")
     with pytest.raises(rl.InputError, match=r"alpha was not swept at 0\.3"):
         plot.episodes_against_steps(ax, datasets, alpha=0.3)
+
+
+# --- labels ------------------------------------------------------------------------------------------
+
+
+STRANGE = ("x$\\foo$", "_x", "50% & <b>", "a\\$b", "日本 🎲", "a" * 300)
+
+
+@pytest.mark.parametrize("label", STRANGE)
+def test_every_label_is_shown_as_it_is(label, datasets, windy, tmp_path):
+    """None is taken for a formula, left out, or warned of.
+
+    Broken once: without `literal` -> fails for the first two; without `_Canvas` for the fifth, without `_short` for the
+    last.
+    """
+    swept = {label: datasets["sarsa"], "other": datasets["q-learning"]}
+    figure = plot.overview(swept, windy)
+    plot.save(figure, tmp_path / "overview.png")
+    shown = figure.axes[0].get_legend().texts[0].get_text().removeprefix("\u200b")
+    assert not is_math_text(shown)
+    shown = shown.replace("\\$", "$").replace("\n", "")
+    assert shown == f"{label}, α = 0.9" if len(label) < 60 else shown.startswith("aaa")
+    assert len(shown) < 80
+
+
+def test_texts_of_an_environment_and_of_hyperparameters_are_shown_as_they_are(
+    datasets, tmp_path, monkeypatch
+):
+    """The names of actions, of states, and of schedules and policies."""
+    env = a_ring(3, 12)
+    monkeypatch.setattr(type(env), "action_names", tuple(f"$\\frac_{a}$" for a in range(12)))
+    figure = plot.canvas(5, 4)
+    one, other = figure.subplots(1, 2)
+    plot.action_values(one, env, rl.planning.value_iteration(env)[1])
+    alphas = {"alpha": ["$\\foo$", "_", "1"]}
+    plot.sensitivity(other, {"sarsa": datasets["sarsa"].assign_coords(alphas)})
+    plot.save(figure, tmp_path / "strange.svg")
+
+
+def test_a_legend_says_which_curve_is_not_to_be_seen(ax):
+    for y, name in (([1, 2], "here"), ([np.nan, np.nan], "nowhere"), ([8, 9], "above")):
+        ax.plot([0, 1], y, label=name)
+    ax.set_ylim(0, 3)
+    plot.legend(ax)
+    assert [text.get_text() for text in ax.get_legend().texts] == [
+        "here",
+        "nowhere (no value)",
+        "above (off the scale)",
+    ]
+
+
+def test_fifty_methods_look_different(ax, datasets):
+    plot.episodes_against_steps(ax, {f"method {i}": datasets["sarsa"] for i in range(50)})
+    assert len({look(line) for line in ax.get_lines()}) == 50
+
+
+def test_names_are_as_people_write_them():
+    for name in [*rl.ENVS, *rl.ALGORITHMS, *PREDICTION]:
+        title = describe.title(name)
+        assert title[0].isupper() or title[:2] in ("n-", "k-")
+        assert "_" not in title
+    assert describe.title("windy-gridworld,moves=king") == "Windy gridworld,moves=king"
+    assert describe.title("my-own") == "my-own"
 
 
 # --- prediction --------------------------------------------------------------------------------------
@@ -203,7 +279,7 @@ def predicted(windy, solved):
 def test_the_learning_curve_of_prediction_is_its_error(ax, predicted):
     plot.learning_curves(ax, {"td": predicted})
     (line,) = ax.get_lines()
-    assert line.get_label() == "td, α = 0.9"
+    assert line.get_label() == "TD(0), α = 0.9"
     np.testing.assert_allclose(line.get_ydata(), predicted.v_error.sel(alpha=0.9).mean("seed"))
     np.testing.assert_array_equal(line.get_xdata(), 200 * np.arange(1, 21))
     assert texts(ax) == []  # there is no optimum to reach
@@ -245,7 +321,7 @@ def test_panels_show_values_and_actions_where_people_see_the_states():
     policy, v, _ = rl.planning.policy_iteration(env)
     _, ((usable, hard, natural),) = plot.panels_canvas(env, 1)
     plot.panels([usable, hard, natural], env, v, policy > 0, "exact")
-    assert usable.get_title() == "exact\nusable ace"
+    assert usable.get_title(loc="left") == "exact\nusable ace"
     assert [tick.get_text() for tick in hard.get_yticklabels()] == [str(n) for n in range(21, 11, -1)]
     assert [tick.get_text() for tick in hard.get_xticklabels()] == ["A", *map(str, range(2, 11))]
     shown = hard.images[0].get_array()
@@ -254,7 +330,7 @@ def test_panels_show_values_and_actions_where_people_see_the_states():
     assert natural.images[0].get_array()[0, 9] == v[env.state(21, 10, usable=True, natural=True)]
     assert hard.images[0].get_clim() == usable.images[0].get_clim() == natural.images[0].get_clim()
     at = {text.get_position(): text.get_text() for text in hard.texts}
-    assert at[0, 5] == f"−{abs(v[env.state(16, 1)]):.2f}\nhit"
+    assert at[0, 5] == f"−{abs(v[env.state(16, 1)]):.2f}\nhit".replace("0.", ".")
     assert at[2, 5].endswith("stick")
 
 
@@ -268,11 +344,43 @@ def test_of_card_games_what_was_learned_stands_above_what_is_exact(unwritten):
 
 
 def test_values_of_actions_are_marks(ax):
+    """In one state the actions lie side by side."""
     env = rl.make("two-doors")
     plot.action_values(ax, env, rl.planning.value_iteration(env)[1])
-    left, right = ax.get_lines()
-    assert (left.get_label(), *left.get_xdata(), *left.get_ydata()) == ("left", 0, 3)
-    assert (right.get_label(), *right.get_xdata(), *right.get_ydata()) == ("right", 0, 2)
+    (line,) = ax.get_lines()
+    assert line.get_xydata().tolist() == [[0, 3], [1, 2]]
+    assert [tick.get_text() for tick in ax.get_xticklabels()] == ["left", "right"]
+
+
+def a_ring(num_states, num_actions):
+    """States in a ring and one terminal one: action a pays a, and ends."""
+    P = np.zeros((num_states + 1, num_actions, num_states + 1))
+    P[:, :, -1] = 1
+    R = np.tile(np.arange(num_actions, dtype=float), (num_states + 1, 1))
+    R[-1] = 0
+    return rl.FiniteMDP(P, R)
+
+
+def look(line):
+    return line.get_color(), line.get_marker(), line.get_linestyle()
+
+
+def test_no_two_actions_have_the_same_mark(ax):
+    """Broken once: `_styles` as pairs of seven -> fails."""
+    env = a_ring(12, 10)
+    plot.action_values(ax, env, rl.planning.value_iteration(env)[1])
+    assert len(ax.get_lines()) == 10
+    assert len({look(line) for line in ax.get_lines()}) == 10
+    assert len(ax.get_legend().texts) == 10
+
+
+def test_of_too_many_marks_two_are_left(ax):
+    env = a_ring(40, 30)
+    plot.action_values(ax, env, rl.planning.value_iteration(env)[1])
+    assert [text.get_text() for text in ax.get_legend().texts] == ["any action", "the best action"]
+    *others, best = ax.get_lines()
+    assert len(others) == 30
+    assert best.get_ydata().tolist() == [29] * 40 + [0]
 
 
 # --- grids -------------------------------------------------------------------------------------------
@@ -359,16 +467,40 @@ def test_save_all(datasets, windy, tmp_path):
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in files)
 
 
+def test_pictures_for_a_paper_are_the_same_bytes_each_time(datasets, windy, tmp_path):
+    """Broken once: the date left in -> fails in the next second."""
+    for kind, start in (("pdf", b"%PDF"), ("svg", b"<?xml")):
+        figure = plot.pictures(datasets, windy)["sensitivity"]
+        first, again = (tmp_path / f"{name}.{kind}" for name in ("first", "again"))
+        plot.save(figure, first)
+        plot.save(figure, again)
+        assert first.read_bytes() == again.read_bytes()
+        assert first.read_bytes().startswith(start)
+        assert not re.search(rb"<dc:date>|CreationDate", first.read_bytes())
+
+
+def test_type_can_be_read_in_a_column(datasets, windy):
+    """No figure is wider than a column, and no type smaller than 8 points but in the cells of tables."""
+    figures = {**plot.pictures(datasets, windy), "overview": plot.overview(datasets, windy)}
+    for name, figure in figures.items():
+        assert figure.get_figwidth() <= plot.WIDTH
+        figure.draw_without_rendering()
+        sizes = {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()}
+        assert min(sizes) >= plot.SMALL, name
+
+
 def test_overview_shows_the_path_of_the_best_method(datasets, windy):
     figure = plot.overview(datasets, windy)
     title = figure.axes[3].get_title()
-    assert title.startswith("greedy path of q-learning, α = 0.9; median of 5 seeds\n15 steps to the goal")
-    assert figure.get_suptitle() == "windy-gridworld, ε = 0.1, γ = 1\nmean and 95% interval over 5 seeds"
+    assert title.startswith("Q-learning, α = 0.9\ngreedy path, median of 5 seeds\n15 steps to the goal")
+    what, seeds = figure.get_suptitle().splitlines()
+    assert what == "Windy gridworld, ε = 0.1, γ = 1"
+    assert seeds == "mean over 5 seeds, and its 95% interval at each point"
 
 
 def test_caption_says_what_is_unusual(datasets):
     figure = plot.overview(datasets, rl.make("windy-gridworld", stochastic=True))
-    assert figure.get_suptitle().startswith("windy-gridworld, stochastic = True, ε = 0.1")
+    assert figure.get_suptitle().startswith("Windy gridworld, stochastic = True, ε = 0.1")
 
 
 def test_every_hyperparameter_that_was_swept_has_its_picture(datasets, windy):
@@ -380,7 +512,7 @@ def test_every_hyperparameter_that_was_swept_has_its_picture(datasets, windy):
 
 def test_caption_of_an_environment_with_arrays(datasets):
     figure = plot.overview(datasets, rl.make("k-armed-testbed", arms=3))
-    assert figure.get_suptitle().startswith("windy-gridworld, arms = 3, ε = 0.1")
+    assert figure.get_suptitle().startswith("Windy gridworld, arms = 3, ε = 0.1")
 
 
 def test_long_captions_are_broken_between_settings(datasets, windy):
@@ -389,7 +521,7 @@ def test_long_captions_are_broken_between_settings(datasets, windy):
     )
     caption = plot.overview({"a": datasets["sarsa"].assign_attrs(fixed=settings)}, windy).get_suptitle()
     first, second, _ = caption.splitlines()
-    assert first == "windy-gridworld, trace = accumulating, offline = off, ε = harmonic:100:visit, γ = 1,"
+    assert first == "Windy gridworld, trace = accumulating, offline = off, ε = harmonic:100:visit, γ = 1,"
     assert second == "q0 = 0"
 
 

@@ -1,9 +1,12 @@
 """On a real Ray cluster of two nodes, on this machine: workers and nodes that go away lose nothing."""
 
+import contextlib
 import functools
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 
@@ -16,6 +19,7 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import executors, plot
+from jaxrl_tab.executors import ray as ray_executor
 from jaxrl_tab.types import InputError, RunError
 
 ray = pytest.importorskip("ray")
@@ -141,7 +145,86 @@ def test_addresses_where_nothing_answers_are_refused_at_once():
         port = free.getsockname()[1]
     with pytest.raises(RunError, match=f"no Ray cluster at 127.0.0.1:{port}: Connection refused"):
         executors.get("ray", address=f"127.0.0.1:{port}")
+    with pytest.raises(InputError, match=r"HOST:PORT or ray://HOST:PORT, not '127.0.0.1:99999'"):
+        executors.get("ray", address="127.0.0.1:99999")
     with pytest.raises(InputError, match=r"HOST:PORT or ray://HOST:PORT, not 'somewhere'"):
         executors.get("ray", address="somewhere")
     with pytest.raises(InputError, match=r"num_cpus"):
         executors.get("ray", num_cpus=0)
+
+
+@pytest.fixture
+def listens():
+    """Makes a server on this machine that says the same to everybody, and gives its address."""
+    with contextlib.ExitStack() as ends:
+
+        def make(says):
+            server = ends.enter_context(socket.create_server(("127.0.0.1", 0)))
+
+            def serve():
+                with contextlib.suppress(OSError):
+                    while True:
+                        ends.enter_context(server.accept()[0]).sendall(says)
+
+            threading.Thread(target=serve, daemon=True).start()
+            return f"127.0.0.1:{server.getsockname()[1]}"
+
+        yield make
+
+
+GRPC = bytes(3) + b"\4" + bytes(5)
+
+
+def test_addresses_where_something_else_listens_are_refused_soon(listens, monkeypatch):
+    """Broken once: only connected -> Ray tries for minutes."""
+    monkeypatch.setattr(ray_executor, "_SECONDS", 0.5)
+    with pytest.raises(RunError, match="something else listens there"):
+        executors.get("ray", address=listens(b"HTTP/1.1 400 Bad Request\r\n\r\n"))
+    with pytest.raises(RunError, match=r"there is no answer in 0\.5 seconds"):
+        executors.get("ray", address=listens(b""))
+
+
+@pytest.mark.parametrize(
+    ("ray_does", "said"),
+    [
+        (
+            "print('x: InvalidAuthToken: y', flush=True); import time; time.sleep(60)",
+            "it wants its token: set RAY_",
+        ),
+        ("import time; time.sleep(60)", "no answer in 2 seconds"),
+        ("raise RuntimeError('Version mismatch')", "RuntimeError: Version mismatch"),
+    ],
+)
+def test_clusters_that_do_not_let_us_in_are_refused_soon(listens, monkeypatch, ray_does, said):
+    """A token is needed; a server that is not Ray's; another version."""
+    monkeypatch.setattr(ray_executor, "_PATIENCE", 2)
+    monkeypatch.setattr(ray_executor, "_TRY", ray_does)
+    with pytest.raises(RunError, match=f"^no way into the Ray cluster at .*: {said}[^\n]*$"):
+        executors.get("ray", address=listens(GRPC))
+
+
+def test_a_cluster_of_our_own_is_for_this_process_alone(cluster, tmp_path):
+    """Though another runs here: with a token, on the loopback interface; and nothing is left or printed.
+
+    Broken once: Ray asked for any cluster, the variables not set -> each fails.
+    """
+    code = """if True:
+        import os, socket, shards
+        from jaxrl_tab import executors
+        auth = lambda: {name: x for name, x in os.environ.items() if name.startswith("RAY_AUTH")}
+        given = executors.Ray().run(shards.begun_on_ray, [0])
+        _, seen = next(given)
+        given.close()
+        assert not auth()
+        print(*seen["mode"], *seen["listens"])
+    """
+    environment = {name: x for name, x in os.environ.items() if not name.startswith("RAY_")}
+    environment |= {
+        "HOME": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path]),
+    }
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    mode, *listens = done.stdout.split()
+    assert mode == "token" and listens and set(listens) <= {"127.0.0.1", "::ffff:127.0.0.1"}
+    assert done.stderr == "" and not (tmp_path / ".ray").exists()

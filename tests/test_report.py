@@ -12,7 +12,7 @@ import pytest
 from made_up import ALPHAS, make_result
 
 import jaxrl_tab as rl
-from jaxrl_tab import plot, report, stats
+from jaxrl_tab import describe, plot, report, stats
 
 pytestmark = pytest.mark.filterwarnings("error")
 ABOUT = {
@@ -116,19 +116,22 @@ def test_the_table_of_methods_has_both_numbers_of_what_was_chosen(made, windy_se
     assert head == [
         *("method", "setting", "mean return (95% interval), seeds of the choice"),
         *("mean return (95% interval), 5 fresh seeds", "difference from the first", "p", "9 of 10 runs"),
-        "exact optimum",
+        *("best ε-soft", "exact optimum"),
     ]
-    assert [first[0], second[0]] == ["q-learning", "sarsa"]
+    assert [first[0], second[0]] == ["Q-learning", "Sarsa"]
     assert second[1] == "α = 0.9"
     scores = stats.score(windy_sets["windy/sarsa"]).sel(alpha=0.9)
-    interval = [float(x) for x in stats.mean_interval(scores)[:3]]
+    interval = [
+        float(x) for x in stats.score_interval(windy_sets["windy/sarsa"])[:3] for x in [x.sel(alpha=0.9)]
+    ]
     assert numbers(second[2]) == pytest.approx(interval, abs=0.006)
-    assert numbers(second[3]) == pytest.approx([1.01 * x for x in interval], abs=0.006)
+    assert numbers(second[3])[0] == pytest.approx(1.01 * interval[0], abs=0.006)
     assert first[3:6] == ["–", "–", "–"]  # was not run again, and is the first
     better = stats.score(windy_sets["windy/q-learning"]).sel(alpha=0.9)
-    difference = stats.paired_difference(scores, better)
+    pairs = 3 * 3  # of their settings: chosen on the same seeds
+    difference = stats.paired_difference(scores, better, confidence=1 - 0.05 / pairs, worst=-400)
     assert numbers(second[4]) == pytest.approx([float(x) for x in difference.interval[:3]], abs=0.006)
-    assert numbers(second[5]) == pytest.approx([float(difference.p)], abs=0.001)
+    assert numbers(second[5]) == pytest.approx([min(pairs * float(difference.p), 1)], abs=0.001)
     runs = stats.tolerance_interval(1.01 * scores)
     assert numbers(second[6]) == pytest.approx([float(runs.low), float(runs.high)], abs=0.006)
     assert second[-1] == "−15"
@@ -138,9 +141,8 @@ def test_all_settings_stand_with_the_best_first(made, windy_sets):
     head, *rows = read(made).tables[1]
     assert head == ["method", "α", "mean return", "95% interval", "9 of 10 runs", "episodes"]
     table = stats.summary(windy_sets).sort_values("last_tenth_return", ascending=False)
-    assert [row[0].removesuffix(" ★").removesuffix("windy/") for row in rows] == [
-        name.removeprefix("windy/") for name in table.method
-    ]
+    names = [describe.title(name.removeprefix("windy/")) for name in table.method]
+    assert [row[0].rstrip(" ★≈") for row in rows] == names
     assert [number(row[2]) for row in rows] == pytest.approx([*table.last_tenth_return], abs=0.006)
     assert [row[1] for row in rows if row[0].endswith("★")] == ["0.9", "0.9"]
 
@@ -151,13 +153,13 @@ def test_it_says_how_it_was_made_and_escapes_it(made):
     assert "<windy>" not in made.read_text(encoding="utf-8")
     for said in ("root seed 7", "git commit –", "jax 0.10.2", "cpu:1", ABOUT["command"]):
         assert said in page.text
-    assert "Seeds counted" not in page.text  # explains only what is there
+    assert "Unfinished" not in page.text  # explains only what is there
     assert "on fresh seeds does not: quote that" in page.text
 
 
 def test_what_it_says_first_is_the_best_method(made):
     assert re.search(
-        r"windy : best: q-learning, α = 0.9, with a mean return of −1\d\.\d+ on fresh seeds", read(made).text
+        r"windy : best: Q-learning, α = 0.9, with a mean return of −1\d\.\d+ on fresh seeds", read(made).text
     )
 
 
@@ -171,10 +173,10 @@ def test_many_settings_are_folded_away(windy, windy_sets, undrawn, tmp_path, mon
     page = read(file)
     assert [len(table) - 1 for table in page.tables[1:3]] == [12, 38]
     assert "38 more settings, of 51; all are in summary.csv" in page.text
-    assert page.tables[1][1][:3] == ["sarsa ★", "0", "0.9"]
+    assert page.tables[1][1][:3] == ["Sarsa ★", "0", "0.9"]
 
 
-def test_diverged_runs_are_counted_and_left_out(windy, windy_sets, undrawn, tmp_path):
+def test_diverged_runs_are_counted_and_score_as_the_worst(windy, windy_sets, undrawn, tmp_path):
     """Broken once: the infinite returns in the mean -> fails."""
     broken = windy_sets["windy/sarsa"].copy(deep=True)
     broken["q"][2, 0] = np.nan
@@ -183,15 +185,40 @@ def test_diverged_runs_are_counted_and_left_out(windy, windy_sets, undrawn, tmp_
     broken["diverged"][2, 0] = broken["diverged"][1] = True
     page = read(report.write(tmp_path, {"windy/sarsa": broken}, {"windy": windy}, {}))
     assert "6 runs diverged" in page.text
-    assert "sarsa, α = 0.9: 1 of 5" in page.text
-    assert "sarsa, α = 0.2: 5 of 5" in page.text
+    assert "Sarsa, α = 0.9: 1 of 5" in page.text
+    assert "Sarsa, α = 0.2: 5 of 5" in page.text
     head, *rows = page.tables[1]
     by_alpha = {row[1]: row for row in rows}
     at = head.index("diverged")
     assert {alpha: row[at] for alpha, row in by_alpha.items()} == {"0.05": "0", "0.2": "5", "0.9": "1"}
-    score = stats.score(windy_sets["windy/sarsa"]).sel(alpha=0.9).isel(seed=slice(1, None))
-    assert number(by_alpha["0.9"][2]) == pytest.approx(float(score.mean()), abs=0.6)  # of some whole number
-    assert by_alpha["0.2"][2:5] == ["–", "–", "–"]
+    finite = stats.score(windy_sets["windy/sarsa"]).sel(alpha=[0.05, 0.9])
+    sound = finite.sel(alpha=0.9).isel(seed=slice(1, None))
+    assert number(by_alpha["0.9"][2]) == pytest.approx(float(sound.sum() + finite.min()) / 5, abs=0.6)
+    assert number(by_alpha["0.2"][2]) == pytest.approx(float(finite.min()), abs=0.6)
+    assert [row[1] for row in rows] == ["0.05", "0.9", "0.2"]  # the best first: where the fewest diverge
+
+
+def test_it_says_what_a_mean_rests_on(windy, windy_sets, undrawn, tmp_path):
+    """One run of the best setting is unfinished and stands still: -400 in its last two rows."""
+    ds = windy_sets["windy/sarsa"].isel(alpha=[0, 2]).copy(deep=True)
+    ds["episodes"][1, 0, -2:] = 0
+    ds["returns"][1, 0, -2:] = 0
+    page = read(report.write(tmp_path, {"windy/sarsa": ds}, {"windy": windy}, {}))
+    head, row = page.tables[0]
+    assert row[head.index("unfinished")] == "1"
+    others = stats.score(ds).sel(alpha=0.9)[1:]
+    assert numbers(row[2])[0] == pytest.approx((float(others.sum()) - 400) / 5, abs=0.6)
+    assert row[2].endswith(" !")
+    for said in (
+        "! The mean of sarsa, α = 0.9 rests on few bad runs and may be worse than it looks: 5 seeds were run, and 125",
+        "The middle of the runs is sure: median −1",
+        "1 of 5 runs of sarsa, α = 0.9 finished no episode in the last tenth",
+        "The best α of sarsa is the largest that was tried",
+        "up to 60% of all runs may be stuck",
+        "the difference seed by seed decides",
+    ):
+        assert said in page.text
+    assert "nobody knows" not in page.text
 
 
 def test_draws_are_known_by_what_was_drawn(windy, windy_sets, undrawn, tmp_path):
@@ -199,12 +226,12 @@ def test_draws_are_known_by_what_was_drawn(windy, windy_sets, undrawn, tmp_path)
     ds = ds.assign_coords(draw=[0, 1, 2], alpha=("draw", [*ALPHAS]), q0=("draw", [0.0, -1.0, -2.0]))
     file = report.write(tmp_path, {"windy/sarsa": ds}, {"windy": windy}, {})
     page = read(file)
-    assert page.tables[0][1][:2] == ["sarsa", "α = 0.9, q0 = −2"]
+    assert page.tables[0][1][:2] == ["Sarsa", "α = 0.9, q0 = −2"]
     assert [row[:3] for row in page.tables[1]] == [
         ["method", "α", "q0"],
-        ["sarsa ★", "0.9", "−2"],
-        ["sarsa", "0.2", "−1"],
-        ["sarsa", "0.05", "0"],
+        ["Sarsa ★", "0.9", "−2"],
+        ["Sarsa ≈", "0.2", "−1"],  # five seeds tell nothing apart
+        ["Sarsa ≈", "0.05", "0"],
     ]
     alts = [alt for _, alt in page.images]
     assert [alt.partition(" in ")[0] for alt in alts if alt.startswith("sens")] == [
@@ -219,7 +246,7 @@ def test_sensitivity_to_what_was_drawn_is_a_point_for_each_draw(windy_sets):
     ds = ds.assign_coords(draw=[0, 1, 2], alpha=("draw", [*ALPHAS]), q0=("draw", [0.0, -1.0, -2.0]))
     ax = plot.canvas(4, 3).subplots()
     plot.sensitivity(ax, {"sarsa": ds}, "q0")
-    line = next(line for line in ax.get_lines() if line.get_label() == "sarsa")
+    line = next(line for line in ax.get_lines() if line.get_label() == "Sarsa")
     np.testing.assert_array_equal(line.get_xdata(), [0, -1, -2])
     np.testing.assert_allclose(line.get_ydata(), stats.score(ds).mean("seed"))
     assert line.get_linestyle() == "None"

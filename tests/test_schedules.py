@@ -267,8 +267,8 @@ def test_a_batch_is_printed_as_it_is():
         (lambda: Linear(1.0, -0.1, 5), "Linear: end must be a number of at least 0, not -0.1"),
         (lambda: Linear(1.0, 0.1, 0), "Linear: steps must be a number of at least 1, not 0"),
         (lambda: Exponential(1.0, 1.0), "Exponential: rate must be a number between 0 and 1, both excluded"),
-        (lambda: Exponential("1", 0.5), "Exponential: start must be a positive number, not '1'"),
-        (lambda: Power(Power()), "Power: power must be a positive number, not Power"),
+        (lambda: Exponential("1", 0.5), "Exponential: start must be a number, not '1': a text"),
+        (lambda: Power(Power()), "Power: power must be a number, not Power"),
         (
             lambda: schedules.parse("harmonc:1:visit"),
             "no schedule 'harmonc:1:visit'; did you mean 'harmonic'",

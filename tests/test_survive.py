@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,7 +18,6 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch, cli, interrupt, plot, runner, stats, storage
-from jaxrl_tab.sweep import compute, prepare, result
 from jaxrl_tab.types import InputError, RunError
 
 QUICK = [sys.executable, str(Path(quick.__file__))]
@@ -90,15 +90,25 @@ def test_the_results_are_those_of_a_sweep(windy, undisturbed):
         assert tree["sarsa"].attrs["seconds"] > 0
 
 
-def test_what_was_chosen_runs_again_on_seeds_that_follow(windy, undisturbed):
+def test_what_was_chosen_runs_again_on_seeds_of_no_other_sweep(windy, undisturbed):
+    """Case: they went on where the seeds of the choice end, and so were those of a larger sweep of the same root.
+
+    Their keys are folds of fold_in(root, 2**32 - 1), and here 2**32 - 1 is the number of no seed.
+    """
     _, outcome, _ = undisturbed
     table = runner.selection(outcome).set_index("method")
     alpha = table.alpha["sarsa"]
     assert alpha == stats.best(outcome.datasets["windy-gridworld/sarsa"])["alpha"]
-    part = prepare(windy, "sarsa", {"alpha": alpha}, num_seeds=66, first_seed=70, num_steps=200)
-    expected = result(part, compute(part)).to_xarray()
-    xr.testing.assert_equal(outcome.fresh["windy-gridworld/sarsa"], expected)
-    assert expected.seed.values.tolist() == list(range(70, 136))
+    fresh = outcome.fresh["windy-gridworld/sarsa"]
+    assert fresh.seed.values.tolist() == list(range(66))
+    assert fresh.attrs["fresh_seeds"] == 1
+    root = jax.random.fold_in(jax.random.key(0), 2**32 - 1)
+    method = rl.Sarsa(alpha=alpha)
+    state, _ = rl.train(jax.random.fold_in(root, 65), method, windy, num_steps=200)
+    np.testing.assert_array_equal(fresh.q.sel(seed=65), state.q)
+    larger = rl.sweep(windy, "sarsa", {"alpha": alpha}, num_seeds=136, num_steps=200).to_xarray()
+    again = {x.tobytes() for x in fresh.q.values} & {x.tobytes() for x in larger.q.values}
+    assert not again
 
 
 def test_a_number_is_chosen_among_schedules_as_it_is_labelled(windy):
@@ -131,7 +141,7 @@ def test_the_folder_says_how_to_do_it_again(undisturbed):
     assert rl.Experiment.load(folder / "experiment.toml").data() == quick.SELECTED.data()
     assert json.loads((folder / "resolved.json").read_text()) == quick.SELECTED.data()
     (session,) = json.loads((folder / "provenance.json").read_text())["sessions"]
-    assert session["versions"]["jax"] == jax.__version__ and session["devices"] == 2
+    assert session["surroundings"]["jax"] == jax.__version__ and session["devices"] == 2
     assert session["started"] <= session["ended"] and session["command"] == "a command"
 
 
@@ -152,6 +162,20 @@ def test_several_environments_have_groups_and_pictures_of_their_own(tmp_path):
             assert tree[f"{label}/td"].attrs["optimal_value"] == pytest.approx(value)
             assert (tmp_path / "run" / "pictures" / label / "overview.png").exists()
     assert runner.summary(outcome).environment.tolist() == list(outcome.envs)
+
+
+def test_any_label_has_its_pictures(tmp_path, computed):
+    """Broken once: the label as the name of a folder -> the file name is too long."""
+    labels = ["x" * 200, "foo.unfinished", "Walk", "walk"]
+    walks = [{"name": "random-walk", "label": label} for label in labels]
+    rl.run(rl.Experiment(walks, "td", seeds=2, steps=100), tmp_path / "run")
+    assert len(list((tmp_path / "run" / "pictures").glob("*/overview.png"))) == 4
+    with xr.open_datatree(tmp_path / "run" / "results.nc") as tree:
+        assert set(labels) == set(tree.children)
+    computed.clear()
+    before = (tmp_path / "run" / "results.nc").stat().st_mtime_ns
+    rl.resume(tmp_path / "run")
+    assert computed == [] and (tmp_path / "run" / "results.nc").stat().st_mtime_ns == before
 
 
 def test_results_that_do_not_fit_are_in_files_with_the_same_numbers(folder, undisturbed):
@@ -258,6 +282,56 @@ def test_a_changed_experiment_is_refused_with_the_difference(folder, computed):
         rl.resume(folder)
     assert f"{file} was changed since: seeds was 70, and is 71" in str(error.value)
     assert computed == [] and (folder / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["experiment.toml", "resolved.json"])
+@pytest.mark.parametrize("damage", [b"", b"[1, 2]", b"\0\xff", b"seeds = 1", b'{"seeds": 70}'])
+def test_one_of_the_two_experiments_mends_the_other(folder, undisturbed, computed, caplog, name, damage):
+    """Broken once: what is in `resolved.json` taken as it is -> TypeError."""
+    before = (folder / name).read_bytes()
+    (folder / name).write_bytes(damage)
+    rl.resume(folder)
+    assert caplog.messages[0].startswith(
+        f"{name} is damaged: it is now set-aside/0-{name}, and is made again, of"
+    )
+    assert (folder / name).read_bytes() == before and computed == []
+    assert (folder / "set-aside" / f"0-{name}").read_bytes() == damage
+
+
+def test_an_altered_resolved_json_is_damage(folder, undisturbed, computed, caplog):
+    """For nobody edits it: the fingerprint is that of the other. Broken once: taken for a change -> refused."""
+    text = (folder / "resolved.json").read_text()
+    (folder / "resolved.json").write_text(text.replace('"seeds": 70', '"seeds": 71'))
+    rl.resume(folder)
+    assert "resolved.json is damaged" in caplog.text and computed == []
+    assert (folder / "resolved.json").read_text() == text
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[]", "3", '{"file": 3, "sessions": []}', '{"file": null, "sessions": [{"versions": 3}]}', '"\\ud800"'],
+)
+def test_records_of_another_kind_are_begun_anew(folder, caplog, text):
+    """Broken once: looked at only whether it is JSON -> TypeError, KeyError, UnicodeEncodeError."""
+    (folder / "provenance.json").write_text(text)
+    rl.resume(folder)
+    assert (
+        "provenance.json is damaged: it is now set-aside/0-provenance.json, and is begun anew" in caplog.text
+    )
+    (session,) = json.loads((folder / "provenance.json").read_text())["sessions"]
+    assert session["ended"]
+
+
+def test_what_is_no_experiment_or_no_name_is_refused(tmp_path):
+    wrong: Any
+    for wrong in (None, "experiment.toml", {}):
+        with pytest.raises(InputError, match="run takes an Experiment, not"):
+            rl.run(wrong, tmp_path / "run")
+    for wrong in (3, None, "a\0b", b"bytes"):
+        with pytest.raises(InputError, match="the name of a folder must be text"):
+            rl.resume(wrong)
+    with pytest.raises(InputError, match="the name of a folder must be text"):
+        rl.run(quick.SELECTED, "a\0b")
 
 
 def test_so_is_one_that_was_changed_where_it_was_read_from(tmp_path, computed):

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+from by_hand import learned as learned_by_hand
 from test_reference import STEPS, env_and_task, random_mdp, words_of
 
 import jaxrl_tab as rl
@@ -207,6 +208,21 @@ def test_offline_with_lambda_1_is_every_visit_monte_carlo(offline):
             np.testing.assert_allclose(q[end], want, rtol=0, atol=1e-10)
             checked += 1
     assert checked
+
+
+def test_the_sum_of_increments_is_not_the_offline_lambda_return_algorithm_of_the_book():
+    """A state that comes n times, gamma = 1, and at the end 1, from V = 0, with alpha = 1.
+
+    Every lambda-return of the episode is 1 for lambda = 1. The book's updates (equation 12.4), one after another,
+    stop at the target: V = 1. Their sum, by the V of the start, is n.
+    """
+    n = 7
+    episode = [[(0, 0.0, 0)] * (n - 1) + [(0, 1.0, 1)]]
+    for method in (
+        rl.SarsaLambda(alpha=1.0, lam=1.0, offline=True),
+        rl.SarsaLambdaForward(alpha=1.0, lam=1.0),
+    ):
+        assert learned_by_hand(method, 2, episode, 1.0)[0] == n
 
 
 def test_true_online_is_the_online_forward_view_at_every_step():

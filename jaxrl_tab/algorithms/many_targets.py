@@ -1,18 +1,28 @@
 """Many target policies from one stream of experience (Silver, lecture 5: off-policy learning)."""
 
-from typing import Any, ClassVar, NamedTuple
+import dataclasses
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import policies, tables
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.td import TDState, check_learning
 from jaxrl_tab.policies import Table
 from jaxrl_tab.schedules import Clock, Rate
-from jaxrl_tab.types import InputError, Transition, concrete, first, is_distribution, pytree, shown
+from jaxrl_tab.types import (
+    InputError,
+    Transition,
+    as_array,
+    first,
+    is_distribution,
+    pytree,
+    restricted,
+    shown,
+)
 
 
 class ManyTargetsState(NamedTuple):
@@ -68,7 +78,7 @@ class ManyTargets:
                 "ManyTargets: behaviour must be policies.Table(b), for there is no one Q to choose by, not "
                 f"{shown(self.behaviour)}"
             )
-        if (pi := concrete(self.targets)) is None:
+        if (pi := as_array(self.targets)) is None:
             return
         if pi.ndim != 3 or not pi.size or pi.dtype.kind not in "biuf":
             raise InputError(f"ManyTargets: targets must be numbers [P, S, A], not of shape {pi.shape}")
@@ -88,6 +98,13 @@ class ManyTargets:
             return self.behaviour
         _, num_states, num_actions = jnp.shape(self.targets)
         return Table(np.full((num_states, num_actions), 1 / num_actions))
+
+    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+        """The method where states have these actions only, bool [S, A]."""
+        policies.check_among("ManyTargets: targets", self.targets, available)
+        uniform = policies.uniform(available)
+        behaviour = uniform if self.behaviour is None else restricted(self.behaviour, available)
+        return dataclasses.replace(self, behaviour=behaviour, q0=policies.among(self.q0, available))
 
     def about(self, target: Float[Array, "S A"]) -> ExpectedSarsa:
         """The method that learns about one of the policies alone."""

@@ -1,11 +1,13 @@
 """What the one-step methods share that learn about a policy of their own choice: the target policy."""
 
-from jaxtyping import Array, Float, Int
+from typing import Any, Self
+
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab import tables
 from jaxrl_tab.algorithms.td import Learner, TDControl
 from jaxrl_tab.policies import Policy, Table, check_coverage, check_policy
-from jaxrl_tab.types import pytree
+from jaxrl_tab.types import pytree, restricted
 
 
 @pytree
@@ -37,6 +39,10 @@ class OffPolicyControl(TDControl):
     @property
     def all_policies(self) -> tuple[Policy, ...]:
         return (*super().all_policies, self.pi)
+
+    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+        target = None if self.target is None else restricted(self.target, available)
+        return super().restricted_to(available, target=target, **more)
 
     def target_probs(self, state: Learner, s: Int[Array, ""]) -> Float[Array, " A"]:
         """The target policy pi(. | s), float [A]."""

@@ -12,7 +12,12 @@ from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.episode import Episode
 from jaxrl_tab.policies import Greedy, Policy, check_coverage
 from jaxrl_tab.schedules import Clock, Rate, sample_average
-from jaxrl_tab.types import InputError, Transition, nearest, pytree, static
+from jaxrl_tab.types import (
+    Transition,
+    check_choice,
+    pytree,
+    static,
+)
 
 WEIGHTINGS = ("weighted", "ordinary", "per-decision")
 
@@ -82,10 +87,12 @@ class OffPolicyMonteCarlo(OffPolicyControl):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.weighting not in WEIGHTINGS:
-            hint = nearest(str(self.weighting), WEIGHTINGS)
-            raise InputError(f"{type(self).__name__}: weighting {self.weighting!r} is unknown; {hint}")
+        check_choice(type(self).__name__, "weighting", self.weighting, WEIGHTINGS)
         check_coverage(type(self).__name__, self.pi, self.selection)
+
+    @property
+    def multiplies_returns(self) -> bool:
+        return self.weighting != "weighted"
 
     @property
     def pi(self) -> Policy:

@@ -1,4 +1,4 @@
-"""Sarsa(lambda), the forward view: lambda-returns, off-line (book, section 12.1; Silver, lecture 5)."""
+"""Sarsa(lambda), the forward view: lambda-returns, off-line (Silver, lecture 5)."""
 
 from typing import NamedTuple
 
@@ -46,8 +46,10 @@ class SarsaLambdaForward(TDControl):
         G <- R_{t+1} + gamma [(1 - lambda) Q(S_{t+1}, A_{t+1}) + lambda G]      (book, equation 12.19)
         increment of Q(S_t, A_t) <- increment + alpha [G - Q(S_t, A_t)]
 
-    This is the off-line lambda-return algorithm. It adds up to the same as `SarsaLambda(offline=True)`, the
-    backward view, where alpha stays the same in an episode. lambda = 1 is every-visit Monte Carlo.
+    The increments are added up, to the same as those of `SarsaLambda(offline=True)`, the backward view, where
+    alpha stays the same in an episode. What is said there holds here: where a pair comes again and again in
+    an episode Q may diverge, and the book's off-line lambda-return algorithm (section 12.1) is another one.
+    lambda = 1 is every-visit Monte Carlo.
 
     Attributes:
         lam: lambda, in [0, 1].

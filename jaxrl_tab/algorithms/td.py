@@ -1,15 +1,16 @@
 """What the one-step temporal-difference methods share: everything but the target."""
 
-from typing import Any, NamedTuple, Protocol, TypeVar
+import dataclasses
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import policies, schedules, tables
 from jaxrl_tab.policies import EpsilonGreedy, Policy
 from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
-from jaxrl_tab.types import InputError, Transition, check_switches, concrete, pytree
+from jaxrl_tab.types import InputError, Transition, check_switches, concrete, pytree, restricted
 
 
 class Learner(Protocol):
@@ -81,13 +82,28 @@ class TDControl:
         """All policies that it acts by or learns about."""
         return (self.selection,)
 
+    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+        """The method where states have these actions only: it takes no other, and counts no other.
+
+        Args:
+            available: which actions there are in each state, bool [S, A].
+            more: other fields that a subclass has to restrict, as they then are.
+        """
+        return dataclasses.replace(
+            self,
+            q0=policies.among(self.q0, available),
+            epsilon=TDControl.epsilon,  # which is part of the behaviour policy now
+            behaviour=restricted(self.selection, available),
+            **more,
+        )
+
     def init(self, num_states: int, num_actions: int) -> Any:
         """A TDState; a method that remembers more makes its own state of it."""
         for policy in self.all_policies:
             policy.check(num_states, num_actions)
         q = jnp.full((num_states, num_actions), self.q0, dtype=float)
         if (there := getattr(self.selection, "available", None)) is not None:
-            q = jnp.where(jnp.asarray(there, float) > 0, q, policies.UNAVAILABLE)
+            q = policies.among(q, there)
         by_visit = schedules.goes_by_visit(self.alpha) or any(policy.by_visit for policy in self.all_policies)
         return TDState(q, schedules.start(num_states, num_actions, by_visit))
 

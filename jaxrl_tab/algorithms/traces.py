@@ -8,7 +8,12 @@ from jaxtyping import Array, Float
 from jaxrl_tab import schedules, tables
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.schedules import Clock, check_number
-from jaxrl_tab.types import InputError, Transition, nearest, pytree, static
+from jaxrl_tab.types import (
+    Transition,
+    check_choice,
+    pytree,
+    static,
+)
 
 # The part of its trace that a pair keeps when it comes again with step size alpha, before 1 is added.
 KEPT = {
@@ -56,9 +61,7 @@ class TraceControl(TDControl):
     def __post_init__(self):
         super().__post_init__()
         check_number(self, "lam", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
-        if not isinstance(self.trace, str) or self.trace not in self.traces:
-            wanted = nearest(str(self.trace), self.traces)
-            raise InputError(f"{type(self).__name__}: trace {self.trace!r} is unknown; {wanted}")
+        check_choice(type(self).__name__, "trace", self.trace, self.traces)
 
     def init(self, num_states: int, num_actions: int) -> Any:
         """A TraceState; a method that remembers more makes its own state of it."""

@@ -3,6 +3,7 @@
 ENVS holds those that can be made from their name alone; `FiniteMDP` needs its arrays, and so is a class only.
 """
 
+import re
 from typing import Any
 
 from jaxrl_tab.envs.blackjack import Blackjack
@@ -16,7 +17,7 @@ from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.two_doors import TwoDoors
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
-from jaxrl_tab.types import InputError, build, nearest
+from jaxrl_tab.types import InputError, build, nearest, shown
 
 ENVS = {
     "windy-gridworld": WindyGridworld,
@@ -32,15 +33,39 @@ ENVS = {
 }
 
 
+# What people look for under these names, without hyphens, as Gymnasium calls it.
+GYMNASIUM = {"frozenlake": "FrozenLake-v1", "frozenlake8x8": "FrozenLake8x8-v1", "taxi": "Taxi-v4"}
+
+
 def make(name: str, **parameters: Any):
     """The environment called `name` in ENVS, with its parameters: `make("windy-gridworld", moves="king")`.
 
     Raises:
         InputError: the name, a parameter or a value is wrong.
     """
-    if name not in ENVS:
-        raise InputError(f"no environment is called {name!r}; {nearest(str(name), ENVS)}")
+    if not isinstance(name, str) or name not in ENVS:
+        raise InputError(f"no environment is called {shown(name)}; {instead(name)}")
     return build(ENVS[name], name, parameters)
+
+
+def instead(name: Any) -> str:
+    """What a message says instead of `name`, which is not in ENVS: one of ours, or how another is imported."""
+    if not isinstance(name, str):
+        return nearest(name, ENVS)
+    library, _, there = name.partition(":")
+    if there and library in ("gymnasium", "gymnax"):
+        return f"in Python, rl.interop.make({shown(name)}) imports it"
+    stem, _, suffix = name.rpartition("-")
+    if suffix in ("misc", "bsuite", "MinAtar"):
+        return f"in Python, rl.interop.from_gymnax({shown(name)}) imports it, if its states can be counted"
+    is_versioned = re.fullmatch("v[0-9]+", suffix) is not None
+    plain = re.sub("[-_]", "", (stem if is_versioned else name).lower())
+    if plain not in (ours.replace("-", "") for ours in ENVS) and (is_versioned or plain in GYMNASIUM):
+        perhaps = "" if plain in GYMNASIUM else ", if it has a table of its outcomes"
+        return (
+            f"in Python, rl.interop.from_gymnasium({shown(GYMNASIUM.get(plain, name))}) imports it{perhaps}"
+        )
+    return nearest(name, ENVS)
 
 
 __all__ = [

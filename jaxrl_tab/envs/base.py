@@ -1,7 +1,6 @@
 """What the built-in environments share: they state their outcomes, and sampling follows from that."""
 
-import reprlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from numbers import Integral
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab import policies, tables
-from jaxrl_tab.types import InputError, Outcome, concrete
+from jaxrl_tab.types import InputError, Outcome, as_array, shown
 
 MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so that every episode ends
 
@@ -80,7 +79,9 @@ class Finite:
         prob, outcome = jax.vmap(jax.vmap(self.outcomes, (None, 0)), (0, None))(states, actions)
         count = prob.shape[-1]
         prob, reward = prob.reshape(-1, count), outcome.reward.ravel()
-        entered = (2 * outcome.s_next + outcome.terminal).ravel()  # one load for both
+        entered = (
+            2 * outcome.s_next + outcome.terminal.astype(outcome.s_next.dtype)
+        ).ravel()  # one load for both
 
         def step(key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
             i = s * self.num_actions + a
@@ -164,16 +165,11 @@ def numbers(name: str, what: str, value: Any) -> Any:
 
     Raises InputError unless it is numbers in a rectangular array.
     """
-    try:
-        array = concrete(value)
-    except ValueError:  # rows of different lengths
-        array = np.empty(0, object)
+    array = as_array(value)
     if array is None:
         return value
     if array.dtype.kind not in "biuf":
-        raise InputError(
-            f"{name}: {what} must be numbers, in rows of equal length, not {reprlib.repr(value)}"
-        )
+        raise InputError(f"{name}: {what} must be numbers, in rows of equal length, not {shown(value)}")
     return array
 
 
@@ -201,7 +197,7 @@ def check_shape(name: str, shape: Sequence[int], least: tuple[int, int] = (1, 1)
     pair = _pair(shape)
     if pair is None or pair[0] < least[0] or pair[1] < least[1]:
         raise InputError(
-            f"{name}: shape must be (rows, columns), at least {least[0]} x {least[1]}, not {shape!r}"
+            f"{name}: shape must be (rows, columns), at least {least[0]} x {least[1]}, not {shown(shape)}"
         )
     return pair
 
@@ -210,7 +206,7 @@ def check_cell(name: str, what: str, cell: Sequence[int], shape: tuple[int, int]
     """`cell` as (row, column). Raises InputError unless it is inside `shape`."""
     pair = _pair(cell)
     if pair is None:
-        raise InputError(f"{name}: {what} must be a cell (row, column), not {cell!r}")
+        raise InputError(f"{name}: {what} must be a cell (row, column), not {shown(cell)}")
     if not (0 <= pair[0] < shape[0] and 0 <= pair[1] < shape[1]):
         raise InputError(
             f"{name}: {what} {pair} is outside the grid; rows are 0 to {shape[0] - 1}, "
@@ -221,7 +217,8 @@ def check_cell(name: str, what: str, cell: Sequence[int], shape: tuple[int, int]
 
 def _pair(value: Any) -> tuple[int, int] | None:
     """`value` as two ints, or None where it is anything else."""
-    items = list(value) if isinstance(value, Iterable) else []
+    is_list = value.ndim == 1 if isinstance(value, np.ndarray) else isinstance(value, Sequence)
+    items = list(value) if is_list else []
     if len(items) != 2 or not all(isinstance(n, Integral) for n in items):
         return None
     return int(items[0]), int(items[1])

@@ -18,7 +18,14 @@ from jaxrl_tab.envs.cards import (
     hands_panel,
     tabulate,
 )
-from jaxrl_tab.types import InputError, nearest, pytree, static, whole
+from jaxrl_tab.types import (
+    InputError,
+    check_choice,
+    pytree,
+    shown,
+    static,
+    whole,
+)
 
 NAME = "blackjack"
 MAX_STEPS = 32  # no hand can take more than 20 cards: the sums 12 to 21 with a usable ace, then without
@@ -65,8 +72,7 @@ class Blackjack(CardGame):
     max_steps: int = static(default=MAX_STEPS)
 
     def __post_init__(self):
-        if not isinstance(self.rules, str) or self.rules not in RULES:
-            raise InputError(f"{NAME}: rules {self.rules!r} are unknown; {nearest(str(self.rules), RULES)}")
+        check_choice(NAME, "rules", self.rules, RULES)
         assign(self, max_steps=whole(NAME, "max_steps", self.max_steps))
 
     @property
@@ -96,9 +102,9 @@ class Blackjack(CardGame):
             InputError: there is no such state.
         """
         if not isinstance(player, Integral) or not LEAST <= player <= LIMIT:
-            raise InputError(f"{NAME}: player must be a sum of {LEAST} to {LIMIT}, not {player!r}")
+            raise InputError(f"{NAME}: player must be a sum of {LEAST} to {LIMIT}, not {shown(player)}")
         if not isinstance(dealer, Integral) or not ACE <= dealer <= TEN:
-            raise InputError(f"{NAME}: dealer must be a card of {ACE} (an ace) to {TEN}, not {dealer!r}")
+            raise InputError(f"{NAME}: dealer must be a card of {ACE} (an ace) to {TEN}, not {shown(dealer)}")
         if natural and not (player == LIMIT and usable):
             raise InputError(f"{NAME}: a natural is {LIMIT} with a usable ace, not {player}, usable={usable}")
         hand = NATURAL if natural and len(self.game.hands) == HANDS else _hand(int(player), bool(usable))

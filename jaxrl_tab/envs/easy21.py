@@ -17,7 +17,7 @@ from jaxrl_tab.envs.cards import (
     hands_panel,
     tabulate,
 )
-from jaxrl_tab.types import InputError, pytree, static, whole
+from jaxrl_tab.types import InputError, pytree, shown, static, whole
 
 NAME = "easy21"
 MAX_STEPS = 100  # a hand that goes on and on is bust long before
@@ -65,9 +65,9 @@ class Easy21(CardGame):
             InputError: there is no such state.
         """
         if not isinstance(player, Integral) or not 1 <= player <= LIMIT:
-            raise InputError(f"{NAME}: player must be a sum of 1 to {LIMIT}, not {player!r}")
+            raise InputError(f"{NAME}: player must be a sum of 1 to {LIMIT}, not {shown(player)}")
         if not isinstance(dealer, Integral) or not 1 <= dealer <= SHOWN:
-            raise InputError(f"{NAME}: dealer must be a card of 1 to {SHOWN}, not {dealer!r}")
+            raise InputError(f"{NAME}: dealer must be a card of 1 to {SHOWN}, not {shown(dealer)}")
         return SHOWN * (int(player) - 1) + int(dealer) - 1
 
 

@@ -1,8 +1,6 @@
-"""Any finite MDP, from arrays (book, section 3.1)."""
+"""Any finite MDP, from arrays or from lists of outcomes (book, section 3.1)."""
 
-import itertools
-from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,12 +8,26 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab import policies
 from jaxrl_tab.envs.base import MAX_STEPS, Finite, assign, numbers
-from jaxrl_tab.types import TOLERANCE, InputError, Outcome, first, pytree, static, whole
-
-NAME = "FiniteMDP"
-
-# of each state and action the outcomes (probability, s', reward)
-Listed: TypeAlias = Sequence[Sequence[Sequence[tuple[float, int, float]]]]
+from jaxrl_tab.envs.listed import (
+    NAME,
+    Listed,
+    in_order,
+    is_sparse,
+    kind,
+    of_arrays,
+    of_other_arrays,
+    of_outcomes,
+)
+from jaxrl_tab.planning import spread
+from jaxrl_tab.types import (
+    TOLERANCE,
+    InputError,
+    Outcome,
+    first,
+    pytree,
+    static,
+    whole,
+)
 
 
 @pytree
@@ -26,8 +38,12 @@ class FiniteMDP(Finite):
     the successors of positive probability are kept, K at most, so an outcome is a row of K and not of S.
     Environments of equal S, A, K and M can be stacked, leaf by leaf, and batched by `vmap`.
 
+    `from_arrays` takes arrays and sparse matrices as pymdptoolbox and QuantEcon have them, `from_outcomes`
+    what may happen, in lists or dicts, as in the table `P` of Gymnasium.
+
     Args:
         probabilities: p(s' | s, a), [S, A, S']; each row adds up to 1 (within 1e-6; it is then rescaled).
+            The state is the first axis also where S = A, and [A, S, S'] would have the same shape.
         rewards: the expected reward r(s, a) [S, A], or r(s, a, s') [S, A, S'].
         terminal: the terminal states, as a list of their numbers or as booleans [S]. Their rows in
             `probabilities` and `rewards` are not looked at: a terminal state leads to itself with reward 0.
@@ -56,72 +72,90 @@ class FiniteMDP(Finite):
     max_steps: int = static(default=MAX_STEPS)
 
     def __init__(
-        self, probabilities: Any, rewards: Any, terminal: Any = (), start: Any = 0, max_steps: int = MAX_STEPS
+        self,
+        probabilities: Any,
+        rewards: Any = None,
+        terminal: Any = (),
+        start: Any = 0,
+        max_steps: int = MAX_STEPS,
     ):
-        p = _probabilities(probabilities)
-        r = _rewards(rewards, p.shape)
-        is_terminal = _terminal(terminal, len(p))
-        p[is_terminal] = np.eye(len(p))[is_terminal, None]
-        r[is_terminal] = 0
-        _check_rows(p, r)
-        start_prob = _start(start, is_terminal)
-        possible = p > 0
+        listed = of_arrays(probabilities, rewards)
+        is_terminal = _terminal(terminal, listed.num_states)
+        _fill(self, listed, is_terminal, _start(start, is_terminal), max_steps)
 
-        k = np.arange(possible.sum(axis=-1).max())
-        successors = np.argsort(~possible, axis=-1, kind="stable")[:, :, k]
-        prob = np.take_along_axis(p, successors, axis=-1)
-        reward = np.take_along_axis(np.broadcast_to(r, p.shape), successors, axis=-1)
-        _fill(self, successors, prob, reward, is_terminal, start_prob, max_steps)
+    @classmethod
+    def from_arrays(
+        cls,
+        probabilities: Any,
+        rewards: Any,
+        terminal: Any = (),
+        start: Any = 0,
+        max_steps: int = MAX_STEPS,
+        *,
+        first_axis: str | None = None,
+    ) -> "FiniteMDP":
+        """Any finite MDP, from arrays or sparse matrices as other tools have them.
+
+        `from_arrays(P, R)` is for what pymdptoolbox takes, where the action is the first axis, and
+        `from_arrays(Q, R)` for a `DiscreteDP` of QuantEcon, where the state is. The shape tells which it is,
+        except where S = A: then `first_axis` must say it. Sparse matrices are never made dense.
+
+        Args:
+            probabilities: p(s' | s, a), [S, A, S'] or [A, S, S'], or a list of one SciPy sparse matrix
+                [S, S'] for each action.
+            rewards: r(s) [S], of leaving s; or r(s, a) [S, A]; or r(s, a, s') with the axes of
+                `probabilities`, or as a list of one sparse matrix [S, S'] for each action.
+            terminal, start, max_steps: as of the class.
+            first_axis: "state" or "action"; by default as the shape of `probabilities` says.
+
+        Raises:
+            InputError: something given is wrong; the message names the first wrong (s, a) or state.
+        """
+        listed = of_other_arrays(probabilities, rewards, first_axis)
+        is_terminal = _terminal(terminal, listed.num_states)
+        mdp = object.__new__(cls)
+        _fill(mdp, listed, is_terminal, _start(start, is_terminal), max_steps)
+        return mdp
 
     @classmethod
     def from_outcomes(
-        cls, outcomes: Listed, terminal: Any = (), start: Any = 0, max_steps: int = MAX_STEPS
+        cls, outcomes: Any, terminal: Any = (), start: Any = 0, max_steps: int = MAX_STEPS
     ) -> "FiniteMDP":
         """Any finite MDP, from the outcomes of each action, `outcomes[s][a] = [(p, s', reward), ...]`.
 
         No array [S, A, S'] is made, and a state s' may be entered with different rewards: they are kept
         apart. Outcomes of one s' and reward are added up.
 
+        An outcome may also be (p, s', reward, terminated), as in the table `P` of Gymnasium. A state is
+        then terminal where an outcome that can follow from the start says so, or where `terminal` does; what
+        is listed after it is not looked at. One that is entered both ways gets a second number for being
+        terminal, after all others. (In states that cannot be reached from the start, entering such a state
+        ends the episode, and nothing else does.)
+
         Args:
-            outcomes: a list [S] of lists [A] of the outcomes, in any order; their probabilities add up to 1.
+            outcomes: a list [S] of lists [A] of lists of the outcomes, in any order; their probabilities add
+                up to 1. Dicts with the keys 0 to S - 1 and 0 to A - 1 serve as well.
             terminal, start, max_steps: as of the class.
 
         Raises:
             InputError: something given is wrong; the message names the first wrong (s, a) or state.
         """
-        num_states, num_actions = len(outcomes), len(outcomes[0]) if outcomes else 0
-        is_terminal = _terminal(terminal, num_states)
-        merged = np.empty((num_states, num_actions), object)
-        for s, actions in enumerate(outcomes):
-            if len(actions) != num_actions:
-                raise InputError(
-                    f"{NAME}: s = {s} has {len(actions)} actions, and s = 0 has {num_actions}; "
-                    "all states must have the same number"
-                )
-            for a, listed in enumerate(actions):
-                merged[s, a] = {(s, 0.0): 1.0} if is_terminal[s] else _added_up(listed)
-        most = max(map(len, merged.flat), default=0)
-        if not most:
+        if is_sparse(outcomes) or (isinstance(outcomes, np.ndarray) and outcomes.ndim == 3):
+            raise InputError(
+                f"{NAME}: outcomes must be lists of (p, s', reward); FiniteMDP.from_arrays takes arrays and matrices"
+            )
+        states = in_order("outcomes", outcomes)
+        if not len(states) or not len(in_order("the actions of s = 0", states[0])):
             raise InputError(
                 f"{NAME}: outcomes must be a list of states, each a list of actions with outcomes"
             )
-
-        prob, reward = np.zeros((2, num_states, num_actions, most))
-        successors = np.zeros((num_states, num_actions, most), int)
-        for (s, a), found in np.ndenumerate(merged):
-            entered = {s_next for s_next, _ in found}
-            others = itertools.chain((x for x in range(num_states) if x not in entered), itertools.repeat(s))
-            filled = itertools.chain(found.items(), (((x, 0.0), 0.0) for x in others))
-            for k, ((s_next, r), p) in enumerate(itertools.islice(filled, most)):
-                successors[s, a, k], reward[s, a, k], prob[s, a, k] = s_next, r, p
-        if (i := first((successors < 0) | (successors >= num_states))) is not None:
-            raise InputError(
-                f"{NAME}: there is no state {successors[i]}, an outcome {_after(i)}; "
-                f"states are 0 to {num_states - 1}"
-            )
-        _check_rows(prob, reward, successors)
+        is_terminal = _terminal(terminal, len(states))
+        start_prob = _start(start, is_terminal)
+        listed, ends = of_outcomes(states, is_terminal)
+        if ends is not None:
+            listed, is_terminal, start_prob = _ended(listed, ends, is_terminal, start_prob)
         mdp = object.__new__(cls)
-        _fill(mdp, successors, prob, reward, is_terminal, _start(start, is_terminal), max_steps)
+        _fill(mdp, listed, is_terminal, start_prob, max_steps)
         return mdp
 
     @property
@@ -146,15 +180,25 @@ class FiniteMDP(Finite):
         return prob, Outcome(s_next, reward, jnp.asarray(self.is_terminal)[s_next])
 
 
-def _fill(mdp, successors, prob, reward, is_terminal, start_prob, max_steps) -> None:
-    """Sets the fields of `mdp`, from checked arrays [S, A, K] and [S]."""
-    _check_reachable(successors, prob, is_terminal, start_prob)
+def _fill(mdp: Any, listed: Listed, is_terminal: Any, start_prob: Any, max_steps: Any) -> None:
+    """Sets the fields of `mdp`, after all checks of what is listed."""
+    listed = _absorbed(listed, is_terminal)
+    _check_outcomes(listed)
+    listed = _added_up(listed.of(listed.prob > 0))
+    _check_reachable(listed, is_terminal, start_prob)
+    shape = listed.num_states, listed.num_actions, -1
+    count = np.bincount(listed.row, minlength=listed.num_states * listed.num_actions)
+    at = listed.row, np.arange(len(listed.row)) - (np.cumsum(count) - count)[listed.row]
+    successors = _others(listed, count)
+    prob, reward = np.zeros(successors.shape), np.zeros(successors.shape)
+    total = np.bincount(listed.row, listed.prob)[listed.row]
+    successors[at], prob[at], reward[at] = listed.s_next, listed.prob / total, listed.reward
     start_states = np.flatnonzero(start_prob)
     assign(
         mdp,
-        successors=successors.astype(np.int32),
-        prob=prob / prob.sum(axis=-1, keepdims=True),
-        reward=np.where(prob > 0, reward, 0),
+        successors=successors.reshape(shape).astype(np.int32),
+        prob=prob.reshape(shape),
+        reward=reward.reshape(shape),
         is_terminal=is_terminal,
         start_states=start_states.astype(np.int32),
         start_prob=start_prob[start_states],
@@ -162,34 +206,71 @@ def _fill(mdp, successors, prob, reward, is_terminal, start_prob, max_steps) -> 
     )
 
 
-def _added_up(listed: Sequence[tuple[float, int, float]]) -> dict[tuple[int, float], float]:
-    """(s', reward) -> probability."""
-    total: dict[tuple[int, float], float] = {}
-    for p, s_next, r in listed:
-        outcome = int(s_next), float(r)
-        total[outcome] = total.get(outcome, 0.0) + float(p)
-    return total
+def _absorbed(listed: Listed, is_terminal: np.ndarray) -> Listed:
+    """`listed`, where terminal states lead to themselves with reward 0, whatever was listed after them."""
+    actions = np.arange(listed.num_actions)
+    kept = listed.of(~is_terminal[listed.row // listed.num_actions])
+    ends = np.flatnonzero(is_terminal)
+    rows = (ends[:, None] * listed.num_actions + actions).ravel()
+    s_next = np.repeat(ends, listed.num_actions)
+    more = rows, s_next, np.ones(len(rows)), np.zeros(len(rows))
+    columns = map(np.concatenate, zip(kept[2:], more, strict=True))
+    every = Listed(*listed[:2], *columns)
+    return every.of(np.argsort(every.row, kind="stable"))
 
 
-# --- checks: each returns a fresh array that the constructor may write to ----------------------------
+def _added_up(listed: Listed) -> Listed:
+    """`listed`, where outcomes of one (s, a), s' and reward are one, in the place of the first."""
+    if (np.diff(listed.row * listed.num_states + listed.s_next) > 0).all():
+        return listed  # as of arrays
+    order = np.lexsort((listed.reward, listed.s_next, listed.row))
+    alike = listed.of(order)
+    keys = np.stack([alike.row, alike.s_next, alike.reward])
+    is_new = np.append(True, (np.diff(keys) != 0).any(axis=0))
+    total = np.bincount(np.cumsum(is_new) - 1, alike.prob)
+    one = order[is_new]
+    place = np.argsort(one)
+    return listed.of(one[place])._replace(prob=total[place])
 
 
-def _probabilities(probabilities: Any) -> np.ndarray:
-    p = numbers(NAME, "probabilities", probabilities).astype(np.float64)
-    if p.ndim == 3 and p.shape[0] == p.shape[2] and p.size > 0:
-        return p
-    turned = p.ndim == 3 and p.shape[1] == p.shape[2]
-    hint = "; np.swapaxes(probabilities, 0, 1) turns [A, S, S'] into it" if turned else ""
-    raise InputError(f"{NAME}: probabilities must have shape [S, A, S'], not {p.shape}{hint}")
+def _others(listed: Listed, count: np.ndarray) -> np.ndarray:
+    """States [S A, K] to fill rows with whose `count` of outcomes is less than K.
+
+    From place `count` on they are those that are not entered, in their order, and s itself where these end.
+    """
+    most = count.max()
+    width = min(most, listed.num_states)
+    is_entered = np.zeros((len(count), width), bool)
+    near = listed.s_next < width
+    is_entered[listed.row[near], listed.s_next[near]] = True
+    states = np.repeat(np.arange(len(count)) // listed.num_actions, most).reshape(-1, most)
+    which = np.arange(most) - count[:, None]
+    at = np.nonzero((which >= 0) & (which < width - is_entered.sum(axis=1, keepdims=True)))
+    states[at] = np.argsort(is_entered, axis=1, kind="stable")[at[0], which[at]]
+    return states
 
 
-def _rewards(rewards: Any, shape: tuple[int, ...]) -> np.ndarray:
-    r = numbers(NAME, "rewards", rewards).astype(np.float64)
-    if r.shape not in (shape[:2], shape):
-        raise InputError(
-            f"{NAME}: rewards must have shape [S, A] = {shape[:2]} or [S, A, S'] = {shape}, not {r.shape}"
-        )
-    return r.reshape(*shape[:2], -1)
+def _ended(
+    listed: Listed, ends: np.ndarray, is_terminal: np.ndarray, start_prob: np.ndarray
+) -> tuple[Listed, np.ndarray, np.ndarray]:
+    """All of it where the outcomes of `ends` enter terminal states, which may get second numbers for that."""
+    ends = ends | is_terminal[listed.s_next]
+    source = listed.row // listed.num_actions
+    on = (listed.prob > 0) & ~ends
+    goes_on = spread(source[on], listed.s_next[on], start_prob > 0)
+    is_end = is_terminal.copy()
+    is_end[listed.s_next[(listed.prob > 0) & ends & goes_on[source]]] = True
+    twice = np.flatnonzero(is_end & goes_on)
+    number = np.arange(listed.num_states)
+    number[twice] = listed.num_states + np.arange(len(twice))
+    listed = listed._replace(
+        num_states=listed.num_states + len(twice), s_next=np.where(ends, number[listed.s_next], listed.s_next)
+    )
+    more = np.zeros(len(twice))
+    return listed, np.append(is_end & ~goes_on, more == 0), np.append(start_prob, more)
+
+
+# --- checks ------------------------------------------------------------------------------------------
 
 
 def _terminal(terminal: Any, num_states: int) -> np.ndarray:
@@ -199,7 +280,7 @@ def _terminal(terminal: Any, num_states: int) -> np.ndarray:
     if given.ndim != 1 or (given.dtype.kind not in "iu" and given.size):
         raise InputError(
             f"{NAME}: terminal must be a list of states, or True or False for each of the {num_states} "
-            f"states, not {_kind(given)}"
+            f"states, not {kind(given)}"
         )
     states = given.astype(np.int64)
     _check_states("terminal state", states, num_states)
@@ -223,7 +304,7 @@ def _start(start: Any, is_terminal: np.ndarray) -> np.ndarray:
     else:
         raise InputError(
             f"{NAME}: start must be a state or the probabilities of the {num_states} states, "
-            f"not {_kind(given)}"
+            f"not {kind(given)}"
         )
     if (s := first(~((prob >= 0) & np.isfinite(prob)))) is not None:
         raise InputError(f"{NAME}: the start probability of s = {s[0]} is {prob[s]}, not from 0 to 1")
@@ -234,29 +315,30 @@ def _start(start: Any, is_terminal: np.ndarray) -> np.ndarray:
     return prob / prob.sum()
 
 
-def _check_rows(p: np.ndarray, r: np.ndarray, successors: np.ndarray | None = None) -> None:
-    """Raises InputError unless `p` [S, A, S'] are distributions and `r` [S, A, 1 or S'] finite if p > 0.
+def _check_outcomes(listed: Listed) -> None:
+    """Raises InputError unless they are distributions, with finite rewards of what can happen."""
+    p, r = listed.prob, listed.reward
+    if (at := first(~((p >= 0) & np.isfinite(p)))) is not None:
+        raise InputError(
+            f"{NAME}: the probability of s' = {listed.s_next[at]} {listed.after(*at)} is {p[at]}, not from 0 to 1"
+        )
+    total = np.bincount(listed.row, p, listed.num_states * listed.num_actions)
+    if (at := first(abs(total - 1) > TOLERANCE)) is not None:
+        where = f"after (s, a) = {divmod(at[0], listed.num_actions)}"
+        raise InputError(f"{NAME}: the probabilities {where} add up to {total[at]:.6g}, not to 1")
+    if (at := first((p > 0) & ~np.isfinite(r))) is not None:
+        hint = (
+            "; an action that a state does not have can be a copy of one that it has"
+            if r[at] == -np.inf
+            else ""
+        )
+        raise InputError(f"{NAME}: the reward {listed.after(*at)} is {r[at]}, not a finite number{hint}")
 
-    With `successors` [S, A, K] given, `p` and `r` are of these, [S, A, K].
-    """
-    if (i := first(~((p >= 0) & np.isfinite(p)))) is not None:
-        s_next = i[2] if successors is None else successors[i]
-        raise InputError(f"{NAME}: the probability of s' = {s_next} {_after(i)} is {p[i]}, not from 0 to 1")
-    total = p.sum(axis=-1)
-    if (i := first(abs(total - 1) > TOLERANCE)) is not None:
-        raise InputError(f"{NAME}: the probabilities {_after(i)} add up to {total[i]:.6g}, not to 1")
-    if (i := first((p > 0) & ~np.isfinite(r))) is not None:
-        one = np.broadcast_to(r, p.shape)[i]
-        raise InputError(f"{NAME}: the reward {_after(i)} is {one}, not a finite number")
 
-
-def _check_reachable(
-    successors: np.ndarray, prob: np.ndarray, is_terminal: np.ndarray, start_prob: np.ndarray
-) -> None:
+def _check_reachable(listed: Listed, is_terminal: np.ndarray, start_prob: np.ndarray) -> None:
     """Raises InputError where a terminal state exists and some start state cannot reach any."""
-    ends = is_terminal
-    while (more := ends | ((prob > 0) & ends[successors]).any(axis=(1, 2))).sum() > ends.sum():
-        ends = more
+    source = listed.row // listed.num_actions
+    ends = spread(listed.s_next, source, is_terminal)
     if is_terminal.any() and (s := first((start_prob > 0) & ~ends)) is not None:
         raise InputError(
             f"{NAME}: no terminal state can be reached from start state s = {s[0]}; "
@@ -267,11 +349,3 @@ def _check_reachable(
 def _check_states(what: str, states: np.ndarray, num_states: int) -> None:
     if (i := first((states < 0) | (states >= num_states))) is not None:
         raise InputError(f"{NAME}: there is no {what} {states[i]}; states are 0 to {num_states - 1}")
-
-
-def _after(index: tuple[int, ...]) -> str:
-    return f"after (s, a) = ({index[0]}, {index[1]})"
-
-
-def _kind(array: np.ndarray) -> str:
-    return f"{array.dtype} of shape {array.shape}"

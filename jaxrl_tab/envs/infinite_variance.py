@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.envs.base import MAX_STEPS, FixedStart, assign, numbers, unbatched
-from jaxrl_tab.types import InputError, Outcome, pytree, static, whole
+from jaxrl_tab.types import InputError, Outcome, pytree, shown, static, whole
 
 NAME = "infinite-variance"
 
@@ -35,7 +35,7 @@ class InfiniteVariance(FixedStart):
     def __post_init__(self):
         back = numbers(NAME, "back", self.back).astype(float)
         if isinstance(back, np.ndarray) and not ((back >= 0) & (back < 1)).all():
-            raise InputError(f"{NAME}: back must be at least 0 and below 1, not {self.back!r}")
+            raise InputError(f"{NAME}: back must be at least 0 and below 1, not {shown(self.back)}")
         assign(self, back=back, max_steps=whole(NAME, "max_steps", self.max_steps))
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.envs.base import MAX_STEPS, FixedStart, assign, numbers, unbatched
-from jaxrl_tab.types import InputError, Outcome, pytree, static, whole
+from jaxrl_tab.types import InputError, Outcome, pytree, shown, static, whole
 
 NAME = "random-walk"
 
@@ -38,7 +38,7 @@ class RandomWalk(FixedStart):
             )
         left_reward = numbers(NAME, "left_reward", self.left_reward).astype(float)
         if isinstance(left_reward, np.ndarray) and not np.isfinite(left_reward).all():
-            raise InputError(f"{NAME}: left_reward must be a finite number, not {self.left_reward!r}")
+            raise InputError(f"{NAME}: left_reward must be a finite number, not {shown(self.left_reward)}")
         max_steps = whole(NAME, "max_steps", self.max_steps)
         assign(self, states=states, left_reward=left_reward, max_steps=max_steps)
 

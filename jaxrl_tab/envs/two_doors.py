@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.envs.bandit import Bandit
 from jaxrl_tab.envs.base import assign, numbers, unbatched
-from jaxrl_tab.types import TOLERANCE, InputError, first, pytree
+from jaxrl_tab.types import TOLERANCE, InputError, first, pytree, shown
 
 NAME = "two-doors"
 
@@ -78,7 +78,7 @@ class TwoDoors(Bandit):
 def _prizes(value: Any) -> Any:
     prizes = numbers(NAME, "prizes", value)
     if not prizes.ndim or not prizes.shape[-1]:
-        raise InputError(f"{NAME}: prizes must be a row of one number or more, not {value!r}")
+        raise InputError(f"{NAME}: prizes must be a row of one number or more, not {shown(value)}")
     if not isinstance(prizes, np.ndarray):
         return prizes
     if (i := first(~(np.isfinite(prizes) & (prizes >= 0)))) is not None:

@@ -7,7 +7,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_grid, numbers, unbatched
-from jaxrl_tab.types import InputError, Outcome, check_switches, nearest, pytree, static, whole
+from jaxrl_tab.types import (
+    InputError,
+    Outcome,
+    check_choice,
+    check_switches,
+    pytree,
+    static,
+    whole,
+)
 
 NAME = "windy-gridworld"
 MOVES = {"four": 4, "king": 8, "king+stay": 9}
@@ -41,8 +49,7 @@ class WindyGridworld(Grid):
     max_steps: int = static(default=MAX_STEPS)
 
     def __post_init__(self):
-        if not isinstance(self.moves, str) or self.moves not in MOVES:
-            raise InputError(f"{NAME}: moves {self.moves!r} is unknown; {nearest(str(self.moves), MOVES)}")
+        check_choice(NAME, "moves", self.moves, MOVES)
         check_switches(NAME, self)
         shape, start, goal = check_grid(NAME, self.shape, self.start, self.goal)
         wind = _whole_cells(self.wind)

@@ -2,7 +2,7 @@
 
 Work is a function of a task's number and of nothing else. So it may be done anywhere, again, in any order,
 and what comes of it is the same to the last bit, as long as JAX is set up there as it is here, in the same
-versions and on the same kind of processor. `Job` sees to the settings and the versions.
+versions and on the same kind of processor. `Job` makes the settings so, and refuses where the rest is not.
 """
 
 import importlib.util
@@ -11,26 +11,16 @@ import platform
 import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
-from importlib import metadata
 from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
 
-import jaxrl_tab
-from jaxrl_tab import batch
+from jaxrl_tab import batch, provenance
 from jaxrl_tab.types import InputError, RunError
 
 Arrays = Mapping[str, np.ndarray]
 Work = Callable[[int], Arrays]
-# What a result depends on, beside the flags in the environment.
-_SETTINGS = (
-    "jax_enable_x64",
-    "jax_default_prng_impl",
-    "jax_threefry_partitionable",
-    "jax_default_matmul_precision",
-    "jax_numpy_dtype_promotion",
-)
 
 
 class Executor(Protocol):
@@ -49,12 +39,18 @@ class Executor(Protocol):
         Raises:
             RunError: `work` raised something in another process, or that process died too often; the message
                 names the task. In this process what `work` raises goes through as it is.
+            InputError: another process would compute other numbers; the message says why.
         """
         ...
 
 
 class Failed(NamedTuple):
-    """What a worker gives back where `work` raised something: the error in a line, and whence it came."""
+    """What a worker gives back where `work` raised something.
+
+    Attributes:
+        line: the error.
+        trace: whence it came; empty where work was refused, before it began.
+    """
 
     line: str
     trace: str
@@ -67,35 +63,33 @@ class Job(NamedTuple):
         work: as in `Executor.run`.
         cores: so many cores are JAX devices there; all that it may use, where None.
         settings: JAX's, of the process that sends it.
-        versions: the versions there.
+        surroundings: of that process, see `provenance`.
     """
 
     work: Work
     cores: int | None
     settings: dict[str, Any]
-    versions: dict[str, str]
+    surroundings: dict[str, Any]
 
     @staticmethod
     def of(work: Work, cores: int | None = None) -> "Job":
-        settings = {name: getattr(jax.config, name) for name in _SETTINGS}
-        return Job(work, cores, settings | {"jax_platforms": jax.default_backend()}, _versions())
+        settings = provenance.settings() | {"jax_platforms": jax.default_backend()}
+        return Job(work, cores, settings, provenance.surroundings())
 
     def __call__(self, task: int) -> Arrays | Failed:
         """What `work` gives. Its errors are values: another process may be unable to load what was raised."""
         try:
             self._set_up()
+        except InputError as refused:
+            return Failed(str(refused), "")
+        try:
             return {name: np.asarray(array) for name, array in self.work(task).items()}
         except Exception as error:
             named = "" if isinstance(error, InputError | RunError) else f"{type(error).__name__}: "
             return Failed(f"{named}{error}", traceback.format_exc())
 
     def _set_up(self) -> None:
-        for name, version in _versions().items():
-            if version != self.versions[name]:
-                raise InputError(
-                    f"there is {name} {version} on {platform.node()}, but {self.versions[name]} where this "
-                    "was started: install the same on all machines"
-                )
+        self._compare(provenance.installed())  # first, for another JAX may have other settings
         for name, value in self.settings.items():
             jax.config.update(name, value)
         if self.cores is None:
@@ -103,11 +97,22 @@ class Job(NamedTuple):
         else:
             with suppress(RuntimeError):  # JAX has started, for an earlier task
                 jax.config.update("jax_num_cpu_devices", self.cores)
+        self._compare(provenance.surroundings())
+
+    def _compare(self, here: Mapping[str, Any]) -> None:
+        """Raises InputError where this process would compute other numbers than the one that sent the work."""
+        if changed := provenance.differences(self.surroundings, here):
+            raise InputError(
+                f"{platform.node()} would not compute as the machine where this was started: "
+                f"{'; '.join(changed)} there; install and set the same on all machines"
+            )
 
 
 def given(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
     """What `Executor.run` gives of a task that a worker has finished; raises what it raised."""
     if isinstance(result, Failed):
+        if not result.trace:
+            raise InputError(result.line)
         error = RunError(f"shard {task} failed: {result.line}")
         error.add_note(result.trace)
         raise error
@@ -124,7 +129,3 @@ def environment() -> dict[str, str]:
 def need(package: str, extra: str) -> None:
     if importlib.util.find_spec(package) is None:
         raise InputError(f"{package} is not installed: pip install 'jaxrl-tab[{extra}]'")
-
-
-def _versions() -> dict[str, str]:
-    return {"jaxrl_tab": jaxrl_tab.__version__, "jax": jax.__version__, "jaxlib": metadata.version("jaxlib")}

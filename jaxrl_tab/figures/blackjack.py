@@ -54,52 +54,67 @@ def _draw(datasets):
     learned, exact = _by_hand(ds.q.values), _optimal()
     hits = (learned[..., HIT] > learned[..., STICK]).mean(0)
     best = exact[..., HIT] > exact[..., STICK]
-    canvas = plot.canvas(15, 7.4)
-    grid = canvas.add_gridspec(2, 4, width_ratios=(1, 1, 1.35, 1.35))
+    policies = {f"Learned: share of {ds.sizes['seed']} seeds that hit": hits, "Exact, with its border": best}
+    surfaces = {"Learned by one seed: max Q(s, a)": learned[0], "Exact: v*(s)": exact}
+    canvas = plot.canvas(plot.WIDTH, 9.6)
+    grid = canvas.add_gridspec(4, 2, height_ratios=(1, 1, 1.25, 1.25))
+    flat, deep, shares, values = [], [], None, None
     for row, (usable, name) in enumerate(USABLE.items()):
-        panels = {
-            f"learned: share of {ds.sizes['seed']} seeds that hit": hits,
-            "exact, with its border": best,
-        }
-        for column, (title, hit) in enumerate(panels.items()):
-            ax = canvas.add_subplot(grid[row, column])
-            _policy(ax, hit[usable], best[usable])
-            ax.set_title(f"{name}\n{title}", fontsize=plot.TITLE)
-        surfaces = {"learned by one seed, max Q(s, a)": learned[0], "exact, v*(s)": exact}
-        for column, (title, q) in enumerate(surfaces.items(), start=2):
-            ax = canvas.add_subplot(grid[row, column], projection="3d")
-            _surface(ax, q[usable].max(-1))
-            ax.set_title(f"{name}\n{title}", fontsize=plot.TITLE)
-    canvas.suptitle(
-        f"blackjack: every-visit Monte Carlo, step 1/N, ε = {EPSILON}, {ds.attrs['num_episodes']:,} episodes"
-    )
+        for column, (title, hit) in enumerate(policies.items()):
+            flat.append(ax := canvas.add_subplot(grid[row, column]))
+            shares = _policy(ax, hit[usable], best[usable])
+            ax.set_title(f"{title}\n{name}", fontsize=plot.TYPE)
+        for column, (title, q) in enumerate(surfaces.items()):
+            deep.append(ax := canvas.add_subplot(grid[2 + row, column], projection="3d"))
+            values = _surface(ax, q[usable].max(-1))
+            ax.set_title(f"{title}\n{name}", fontsize=plot.TYPE)
+    plot.color_bar(shares, flat, "share that hit", shrink=0.5, aspect=30)
+    plot.color_bar(values, deep, shrink=0.5, aspect=30, pad=0.12)
+    episodes = f"{ds.attrs['num_episodes']:,}".replace(",", " ")
+    plot.head(canvas, f"Blackjack: every-visit Monte Carlo, step 1/N, ε = {EPSILON}, {episodes} episodes")
     return canvas
 
 
 def _policy(ax, hit, best):
     """How far the player hits, from 0 to 1, for each sum and card; and the border of the best policy."""
+    import matplotlib as mpl
+    from matplotlib.colors import ListedColormap
+
     from jaxrl_tab import plot
 
-    ax.pcolormesh(SHOWN, SUMS, hit, cmap="Blues", vmin=0, vmax=1.6, shading="nearest", ec="white", lw=0.5)
+    pale = mpl.colormaps["Blues"].resampled(256)(np.linspace(0, 0.62, 256))  # texts can be read on it
+    look = {"cmap": ListedColormap(pale), "vmin": 0, "vmax": 1, "ec": "white", "lw": 0.5}
+    image = ax.pcolormesh(SHOWN, SUMS, hit.astype(float), shading="nearest", **look)
     border = SUMS[(~best).argmax(0)] - 0.5
     edges = np.append(SHOWN - 0.5, SHOWN[-1] + 0.5)
     ax.stairs(border, edges, baseline=None, color=plot.ALARM, lw=2)
     for text, total in {"stick": 20, "hit": 14}.items():
-        ax.text(9, total, text, ha="center", va="center")
+        ax.text(9, total, text, ha="center", va="center", fontsize=plot.TYPE)
     ax.set_xticks(SHOWN, CARDS)
-    ax.set_yticks(SUMS)
-    ax.set(xlabel="dealer shows", ylabel="player's sum", aspect="equal")
+    ax.set_yticks(SUMS[::3])
+    ax.set_xlabel("dealer shows", fontsize=plot.TYPE)
+    ax.set_ylabel("player's sum", fontsize=plot.TYPE)
+    ax.tick_params(labelsize=plot.SMALL)
+    return image
 
 
 def _surface(ax, v):
     """Values over the dealer's card and the player's sum."""
+    from jaxrl_tab import plot
+
     at = np.meshgrid(SHOWN, SUMS)
-    ax.plot_surface(*at, v, cmap="viridis", vmin=-1, vmax=1, ec="#00000055", lw=0.5)
+    image = ax.plot_surface(*at, v, cmap="viridis", vmin=-1, vmax=1, ec="#00000055", lw=0.4)
     ax.set_xticks(SHOWN[::3], CARDS[::3])
     ax.set_yticks(SUMS[::3])
-    ax.set(xlabel="dealer shows", ylabel="player's sum", zlim=(-1, 1))
-    ax.set_box_aspect((1, 1, 0.6), zoom=1.15)
+    ax.set_zticks([-1, 0, 1])
+    ax.set_zlim(-1, 1)
+    ax.set_xlabel("dealer shows", fontsize=plot.TYPE, labelpad=-2)
+    ax.set_ylabel("player's sum", fontsize=plot.TYPE, labelpad=-2)
+    ax.set_zlabel("value", fontsize=plot.TYPE, labelpad=-4)
+    ax.tick_params(labelsize=plot.SMALL, pad=-2)
+    ax.set_box_aspect((1, 1, 0.6), zoom=0.9)
     ax.view_init(elev=28, azim=-50)
+    return image
 
 
 FIGURE = Figure(

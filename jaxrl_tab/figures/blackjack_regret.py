@@ -92,7 +92,7 @@ def _worst(datasets):
 def _draw(datasets):
     from jaxrl_tab import plot
 
-    canvas = plot.canvas(8, 5.2)
+    canvas = plot.canvas(plot.NARROW, 4.4)
     ax = canvas.subplots()
     regret = _regret(datasets)
     for epsilon, color in zip(EPSILONS, plot.COLORS, strict=False):
@@ -101,8 +101,9 @@ def _draw(datasets):
         ax.plot(regret.episodes, of_seeds.mean("seed"), color=color, lw=2.5, label=f"ε = {epsilon}")
     plot.tidy(ax, "episodes k", "exact regret of the greedy policy, v* − v")
     ax.set(xscale="log", yscale="log", ylim=(1e-4, 0.2))
-    ax.set_title(f"blackjack, every-visit Monte Carlo, step 1/N: {regret.sizes['seed']} seeds and their mean")
-    ax.legend(loc="lower left", frameon=False)
+    seeds = regret.sizes["seed"]
+    plot.head(canvas, f"Blackjack, every-visit Monte Carlo, step 1/N\n{seeds} seeds and their mean")
+    plot.legend(ax, loc="lower left")
     return canvas
 
 

@@ -41,9 +41,9 @@ def _greedy_limit():
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot, stats
+    from jaxrl_tab import describe, plot, stats
 
-    canvas = plot.canvas(8.5, 5.6)
+    canvas = plot.canvas(plot.WIDTH, 5.2)
     ax = canvas.subplots()
     styles: dict[str, dict[str, Any]] = {"interim": {"ls": ":", "mfc": "white"}, "asymptotic": {"ls": "-"}}
     for phase, style in styles.items():
@@ -51,24 +51,26 @@ def _draw(datasets):
         for (method, ds), (color, marker) in zip(datasets.items(), marks, strict=False):
             mean, low, high, _ = stats.mean_interval(_mean_return(ds, phase))
             errors = abs(np.stack([low, high]) - mean.values)
-            line = {"color": color, "marker": marker, "ms": 6, "lw": 1.6, "capsize": 2}
-            ax.errorbar(ds.alpha, mean, errors, label=f"{method}, {phase}", **line, **style)
+            line = {"color": color, "marker": marker, "ms": 5, "lw": 1.5, "capsize": 2}
+            name = describe.title(method)
+            ax.errorbar(ds.alpha, mean, errors, label=f"{name}, {phase}", **line, **style)
             if (last := float(mean[-1])) < LOWEST:
-                text = f"{method} at α = 1: −{-last:.0f}, and falling on"
-                ax.annotate(text, (0.93, LOWEST), (0, 4), textcoords="offset points", ha="right", color=color)
+                text = f"{name} at α = 1: −{-last:.0f}, and falling on"
+                at = {"xytext": (0, 4), "textcoords": "offset points", "ha": "right", "fontsize": plot.SMALL}
+                ax.annotate(text, (0.93, LOWEST), **at, color=color)
     exact = {
-        f"best ε-soft policy: {cliff_walking.best_soft():.4f}": (cliff_walking.best_soft(), "--"),
-        f"ε-greedy to Q*, ties split: {_greedy_limit():.4f}": (_greedy_limit(), "-."),
+        "best ε-soft policy": (cliff_walking.best_soft(), "--"),
+        "ε-greedy to Q*, ties split": (_greedy_limit(), "-."),
     }
-    for label, (value, style) in exact.items():
-        ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=label, zorder=1)
+    for name, (value, style) in exact.items():
+        ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=f"{name}: −{-value:.1f}", zorder=1)
     plot.tidy(ax, "step size α", "mean return per episode")
     ax.set(ylim=(LOWEST, 0), xlim=(0.05, 1.05))
     seeds = datasets["sarsa"].sizes["seed"]
-    ax.set_title(
-        f"cliff-walking, ε = {EPSILON}: episodes 1 to 100 (interim) and 501 to 1000 (asymptotic)\n"
+    plot.head(
+        canvas,
+        f"Cliff walking, ε = {EPSILON}: episodes 1 to 100 (interim) and 501 to 1000 (asymptotic)\n"
         f"mean and 95% interval over {seeds} seeds",
-        fontsize=plot.TITLE,
     )
     # Matplotlib names lines first; here they come last, in a column of their own.
     handles, labels = ax.get_legend_handles_labels()
@@ -79,6 +81,7 @@ def _draw(datasets):
         loc="outside lower center",
         ncols=3,
         frameon=False,
+        fontsize=plot.SMALL,
     )
     return canvas
 

@@ -31,20 +31,20 @@ def best_soft() -> float:
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab import describe, plot
 
-    canvas = plot.canvas(7.5, 5)
+    canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
-        plot.mean_curve(ax, ds.row + 1, ds.returns, method, color, lw=1.3)
-    lines = {"optimal policy": (optimum(), "--"), f"best ε-soft policy, ε = {EPSILON}": (best_soft(), ":")}
+        plot.mean_curve(ax, ds.row + 1, ds.returns, describe.title(method), color, lw=1)
+    lines = {"optimal policy": (optimum(), "--"), "best ε-soft policy": (best_soft(), ":")}
     for name, (value, style) in lines.items():
-        ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=f"{name}: {value:.6g}")
+        ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=f"{name}: −{-value:.3g}")
     plot.tidy(ax, "episodes", "sum of rewards in the episode")
     ax.set(ylim=(-100, 0), xlim=(0, 500))
     seeds = datasets["sarsa"].sizes["seed"]
-    ax.set_title(f"cliff-walking, α = {ALPHA}, ε = {EPSILON}: mean and 95% interval over {seeds} seeds")
-    ax.legend(loc="lower right", frameon=False)
+    plot.head(canvas, f"Cliff walking, α = {ALPHA}, ε = {EPSILON}\nmean and 95% interval over {seeds} seeds")
+    plot.legend(ax, loc="lower right")
     return canvas
 
 

@@ -42,15 +42,24 @@ def sticks_on_20():
     return pi
 
 
-def _experiment(num_seeds=256, num_episodes=4000, num_paths=128, path_episodes=50_000, rows=400):
-    def run(env, pi, weighting, seeds, episodes):
+def _experiment(
+    num_seeds=256, num_episodes=4000, num_paths=128, path_episodes=50_000, path_every=125, path_beginning=1000
+):
+    """The paths that are drawn run twice: their beginning in rows of one episode, and all of them in long ones."""
+
+    def run(env, pi, weighting, seeds, episodes, every=1):
         grid = {"pi": Table(pi), "weighting": weighting, "first_visit": True}
-        budget = {"num_seeds": seeds, "num_episodes": episodes, "log_every": episodes // rows}
+        budget = {"num_seeds": seeds, "num_episodes": episodes, "log_every": every}
         return swept(env, METHOD, grid, **budget, record=partial(_estimate, env.start_state))
 
+    loop = {
+        "beginning": (min(PATHS, num_paths), path_beginning, 1),
+        "loop": (num_paths, path_episodes, path_every),
+    }
     hand = {w: run(HAND, sticks_on_20(), w, num_seeds, num_episodes) for w in WEIGHTINGS}
-    loop = {f"loop-{w}": run(LOOP, LEFT, w, num_paths, path_episodes) for w in WEIGHTINGS}
-    return hand | loop
+    return hand | {
+        f"{name}-{w}": run(LOOP, LEFT, w, *budget) for name, budget in loop.items() for w in WEIGHTINGS
+    }
 
 
 def _estimate(state, learner):
@@ -99,35 +108,58 @@ def _farthest(datasets):
     return abs(datasets["loop-weighted"].estimate.isel(row=-1).values - 1).max()
 
 
+def _paths(datasets, weighting):
+    """The estimates of the runs that are drawn, by the number of episodes, [episodes, seed]."""
+    import xarray as xr
+
+    def of(name):
+        ds = datasets[f"{name}-{weighting}"]
+        return ds.estimate.assign_coords(row=_episodes(ds)).rename(row="episodes")
+
+    beginning, all_of_it = of("beginning"), of("loop")
+    later = all_of_it.sel(episodes=all_of_it.episodes > beginning.episodes[-1], seed=beginning.seed)
+    return xr.concat([beginning, later], "episodes").transpose("episodes", "seed")
+
+
 def _draw(datasets):
     from jaxrl_tab import plot
 
-    canvas = plot.canvas(13, 5)
+    canvas = plot.canvas(plot.WIDTH, 4)
     left, right = canvas.subplots(1, 2)
     for weighting, color in zip(WEIGHTINGS, plot.COLORS, strict=False):
         ds = datasets[weighting]
-        plot.mean_curve(left, _episodes(ds), _squared_error(ds), f"{weighting} importance sampling", color)
+        plot.mean_curve(left, _episodes(ds), _squared_error(ds), weighting, color)
     ordinary = datasets["ordinary"]
     episodes, seeds = _episodes(ordinary).values, ordinary.sizes["seed"]
     exact = variance().ordinary
     left.plot(
-        episodes, exact / episodes, color=plot.INK, ls="--", lw=1.2, label=f"exact: {exact:.4f} / episodes"
+        episodes,
+        exact / episodes,
+        color=plot.INK,
+        ls="--",
+        lw=1.2,
+        label=f"exact, ordinary: {exact:.2f} / episodes",
     )
     plot.tidy(left, "episodes", "mean squared error")
     left.set(xscale="log", yscale="log")
-    left.set_title(f"blackjack, 13 with a usable ace against 2: {seeds} seeds, 95% interval")
-    left.legend(loc="upper right", frameon=False)
+    left.set_title(
+        f"Blackjack, 13 with a usable ace against 2\nmean and 95% interval over {seeds} seeds",
+        fontsize=plot.TYPE,
+    )
+    plot.legend(left, loc="lower left")
 
     for weighting, color in zip(WEIGHTINGS, plot.COLORS, strict=False):
-        ds = datasets[f"loop-{weighting}"]
-        paths = ds.estimate.isel(seed=slice(PATHS)).transpose("row", "seed")
-        lines = right.plot(_episodes(ds), paths, color=color, lw=1)
+        paths = _paths(datasets, weighting)
+        width = {"ordinary": 0.8, "weighted": 2.2}[weighting]  # these are soon at 1, all of them, and stay
+        lines = right.plot(paths.episodes, paths, color=color, lw=width)
         lines[0].set_label(f"{weighting}, {paths.sizes['seed']} runs")
-    right.axhline(1, color=plot.INK, ls="--", lw=1.2, label="v = 1")
+    right.axhline(1, color=plot.INK, ls="--", lw=1, label="exact: 1", zorder=3)
     plot.tidy(right, "episodes", "estimate of v")
-    right.set(xscale="log", ylim=(0, 2))
-    right.set_title("infinite-variance: always left, learned from going either way")
-    right.legend(loc="upper right", frameon=False)
+    right.set(xscale="log", xlim=(1, None), ylim=(0, 3))
+    right.set_title(
+        "Infinite variance: the value of left for ever,\nlearned from going either way", fontsize=plot.TYPE
+    )
+    plot.legend(right, loc="upper left", bbox_to_anchor=(0, -0.2), borderaxespad=0)
     return canvas
 
 
@@ -135,7 +167,14 @@ FIGURE = Figure(
     title="Ordinary and weighted importance sampling",
     source="Sutton and Barto 2018, figures 5.3 and 5.4",
     experiment=_experiment,
-    small={"num_seeds": 2, "num_episodes": 20, "num_paths": 2, "path_episodes": 20, "rows": 2},
+    small={
+        "num_seeds": 2,
+        "num_episodes": 20,
+        "num_paths": 2,
+        "path_episodes": 20,
+        "path_every": 10,
+        "path_beginning": 10,
+    },
     numbers=(
         # By enumeration; what has no exact value from a plain loop, 30 000 runs of the hand and 12 000 of the
         # loop.

@@ -39,7 +39,7 @@ def _late_reward(name):
 def _draw(datasets):
     from jaxrl_tab import plot
 
-    canvas = plot.canvas(12, 4.8)
+    canvas = plot.canvas(plot.WIDTH, 3.5)
     axes = canvas.subplots(1, 2, sharey=True)
     best = KArmedTestbed().expected_best_mean()
     colors = dict(zip(SETTINGS, plot.COLORS, strict=False))
@@ -48,14 +48,13 @@ def _draw(datasets):
             ds = datasets[name]
             plays = ds.steps.isel(seed=0).cumsum("row")
             plot.mean_curve(ax, plays, ds.rewards / ds.steps, name, colors[name], lw=1.5)
-        ax.axhline(best, color=plot.INK, ls="--", lw=1.2, label=f"the best arm: {best:.4f}")
-        plot.tidy(ax, "plays", "mean reward")
-        ax.set(xlim=(0, None), ylim=(-0.1, 1.65), title=title)
-        ax.legend(loc="lower right", frameon=False)
+        ax.axhline(best, color=plot.INK, ls="--", lw=1.2, label=f"the best arm: {best:.2f}")
+        plot.tidy(ax, "plays", "mean reward" if ax is axes[0] else "")
+        ax.set(xlim=(0, None), ylim=(-0.1, 1.65))
+        ax.set_title(title, fontsize=plot.TYPE)
+        plot.legend(ax, loc="lower right")
     problems = datasets[GREEDY].sizes["seed"]
-    canvas.suptitle(
-        f"k-armed-testbed: mean and 95% interval over {problems} problems", fontsize=plot.TITLE + 1
-    )
+    plot.head(canvas, f"Ten-armed testbed: mean and 95% interval over {problems} problems")
     return canvas
 
 

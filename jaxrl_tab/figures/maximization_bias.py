@@ -1,20 +1,14 @@
 """Maximisation bias: Q-learning against Double Q-learning (book, example 6.7 and figure 6.5)."""
 
-import jax
-import jax.numpy as jnp
-
 from jaxrl_tab.envs import MaximizationBias
 from jaxrl_tab.figures.figure import Figure, Number, swept
-from jaxrl_tab.policies import EpsilonGreedy
 
 ALPHA, EPSILON = 0.1, 0.1
 METHODS = ("q-learning", "double-q-learning")
 
 
 def _experiment(num_seeds=4000, num_episodes=300):
-    env = MaximizationBias()
-    available = jax.vmap(env.available)(jnp.arange(env.num_states))
-    grid = {"alpha": ALPHA, "behaviour": EpsilonGreedy(EPSILON, available)}
+    env, grid = MaximizationBias(), {"alpha": ALPHA, "epsilon": EPSILON}
     return {
         method: swept(env, method, grid, num_seeds=num_seeds, num_episodes=num_episodes) for method in METHODS
     }
@@ -31,22 +25,21 @@ def _share(method, first, last=None):
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab import describe, plot
 
-    canvas = plot.canvas(7.5, 5)
+    canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
-        plot.mean_curve(ax, ds.row + 1, 100 * _left(ds), method, color)
+        plot.mean_curve(ax, ds.row + 1, 100 * _left(ds), describe.title(method), color)
     least = 100 * EPSILON / 2
     ax.axhline(least, color=plot.INK, ls="--", lw=1.2, label=f"optimal but for exploration: {least:g}%")
     plot.tidy(ax, "episodes", "% of runs that go left from A")
     ax.set(ylim=(0, 100), xlim=(0, None))
     seeds = datasets[METHODS[0]].sizes["seed"]
-    ax.set_title(
-        f"maximization-bias, α = {ALPHA}, ε = {EPSILON}: mean and 95% interval over {seeds} seeds",
-        fontsize=plot.TITLE,
+    plot.head(
+        canvas, f"Maximization bias, α = {ALPHA}, ε = {EPSILON}\nmean and 95% interval over {seeds} seeds"
     )
-    ax.legend(loc="upper right", frameon=False)
+    plot.legend(ax, loc="upper right")
     return canvas
 
 

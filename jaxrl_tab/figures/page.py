@@ -7,7 +7,7 @@ from jaxrl_tab.html import render
 
 
 def page(checked: Mapping[str, tuple[Figure, Sequence[Check]]], version: str) -> str:
-    """An HTML page of the figures by their names, each with its checks; its picture is beside it, NAME.png.
+    """An HTML page of the figures by their names, each with its checks; its picture is beside it, NAME.png and .pdf.
 
     The page needs nothing else: no script, no font, no style sheet.
     """

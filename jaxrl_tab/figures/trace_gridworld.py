@@ -7,7 +7,7 @@ from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
 
 N, LAMBDA = 10, 0.9
 METHODS = {
-    "sarsa": ("one-step Sarsa", {}),
+    "sarsa": ("One-step Sarsa", {}),
     "n-step-sarsa": (f"{N}-step Sarsa", {"n": N}),
     "sarsa-lambda": (f"Sarsa(λ), λ = {LAMBDA}", {"lam": LAMBDA}),
 }
@@ -65,14 +65,18 @@ def _draw(datasets):
     arrived = _arrived(datasets)
     seed = arrived[path.lengths.values[arrived].argmin()]
     states = np.append(path.s[seed, : int(path.lengths[seed])], ENV.state(ENV.goal))
-    canvas = plot.canvas(15, 4.2)
-    left, *others = canvas.subplots(1, 1 + len(METHODS))
-    plot.walk(left, ENV, states, f"the path of the episode\n{len(states) - 1} steps")
+    canvas = plot.canvas(plot.WIDTH, 6.8)
+    first, *others = canvas.subplots(2, 2).ravel()
+    plot.walk(first, ENV, states, f"The path of the episode\n{len(states) - 1} steps")
     for ax, (method, (title, _)) in zip(others, METHODS.items(), strict=True):
         q = datasets[method].q.values[seed]
         count = int((q != 0).sum())
         plot.changes(ax, ENV, q, f"{title}\n{count} action value{'s' * (count != 1)} changed")
-    canvas.suptitle(f"trace-gridworld: one episode, the shortest of {path.sizes['seed']} first episodes")
+    plot.head(
+        canvas,
+        f"Trace gridworld: one episode, the shortest of {path.sizes['seed']} first episodes\n"
+        "an orange arrow: an action whose value changed, the fainter the less",
+    )
     return canvas
 
 

@@ -45,20 +45,20 @@ def _share(behaviour, plays):
 def _draw(datasets):
     from jaxrl_tab import plot
 
-    canvas = plot.canvas(7.5, 5)
+    canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()
     for (name, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
         plot.mean_curve(ax, _plays(ds), ds.right, name, color)
     exact = TwoDoors().lock_in_probability()
-    label = f"exact probability of lock-in: {exact:.4f}"
+    label = f"exact probability of lock-in: {exact:.3f}"
     ax.axhline(exact, color=plot.INK, ls="--", lw=1.2, label=label)
     plot.tidy(ax, "plays", "share of runs that prefer the worse door")
     ax.set_xscale("log")
     ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     ax.set_ylim(0, 1)
     seeds = datasets[GREEDY].sizes["seed"]
-    ax.set_title(f"two-doors, sample averages: mean and 95% interval over {seeds} seeds")
-    ax.legend(loc="upper right", frameon=False)
+    plot.head(canvas, f"Two doors, sample averages\nmean and 95% interval over {seeds} seeds")
+    plot.legend(ax, loc="upper right")
     return canvas
 
 

@@ -24,14 +24,16 @@ def _optimal_steps(moves):
 def _draw(datasets):
     from jaxrl_tab import plot
 
-    canvas = plot.canvas(12, 4.8)
+    canvas = plot.canvas(plot.WIDTH, 3.4)
     curve, grid = canvas.subplots(1, 2)
     plot.episodes_against_steps(curve, datasets)
-    seeds = datasets["sarsa"].sizes["seed"]
-    curve.set_title(f"α = {ALPHA}, ε = {EPSILON}: mean and 95% interval over {seeds} seeds")
     env = WindyGridworld()
     v, q = planning.value_iteration(env)
-    plot.greedy_path(grid, env, q, "an optimal policy", planning.start_value(env, v))
+    plot.greedy_path(grid, env, q, "An optimal policy", planning.start_value(env, v))
+    seeds = datasets["sarsa"].sizes["seed"]
+    plot.head(
+        canvas, f"Windy gridworld, α = {ALPHA}, ε = {EPSILON}\nmean and 95% interval over {seeds} seeds"
+    )
     return canvas
 
 

@@ -30,6 +30,8 @@ import numpy as np
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
+from jaxrl_tab import rng
+
 MOST = 16_384  # combinations of the draws of one call; a function that has more is left to its key
 DENOMINATOR = 1000  # of the fractions that float32 numbers are read as, at most
 # Calls that are read operation by operation, and where their operations are.
@@ -387,7 +389,7 @@ class Program:
         def flat(key, *leaves):
             return jax.tree.leaves(function(key, *jax.tree.unflatten(treedef, leaves)))
 
-        self._examples = [jax.eval_shape(lambda: jax.random.key(0)), *leaves]
+        self._examples = [jax.eval_shape(lambda: rng.key(0)), *leaves]
         self._closed = jax.make_jaxpr(flat)(*self._examples)
         left: set | None = set()
         while unclear := self._first_pass(left):

@@ -1,93 +1,174 @@
 """Gymnasium, both ways."""
 
+import copy
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
 import jax
 import numpy as np
-from gymnasium import spaces
+from gymnasium import spaces, wrappers
 from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 
-from jaxrl_tab import planning
+from jaxrl_tab import planning, rng
 from jaxrl_tab.envs import ENVS, FiniteMDP
 from jaxrl_tab.envs.base import MAX_STEPS
 from jaxrl_tab.types import Environment, FiniteEnvironment, InputError, check_pytree, shown
+
+# Wrappers that change no reward, action, observation, end or dynamics of an episode, by their exact class.
+HARMLESS = (
+    wrappers.OrderEnforcing,
+    wrappers.PassiveEnvChecker,
+    wrappers.RecordEpisodeStatistics,
+    wrappers.HumanRendering,
+    wrappers.RecordVideo,
+    wrappers.RenderCollection,
+    wrappers.AddWhiteNoise,  # of pictures, as the next
+    wrappers.ObstructView,
+)
+TRIED = 1000  # steps in which a table is compared with what an environment does
 
 
 def from_gymnasium(env: Any, **parameters: Any) -> FiniteMDP:
     """An environment of Gymnasium that has a table `P` of what may happen, such as Taxi-v4, as a finite MDP.
 
-    States keep their numbers. Outcomes that are equal are added up. A state is terminal where an outcome
-    says so (what `P` says of leaving it is not looked at); one that is entered both ways gets a second
-    number for it, after all others. In states that cannot be reached from the start, what leads to a
-    terminal state ends the episode.
+    States and actions keep their numbers. Terminal states go by the flags of the table, as in
+    `FiniteMDP.from_outcomes`, which takes a table by itself, whatever is around it. The time limit is that of
+    the wrapper `TimeLimit`. Other wrappers are refused, unless they are known to change nothing. An environment
+    that is not of Gymnasium itself is tried for 1000 random steps: what it does must be in its table.
 
     Args:
         env: the name of a registered environment, or an environment, wrapped or not.
         parameters: what the environment is made with: `from_gymnasium("FrozenLake-v1", is_slippery=False)`.
 
     Raises:
-        InputError: the name or a parameter is wrong, or the environment has no table, or one that is wrong.
+        InputError: the name or a parameter is wrong; the environment has no table, or one that is wrong; or what
+            it does is not what the table says.
     """
-    if isinstance(env, str):
+    if isinstance(env, str | EnvSpec):
         env = _make(env, parameters)
     elif parameters:
         raise InputError(f"{', '.join(parameters)}: parameters go with the name of an environment")
+    if isinstance(env, gymnasium.vector.VectorEnv):
+        raise InputError("env is a vector of environments, and one is wanted: give its name, or env.envs[0]")
     if not isinstance(env, gymnasium.Env):
-        raise InputError(f"env must be the name of an environment of Gymnasium, or one, not {shown(env)}")
+        hint = "; FiniteMDP.from_outcomes takes a table by itself" if isinstance(env, Mapping) else ""
+        raise InputError(
+            f"env must be the name of an environment of Gymnasium, or one, not {shown(env)}{hint}"
+        )
     inner = env.unwrapped
     name = env.spec.id if env.spec else type(inner).__name__
+    limit = _limit(name, env)
     table, start = (getattr(inner, x, None) for x in ("P", "initial_state_distrib"))
     if table is None or start is None:
         raise InputError(
-            f"{name} has no table of its outcomes (`P` and `initial_state_distrib`), so only an environment "
-            "such as FrozenLake-v1, Taxi-v4 or CliffWalking-v1 can be imported"
+            f"{name} has no table of its outcomes (`P` and `initial_state_distrib`); {_instead(inner)}"
         )
     if getattr(inner, "fickle_passenger", False):
         raise InputError(
             f"{name}: the moods of a fickle passenger are not in its table; leave fickle_passenger"
         )
-    limit = env.spec.max_episode_steps if env.spec else None
-    outcomes, terminal = _outcomes(table, np.asarray(start, float))
-    start = np.append(start, np.zeros(len(outcomes) - len(start)))
-    return FiniteMDP.from_outcomes(outcomes, terminal, start, limit or MAX_STEPS)
+    mdp = FiniteMDP.from_outcomes(table, (), start, limit)
+    _check_spaces(name, inner, len(table), mdp.num_actions)
+    _check_steps(name, inner, limit)
+    return mdp
 
 
-def _make(name: str, parameters: Mapping[str, Any]) -> gymnasium.Env:
+def _make(name: str | EnvSpec, parameters: Mapping[str, Any]) -> gymnasium.Env:
     try:
         return gymnasium.make(name, **parameters)
     except gymnasium.error.Error as error:
         raise InputError(f"gymnasium: {' '.join(str(error).split())}") from None
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: {error}") from None
+    except Exception as error:  # whatever its constructor makes of them
+        raise InputError(
+            f"{getattr(name, 'id', name)}: {' '.join(str(error).split()) or type(error).__name__}"
+        ) from None
 
 
-def _outcomes(
-    table: Mapping[int, Mapping[int, list]], start: np.ndarray
-) -> tuple[list[list[list[tuple[float, int, float]]]], list[int]]:
-    """The outcomes [S][A] in Gymnasium's `table`, and the terminal states."""
-    todo = list(map(int, np.flatnonzero(start)))
-    ends: set[int] = set()
-    goes_on = set(todo)
-    while todo:
-        for p, s_next, _, done in (x for listed in table[todo.pop()].values() for x in listed):
-            if p > 0 and done:
-                ends.add(int(s_next))
-            elif p > 0 and s_next not in goes_on:
-                goes_on.add(int(s_next))
-                todo.append(int(s_next))
-    second = {s: len(table) + i for i, s in enumerate(sorted(ends & goes_on))}
+def _limit(name: str, env: gymnasium.Env) -> int:
+    """The time limit of episodes. Raises InputError where a wrapper is not known to change nothing."""
+    inner, limits = env.unwrapped, []
+    while isinstance(env, gymnasium.Wrapper):
+        if type(env) is wrappers.TimeLimit:
+            limits.append(env._max_episode_steps)
+        elif type(env) not in HARMLESS:
+            raise InputError(
+                f"{name}: the table `P` does not know what the wrapper {type(env).__name__} changes; "
+                "import env.unwrapped, which is the environment without it"
+            )
+        env = env.env
+    if isinstance(inner, Tabular):
+        limits.append(inner.env.max_steps)
+    if not limits and inner.spec and inner.spec.max_episode_steps:
+        limits.append(inner.spec.max_episode_steps)
+    return min(limits, default=MAX_STEPS)
 
-    def entered(s_next: int, done: bool = True) -> int:
-        return second.get(int(s_next), int(s_next)) if done else int(s_next)
 
-    outcomes = [
-        [[(p, entered(s_next, done), r) for p, s_next, r, done in listed] for listed in actions.values()]
-        for _, actions in sorted(table.items())
-    ]
-    blank = [[] for _ in outcomes[0]]
-    return outcomes + [blank] * len(second), [entered(s) for s in ends]
+def _instead(inner: gymnasium.Env) -> str:
+    """What to do about an environment that has no table."""
+    if isinstance(inner, BlackjackEnv):
+        return (
+            'rl.make("blackjack", rules="gymnasium") is that game with sab=False, and has one; '
+            'with sab=True, which is the default of Blackjack-v1, it is rules="gymnasium-sab"'
+        )
+    return "only an environment such as FrozenLake-v1, Taxi-v4 or CliffWalking-v1 can be imported"
+
+
+def _check_spaces(name: str, inner: gymnasium.Env, num_states: int, num_actions: int) -> None:
+    """Raises InputError unless the spaces of `inner`, where it has some, are as large as its table."""
+    for what, size in (("observation", num_states), ("action", num_actions)):
+        space = getattr(inner, f"{what}_space", None)
+        if space is not None and not (
+            isinstance(space, spaces.Discrete) and (space.start, space.n) == (0, size)
+        ):
+            raise InputError(f"{name}: its table has {size} {what}s, and its {what}_space is {shown(space)}")
+
+
+def _check_steps(name: str, inner: gymnasium.Env, limit: int) -> None:
+    """Raises InputError where some steps of `inner` do what is not in its table.
+
+    Environments of Gymnasium itself, and of ours, draw their steps from the table; one that has no `step` has
+    nothing to compare.
+    """
+    draws = type(inner).__module__.startswith("gymnasium.envs.toy_text.") or type(inner) is Tabular
+    if draws or type(inner).step is gymnasium.Env.step:
+        return
+    hint = (
+        "FiniteMDP.from_outcomes takes env.unwrapped.P alone, with start=env.unwrapped.initial_state_distrib"
+    )
+    try:
+        wrong = _wrong_step(inner, limit)
+    except Exception as error:
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"{name}: its steps could not be compared with its table ({said}); {hint}") from None
+    if wrong:
+        raise InputError(f"{name}: {wrong}, which its table P does not have; {hint}")
+
+
+def _wrong_step(inner: Any, limit: int) -> str:
+    """What a copy of `inner` does in TRIED random steps that its table does not have, or ""."""
+    env, choose = copy.deepcopy(inner), np.random.default_rng(0)
+    env.render_mode = None
+    s, count = int(env.reset(seed=0)[0]), 0
+    for _ in range(TRIED):
+        if count == 0 and not env.initial_state_distrib[s] > 0:
+            return f"an episode starts in state {s}"
+        a = int(choose.integers(len(env.P[s])))
+        s_next, reward, terminated, truncated, _ = env.step(a)
+        s_next, reward, count = int(s_next), float(reward), count + 1
+        if not any(
+            p > 0 and to == s_next and done == terminated and math.isclose(r, reward, rel_tol=1e-6)
+            for p, to, r, done in env.P[s][a]
+        ):
+            ending = ", terminated" if terminated else ""
+            return f"action {a} in state {s} was followed by state {s_next} with reward {reward:g}{ending}"
+        if truncated and not terminated and count < limit:
+            return f"an episode was truncated after {count} steps"
+        ended = terminated or truncated
+        s, count = (int(env.reset()[0]), 0) if ended else (s_next, count)
+    return ""
 
 
 class Tabular(gymnasium.Env):
@@ -129,7 +210,7 @@ class Tabular(gymnasium.Env):
         return self._s, float(outcome.reward), terminated, truncated, {}
 
     def _key(self) -> jax.Array:
-        return jax.random.key(self.np_random.integers(2**32))
+        return rng.key(int(self.np_random.integers(2**32)))
 
 
 def _table(env: FiniteEnvironment) -> tuple[dict[int, dict[int, list]], np.ndarray]:

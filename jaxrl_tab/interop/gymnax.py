@@ -11,9 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from gymnax.environments import environment, spaces
+from gymnax.wrappers import LegacyStepAPIWrapper, LogWrapper
 from jaxtyping import Array, Bool, Int, Key
 
+from jaxrl_tab import rng
 from jaxrl_tab.envs import ENVS, FiniteMDP
+from jaxrl_tab.envs.base import numbers
 from jaxrl_tab.interop import draws
 from jaxrl_tab.types import (
     Environment,
@@ -30,6 +33,8 @@ from jaxrl_tab.types import (
 MAX_STATES = (
     20_000  # of an imported task: with many more a table is no way to learn, and finding them is slow
 )
+# Wrappers that change no reward, action, observation, end or dynamics, by their exact class.
+HARMLESS = (LogWrapper, LegacyStepAPIWrapper)
 LANES = 16_384  # transitions that are worked out at once
 KEYS = 64  # tried for each state and action where draws cannot be enumerated
 
@@ -107,6 +112,7 @@ def _named(state: Any) -> dict[str, Any]:
     return {jax.tree_util.keystr(path)[1:]: x for path, x in jax.tree.leaves_with_path(state)}
 
 
+@jax.threefry_partitionable(True)  # what is drawn to find the states is the same whatever JAX is set to
 def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGymnax | SampledGymnax:
     """An environment of gymnax as a finite task: all states that can be reached, and what may happen in them.
 
@@ -127,8 +133,9 @@ def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGy
         parameters: what the environment is made with: `from_gymnax("DeepSea-bsuite", size=10)`.
 
     Raises:
-        InputError: the name or a parameter is wrong; actions are not discrete; what is observed does not tell
-            the state; there are more than 20,000 states; or a time limit of its own ends episodes.
+        InputError: the name or a parameter is wrong; a wrapper, or a `step` of its own, changes what is not
+            known; actions are not discrete; what is observed does not tell the state, or is no number; there are
+            more than 20,000 states; or a time limit of its own ends episodes.
     """
     env, params = _made(env, params, parameters)
     task = _Task(env, params)
@@ -170,20 +177,51 @@ def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environ
         given = tuple(sorted(parameters.items()))
         try:
             env = _make(env, given) if _is_hashable(given) else _make.__wrapped__(env, given)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{env}: {error}") from None
+        except Exception as error:  # whatever its constructor makes of them
+            raise InputError(f"{env}: {' '.join(str(error).split()) or type(error).__name__}") from None
     elif parameters:
         raise InputError(f"{', '.join(parameters)}: parameters go with the name of an environment")
+    while type(env) in HARMLESS:
+        env = env._env
+    if hasattr(env, "_env") and not isinstance(env, environment.Environment):
+        raise InputError(
+            f"what the wrapper {type(env).__name__} changes would be lost; import the environment that it wraps, "
+            "env._env"
+        )
     if not isinstance(env, environment.Environment):
         raise InputError(f"env must be the name of an environment of gymnax, or one itself, not {shown(env)}")
-    if params is not None and not isinstance(params, Mapping):
-        return env, params
-    default, given = env.default_params, dict(params or {})
+    for method in ("step", "reset"):
+        owner = next(cls for cls in type(env).__mro__ if method in vars(cls))
+        if not owner.__module__.startswith("gymnax."):
+            raise InputError(
+                f"{env.name}: its own `{method}` would be lost, for what is imported is `{method}_env`; "
+                f"write there what {owner.__name__} changes"
+            )
+    return env, _params(env, params)
+
+
+def _params(env: environment.Environment, given: Any) -> Any:
+    """The parameters `given` for `env`: its own, or a mapping of those that differ from the default ones."""
+    default = env.default_params
     known = [field.name for field in dataclasses.fields(default)]
-    for field in given:
+    if isinstance(given, type(default)):
+        changed: dict[Any, Any] = {field: getattr(given, field) for field in known}
+    elif given is None or isinstance(given, Mapping):
+        changed = dict(given or {})
+    else:
+        raise InputError(
+            f"{env.name}: params must be those of this environment, or a dict of what differs from "
+            f"env.default_params, not {shown(given)}"
+        )
+    for field, value in changed.items():
         if field not in known:
-            raise InputError(f"{env.name} has no parameter {field!r}; {nearest(field, known)}")
-    return env, dataclasses.replace(default, **given)
+            raise InputError(f"{env.name} has no parameter {field!r}; {nearest(str(field), known)}")
+        number = numbers(env.name, field, value)
+        if number.shape != np.shape(getattr(default, field)) or not np.isfinite(number).all():
+            raise InputError(
+                f"{env.name}: {field} must be a finite number, as by default, not {shown(value)}"
+            )
+    return dataclasses.replace(default, **changed)
 
 
 @functools.lru_cache(maxsize=64)
@@ -222,7 +260,8 @@ class _Task:
                 f"{self.name}: its own rule when to truncate is not understood, but max_steps_in_episode"
             )
         self.num_actions = int(space.n)
-        self.max_steps = whole(self.name, "max_steps_in_episode", int(params.max_steps_in_episode))
+        limit = float(params.max_steps_in_episode)  # some environments have it as a float
+        self.max_steps = whole(self.name, "max_steps_in_episode", int(limit) if limit.is_integer() else limit)
 
         def reset(key):
             observation, state = env.reset_env(key, params)
@@ -232,7 +271,7 @@ class _Task:
             observation, state, reward, terminal, _ = env.step_env(key, state, action, params)
             return state, reward, jnp.asarray(terminal, bool), observation
 
-        first, observation = jax.tree.map(jnp.asarray, reset(jax.random.key(0)))
+        first, observation = jax.tree.map(jnp.asarray, reset(rng.key(0)))
         self.names = list(_named(first))
         if "time" not in self.names:
             raise InputError(f"{self.name}: its state has no field `time`, which counts the steps")
@@ -336,6 +375,8 @@ class _States:
         state, observation, terminal = jax.tree.map(
             lambda x: x[possible], (seen.state, observation, terminal)
         )
+        if any(np.isnan(x).any() for x in [*state, *observation] if np.issubdtype(x.dtype, np.floating)):
+            raise InputError(f"{self.task.name}: a state, or what is observed in it, is not a number (NaN)")
         states, looks = _bytes([*state, terminal]), _bytes(observation)
         both = np.concatenate([states, looks], axis=1)
         _, index, inverse = np.unique(both, axis=0, return_index=True, return_inverse=True)
@@ -406,7 +447,7 @@ def _check_countable(task: _Task, seen: _Seen) -> None:
 
 def _explore(task: _Task, found: _States) -> tuple[dict[int, float], list[Any]]:
     """Finds all states, breadth first. Returns the probabilities of start states, and outcomes [S][A]."""
-    keys = jax.random.split(jax.random.key(0), 1 if task.states_are_exact else KEYS)
+    keys = jax.random.split(rng.key(0), 1 if task.states_are_exact else KEYS)
     seen = task.beginnings(keys)
     _check_countable(task, seen)
     numbers = found.add(seen, seen.observation, np.zeros(seen.prob.shape, bool))

@@ -1,0 +1,67 @@
+"""For the test of second starts: a sweep of each kind, with programs that are kept.
+
+    python starts.py FILE
+
+writes what they gave to FILE, and prints how many programs were traced.
+"""
+
+import sys
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxrl_tab as rl
+from jaxrl_tab import batch, interop, policies, programs
+
+STEPS = {"num_seeds": 3, "num_steps": 40, "log_every": 20}
+
+
+def sweeps() -> dict[str, rl.SweepResult]:
+    """A sweep of each kind of program."""
+    walk, windy = rl.make("random-walk"), rl.make("windy-gridworld")
+    uneven = policies.Table(np.tile([0.1, 0.2, 0.3, 0.4], (windy.num_states, 1)))
+    lake = interop.from_gymnasium("FrozenLake-v1")
+    return {
+        "control": rl.sweep(walk, "sarsa", {"alpha": [0.25, 0.5]}, **STEPS),
+        "prediction": rl.sweep(walk, "td", **STEPS),
+        "exact": rl.sweep(walk, "q-learning", exact=True, **STEPS),
+        "episodes": rl.sweep(walk, "q-learning", num_seeds=3, num_episodes=3),
+        "policies": rl.sweep(windy, "q-learning", {"behaviour": uneven}, **STEPS),
+        "imported": rl.sweep(lake, "q-learning", **STEPS),
+        "record": rl.sweep(walk, "q-learning", record=lambda state: {"largest": state.q.max()}, **STEPS),
+    }
+
+
+def linear_algebra() -> dict[str, np.ndarray]:
+    """What JAX leaves to LAPACK, in one program."""
+    matrix = jnp.array([[4.0, 1, 0], [1, 3, 1], [0, 1, 2]])
+
+    def all_of_it(x):
+        linalg = jnp.linalg
+        named = linalg.cholesky(x), linalg.solve(x, x[0]), linalg.qr(x), linalg.eigh(x)
+        return *named, linalg.svd(x), linalg.eig(x), jax.scipy.linalg.schur(x)
+
+    program = programs.kept(
+        "linear algebra",
+        lambda _: jax.jit(all_of_it).lower(matrix).compile(),
+        pack=batch._pack,
+        unpack=partial(batch._unpack, devices=jax.devices()[:1]),
+    )
+    return {f"linear algebra {i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(program(matrix)))}
+
+
+def everything() -> dict[str, np.ndarray]:
+    """The arrays of all, by name."""
+    results = {name: (x.q, x.log, x.optimal_value) for name, x in sweeps().items()}
+    leaves = jax.tree.leaves_with_path(results)
+    return {jax.tree_util.keystr(path): np.asarray(x) for path, x in leaves} | linear_algebra()
+
+
+if __name__ == "__main__":
+    sys.modules["jaxrl_tab.train"].CHUNKS = ()  # a third to compile, as the fixture `step_by_step`
+    batch.use_all_cores()
+    programs.keep()
+    np.savez(sys.argv[1], **everything())
+    print(batch._traced.cache_info().misses)
