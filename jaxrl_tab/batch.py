@@ -37,7 +37,7 @@ from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
 from jaxrl_tab import memory, planning, programs, provenance
-from jaxrl_tab.train import Record, bytes_of_words, default_log_every, train
+from jaxrl_tab.train import Record, bytes_of_words, default_log_every, in_full, unchecked
 from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, InputError, RunError
 
 LANES = 64
@@ -146,7 +146,7 @@ def plan(
         InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
     """
     devices = tuple(devices or jax.local_devices())
-    needs = [_needs(budget, _signature((root, np.uint32(0), x, env))) for x in algorithms]
+    needs = [_needs(budget, _signature(_given(budget, root, np.uint32(0), x, env))) for x in algorithms]
     results = needs[0].results
     if any(other.results != results for other in needs):
         raise InputError("what record gives must be of the same shape in all runs")
@@ -179,7 +179,7 @@ def plan(
 
 def gives(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Any:
     """The shapes of what a run gives: its table, and its Log. Nothing is compiled."""
-    return _needs(budget, _signature((root, np.uint32(0), algorithm, env))).results
+    return _needs(budget, _signature(_given(budget, root, np.uint32(0), algorithm, env))).results
 
 
 def forecast(
@@ -193,7 +193,7 @@ def forecast(
 ) -> Forecast:
     """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
     devices = tuple(devices or jax.local_devices())
-    one = _needs(budget, _signature((root, np.uint32(0), algorithm, env)))
+    one = _needs(budget, _signature(_given(budget, root, np.uint32(0), algorithm, env)))
     room = memory.free(devices) // 2 if limit is None else limit
     lanes, most = _width(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
     blocks = -(-runs // lanes)
@@ -244,10 +244,12 @@ def run(
     def arguments(first: int, blocks: int) -> tuple:
         """For each device `blocks` blocks, from run `first` on: [devices, most, lanes]. Copies fill it up."""
         run = first + np.arange(len(devices) * blocks * lanes).reshape(len(devices), blocks, lanes)
-        return root, *of(run[:, np.minimum(np.arange(most), blocks - 1)]), env
+        seed, algorithm = of(run[:, np.minimum(np.arange(most), blocks - 1)])
+        return _given(budget, root, seed, algorithm, env)
 
     begun = time.perf_counter()
-    call = _needs(budget, _signature((root, *of(np.array(0)), env))).call
+    one_seed, one_algorithm = of(np.array(0))
+    call = _needs(budget, _signature(_given(budget, root, one_seed, one_algorithm, env))).call
     lanes, most = _width(call, len(runs), room, devices)
     program = _compiled(devices, budget, _signature(arguments(0, 1)))
     compiled = time.perf_counter()
@@ -326,6 +328,12 @@ def _smaller(call: memory.Call, lanes: int, most: int, devices: Sequence[Any]) -
     return smaller
 
 
+def _given(budget: Budget, root: Any, seed: Any, algorithm: Any, env: Any) -> tuple:
+    """The arguments of a program; for exact values with the numbers of method and environment in full."""
+    full = in_full if budget.exact else lambda _: None
+    return root, seed, (algorithm, full(algorithm)), (env, full(env))
+
+
 class _Signature(NamedTuple):
     """What, beside the budget, makes a program another one.
 
@@ -370,12 +378,13 @@ class _Needs(NamedTuple):
 def _needs(budget: Budget, signature: _Signature) -> _Needs:
     def make(_: str) -> _Needs:
         traced = _traced(budget, signature)
-        root, seed, algorithm, env = signature.arguments
+        root, seed, algorithm, given_env = signature.arguments
+        env, _ = given_env
         results, _ = traced.out_info
         # The table once, where it is in the state.
         carried = {id(x): x.aval for x in traced.jaxpr.jaxpr.outvars}
         call = memory.Call(
-            shared=memory.size((root, env)) + _tables(env),
+            shared=memory.size((root, given_env)) + _tables(env),
             kept=memory.size((seed, algorithm, results)),
             working=_working(env, budget, memory.size(carried)),
         )
@@ -387,10 +396,13 @@ def _needs(budget: Budget, signature: _Signature) -> _Needs:
 
 @functools.lru_cache(maxsize=64)
 def _traced(budget: Budget, signature: _Signature) -> Any:
-    """One run, traced: (root, seed, algorithm, env) -> ((table, Log), state of the learner)."""
+    """One run, traced: what `_given` gives -> ((table, Log), state of the learner)."""
 
-    def one(root, seed, algorithm, env):
-        state, log = train(jax.random.fold_in(root, seed), algorithm, env, **budget._asdict())
+    def one(root, seed, given_algorithm, given_env):
+        (algorithm, exact_algorithm), (env, exact_env) = given_algorithm, given_env
+        full = (exact_algorithm, exact_env) if budget.exact else None
+        length = budget.num_steps, budget.num_episodes, budget.log_every
+        state, log = unchecked(jax.random.fold_in(root, seed), algorithm, env, full, *length, budget.record)
         return (state.q, log), state
 
     return jax.jit(one).trace(*signature.arguments)
@@ -411,14 +423,15 @@ def _working(env: Environment, budget: Budget, carried: int) -> int:
     carried += bytes_of_words(budget.num_steps, budget.log_every)
     if not budget.exact:
         return carried
-    # Q*, and what is solved: a matrix [S, S], with the weights of all outcomes twice.
-    weight = jax.eval_shape(planning.enumerate_model, env).prob
-    optimal = weight.dtype.itemsize * env.num_states * env.num_actions
-    system = weight.dtype.itemsize * env.num_states**2 + 2 * memory.size(weight)
+    # In float64: the matrix [S, S] that is solved, the weights of all outcomes four times, and three tables.
+    with planning.doubled():
+        weight = jax.eval_shape(planning.enumerate_model, env).prob
+    table = weight.dtype.itemsize * env.num_states * env.num_actions
+    matrix = weight.dtype.itemsize * env.num_states**2
     log_every = budget.log_every or default_log_every(budget.num_steps)
     if budget.num_steps and budget.num_steps % log_every:  # a last, shorter row has its own
-        system *= 2
-    return carried + optimal + system
+        matrix *= 2
+    return carried + matrix + 4 * memory.size(weight) + 3 * table
 
 
 @functools.lru_cache(maxsize=64)

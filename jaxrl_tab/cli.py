@@ -352,20 +352,26 @@ def _solve(argv: list[str]) -> int:
     return 0
 
 
+MANY_STATES = 500  # the rows of a table that people look through, at most
+
+
 def _pictures(env: Any, v: np.ndarray, q: np.ndarray) -> list[Table]:
     """Values and best actions: where people see the states in tables in their places, else as a list."""
     model = planning.exact_model(env)
     visited, terminal = planning.reachable(model), planning.terminal_states(model)
     between = "" if isinstance(env, Grid) else " "
-    best = [between.join(env.action_names[a] for a in _best_actions(row)) for row in q]
-    if not env.panels():
+    best = lambda s: between.join(env.action_names[a] for a in _best_actions(q[s]))
+    if not env.panels() or env.num_states > MANY_STATES:
         choice = env.num_actions > 1
         table = Table("state", "value", *(["best actions"] if choice else []))
-        for s in np.flatnonzero(visited & ~terminal):
-            table.add_row(str(s), six_digits(v[s]), *([best[s]] if choice else []))
+        listed = np.flatnonzero(visited & ~terminal)
+        for s in listed[:MANY_STATES]:
+            table.add_row(str(s), six_digits(float(v[s])), *([best(s)] if choice else []))
+        if (more := len(listed) - MANY_STATES) > 0:
+            table.caption = f"and {more} more states: --json prints them all"
         return [table]
     marks = {env.start_state: "[bold reverse]S[/] "} if isinstance(env, Grid) else {}
-    cells = [f"{_short(v[s])}\n{marks.get(s, '')}[cyan]{best[s]}[/]" for s in range(env.num_states)]
+    cells = [f"{_short(v[s])}\n{marks.get(s, '')}[cyan]{best(s)}[/]" for s in range(env.num_states)]
     for s in np.flatnonzero(terminal | ~visited):
         cells[s] = ""
     if isinstance(env, Grid):
@@ -393,7 +399,7 @@ def _panel(panel: Panel, cells: Sequence[str], wind: Any) -> Table:
 
 def _best_actions(q: np.ndarray) -> np.ndarray:
     """The actions whose values are maximal but for rounding, int [n], from values [A]."""
-    return np.flatnonzero(q >= q.max() - 1e-9 * max(1, abs(q.max())))
+    return np.flatnonzero(q >= q.max() - 1e-9 * abs(q[q > policies.UNAVAILABLE]).max())
 
 
 def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:

@@ -195,9 +195,9 @@ def _endless(model: Model, pi: Float[np.ndarray, "S A"], over: Bool[np.ndarray, 
 
 def _reaching(chain: Any, states: Bool[np.ndarray, " S"]) -> Bool[np.ndarray, " S"]:
     """The states from which a chain may come to these, bool [S], and these."""
-    while ((more := states | (chain @ states.astype(float) > 0)) != states).any():
-        states = more
-    return states
+    steps = chain.tocoo()
+    possible = steps.data > 0
+    return planning.spread(steps.col[possible], steps.row[possible], states)
 
 
 def _growing(chain: Any) -> Bool[np.ndarray, " S"]:

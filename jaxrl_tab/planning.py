@@ -4,7 +4,7 @@ The environment is enumerated once into a `Model` (every outcome of every action
 is sums over it (book, chapter 4). For people the model is float64 NumPy. Inside `train`, where the value of
 the greedy policy is asked for at every log row, it is JAX arrays, in float64 too (`doubled`), although the
 learner beside it is in float32. The formulas are written once, with operators that both understand; only
-loops (`_loop`), what leads where (`_reaching`) and linear systems (`_solve`) tell them apart.
+loops (`_loop`), what leads where (`_reaching`, `_home`) and linear systems (`_solve`) tell them apart.
 
 **Every state is judged by its own numbers.** A state in which rewards are a million million times larger
 changes no answer elsewhere, unless it can be reached from there. So linear systems are solved without
@@ -48,6 +48,7 @@ BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
 ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
 PATH_SWEEPS = 100  # of `largest_return`
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
+BLOCK, MAX_BLOCKS = 16, 6  # states that are taken out of a dense chain at once, and how many times
 
 Measure = Callable[[Float[Array, "S A"]], tuple[Float[Array, ""], Float[Array, ""]]]
 
@@ -449,6 +450,11 @@ def doubled() -> Iterator[None]:
         yield
 
 
+def has_double() -> bool:
+    """Whether float64 is what JAX makes of a number here, as within `doubled`."""
+    return jax.dtypes.canonicalize_dtype(float) == np.float64
+
+
 def _traced_model(env: Any) -> Model:
     """The Model of an environment inside a compiled program, of the states that matter.
 
@@ -495,6 +501,8 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         matters = ~terminal_states(model)
 
     def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        if q.shape != model.prob.shape[:2]:
+            raise InputError(f"exact values are those of one table [S, A]; this method has {list(q.shape)}")
         counts = matters[:, None] & (q > policies.UNAVAILABLE)
         # Said by itself: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
         sound = ~jnp.isnan(q).any()
@@ -650,9 +658,10 @@ class _Values(NamedTuple):
 
     Attributes:
         v: float [S]; -inf from states that may come to be caught.
-        size: how large the numbers are that each is added up from: |v(s)|, and the expected sum over all
-            later steps of the discounted |r| + |v|. The rounding error of v(s) is a few units in the last
-            place of that (the elimination keeps to what can be reached), [S].
+        size: how large the numbers are that each is added up from, so that the rounding error of v(s) is a
+            few units in the last place of that, [S]. What cannot be reached from s has no part in it. Sparse,
+            it is the expected sum over all steps from s on of the discounted |r| + |v|; dense, that of |r|,
+            times S (see `_solve_dense`).
         caught: where the value is not finite because the policy is caught, bool [S]; gamma below 1 catches
             nothing.
     """
@@ -666,30 +675,30 @@ def _policy_value(model: Model, probs: Float[Any, "S A"], gamma: Any) -> _Values
     where = _namespace(model).where
     settled, caught, doomed = _fate(model, probs)
     doomed = doomed & (gamma == 1)
+    # Terminal states are settled. What leads to a state that is left out is taken to end there.
+    v, size = _solve(model, probs, gamma, settled | doomed)
+    return _Values(where(doomed, -np.inf, v), where(doomed, 0, size), caught & (gamma == 1))
+
+
+def _solve(model: Model, probs: Any, gamma: Any, known: Bool[Any, " S"]) -> tuple[Any, Any]:
+    """The values of a policy where those of some states are known to be 0, and their `_Values.size`, [S]."""
     weight = probs[:, :, None] * model.prob
-    reward = (weight * model.reward).sum((1, 2))
-    earned = (weight * abs(model.reward)).sum((1, 2))
-    known = (settled | doomed)[model.s_next]  # terminal states are settled; without these it is regular
-    v, later = _solve(model, where(known, 0, gamma * weight), reward, earned)
-    size = where(doomed, 0, abs(v) + later)
-    return _Values(where(doomed, -np.inf, v), size, caught & (gamma == 1))
-
-
-def _solve(model: Model, weight: Float[Any, "S A K"], constant: Any, size: Any) -> tuple[Any, Any]:
-    """Solves v = constant + W v, and u = size + W (|v| + u), where W adds up the weights; [S] each.
-
-    Dense in JAX, sparse in NumPy. Neither exchanges rows: see the head of this module.
-    """
-    n = len(constant)
+    reward, earned = ((weight * r).sum((1, 2)) for r in (model.reward, abs(model.reward)))
+    where, over = _namespace(model).where, known[model.s_next]
+    onward, leaving = where(over, 0, gamma * weight), where(over, weight, (1 - gamma) * weight).sum((1, 2))
+    n = len(reward)
     if _namespace(model) is jnp:
         rows = np.arange(n)[:, None, None]
-        return _solve_dense(
-            jnp.zeros((n, n), weight.dtype).at[rows, model.s_next].add(weight), constant, size
-        )
-    chain = from_state_to_state(model, weight)
+        chain = jnp.zeros((n, n), weight.dtype).at[rows, model.s_next].add(onward)
+        v, size = _solve_dense(chain, leaving, jnp.stack([reward, earned], 1)).T
+        return v, n * size
+    chain = from_state_to_state(model, onward)
     solve = sparse_solver(chain)
-    v = solve(constant)
-    return v, solve(size + chain @ abs(v))
+    v = solve(reward)
+    # Once more for what is left over (iterative refinement: Higham 2002, chapter 12). It is added up from
+    # differences of neighbours, so that it keeps its digits where a chain goes on for long.
+    v = v + solve(reward - leaving * v + (onward * (v[model.s_next] - v[:, None, None])).sum((1, 2)))
+    return v, abs(v) + solve(earned + chain @ abs(v))
 
 
 def from_state_to_state(model: Model, weight: Float[np.ndarray, "S A K"]) -> Any:
@@ -726,29 +735,74 @@ def sparse_solver(matrix: Any) -> Callable[[Float[np.ndarray, " S"]], Float[np.n
 
 @custom_vmap
 def _solve_dense(
-    chain: Float[Array, "S S"], constant: Float[Array, " S"], size: Float[Array, " S"]
-) -> tuple[Float[Array, " S"], Float[Array, " S"]]:
-    """`_solve` for a matrix that is not sparse.
+    chain: Float[Array, "S S"], leaving: Float[Array, " S"], constants: Float[Array, "S R"]
+) -> Float[Array, "S R"]:
+    """Solves x = constants + chain x, without a single subtraction.
 
-    LAPACK looks for its pivots in columns, so it is given the transpose: there the diagonal is the largest.
+    State after state is taken out of the chain: what leads to it leads from now on to what it leads to. Then
+    the last state's x is known, and with it that of the one before. The probability of going on from a state,
+    1 - chain[s, s], is added up from where it goes on to, which keeps every digit, however long that takes
+    (Grassmann, Taksar and Heyman 1985, Regenerative analysis and steady state distributions for Markov
+    chains). So no entry of x has a larger error than some units in the last place of what |constants| give
+    there. States are taken out in blocks, so that most of the work is a product of matrices. It is not left
+    to LAPACK, whose result depends on the number of cores, and which needs them for itself.
+
+    Args:
+        chain: the weights with which states lead to each other, 0 or more.
+        leaving: 1 - the sum of these weights, of each state, 0 or more.
+        constants: the constants of several systems.
     """
-    factors = jax.scipy.linalg.lu_factor((jnp.eye(len(chain), dtype=chain.dtype) - chain).T)
-    v = jax.scipy.linalg.lu_solve(factors, constant, trans=1)
-    return v, jax.scipy.linalg.lu_solve(factors, size + chain @ abs(v), trans=1)
+    n, systems = constants.shape
+    rest = jnp.concatenate([chain, leaving[:, None], constants], 1)
+    size = max(BLOCK, -(-n // MAX_BLOCKS))
+    taken = []
+    while len(rest):
+        block, rest = rest[:size], rest[size:]
+        onward = _out_of_block(block, systems)  # from these states to later ones, and what they add
+        rest = rest[:, len(block) :] + rest[:, : len(block)] @ onward
+        taken.append(onward)
+    x = jnp.zeros((0, systems), constants.dtype)
+    for onward in reversed(taken):
+        x = jnp.concatenate([onward[:, : len(x)] @ x + onward[:, -systems:], x])
+    return x
+
+
+def _out_of_block(block: Float[Array, "B N"], systems: int) -> Float[Array, "B M"]:
+    """Where the first B states, whose rows these are, lead to when they have been left for later ones."""
+    size = len(block)
+    index = jnp.arange(size, dtype=jnp.int32)
+    row = lambda x, k: lax.dynamic_slice(x, (k, jnp.int32(0)), (1, x.shape[1]))
+    column = lambda x, k: lax.dynamic_slice(x, (jnp.int32(0), k), (size, 1))
+    put = lambda x, k, new: lax.dynamic_update_slice(x, new, (k, jnp.int32(0)))
+
+    def take_out(k, carry):
+        inside, outside = carry
+        to_inside, to_outside = jnp.where(index > k, row(inside, k), 0), row(outside, k)
+        going_on = to_inside.sum() + to_outside[:, :-systems].sum()
+        to_inside, to_outside = to_inside / going_on, to_outside / going_on
+        coming = jnp.where(index[:, None] > k, column(inside, k), 0)
+        inside, outside = inside + coming * to_inside, outside + coming * to_outside
+        return put(inside, k, to_inside), put(outside, k, to_outside)
+
+    def put_back(i, outside):
+        k = size - 1 - i
+        return outside + jnp.where(index[:, None] < k, column(inside, k), 0) * row(outside, k)
+
+    first, last = jnp.int32(0), jnp.int32(size)
+    inside, outside = lax.fori_loop(first, last, take_out, (block[:, :size], block[:, size:]))
+    return lax.fori_loop(first, last, put_back, outside)
 
 
 @_solve_dense.def_vmap
 def _solve_dense_rule(axis_size, batched, *args):
-    """One lane after another.
-
-    jaxlib spreads a batch of LAPACK calls over the threads that XLA runs programs on, and waits for them.
-    With one device for each core every one of these threads is then waiting, and the program hangs.
-    """
+    """On a CPU one lane after another, so that its matrix stays in the cache."""
     args = (
         x if b else jnp.broadcast_to(x, (axis_size, *x.shape)) for x, b in zip(args, batched, strict=True)
     )
     with doubled():
-        return lax.map(lambda lane: _solve_dense(*lane), tuple(args)), (True, True)
+        if jax.default_backend() == "cpu":
+            return lax.map(lambda lane: _solve_dense(*lane), tuple(args)), True
+        return jax.vmap(_solve_dense.fun)(*args), True
 
 
 # The best policy.
@@ -798,7 +852,10 @@ def _policy_iteration(model: Model, epsilon: float, gamma: Any) -> _Round:
     def go_on(last):
         return last.better.any() & ~last.caught.any() & (last.n < MAX_ROUNDS)
 
-    return _loop(model, go_on, improve, judged(_first_policy(model, epsilon, gamma), np.int32(0)))
+    # Before the first round anything is worse than the first policy: so a program has to judge in one place.
+    probs = _first_policy(model, epsilon, gamma)
+    nothing, no = 0 * probs, probs[:, 0] < 0
+    return _loop(model, go_on, improve, _Round(probs, nothing[:, 0], nothing, no, ~no, probs, np.int32(-1)))
 
 
 def _first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]:

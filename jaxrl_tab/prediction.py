@@ -122,7 +122,8 @@ class Prediction:
     def measurer(self, env: Environment):
         """What `train(exact=True)` records: the root of the mean squared error of V, from the state."""
         planning.check_finite(env)
-        pi = _probabilities(self.pi, env.num_states, env.num_actions)
+        with planning.doubled():
+            pi = _probabilities(self.pi, env.num_states, env.num_actions)
         measure = planning.value_measurer(env, pi, self.gamma)
         return lambda state: {"v_error": measure(state.v)}
 

@@ -373,9 +373,8 @@ def _plain(value: Any) -> Any:
 
 
 def leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
-    """Numbers in JAX's own float type: a Python float and an array would be two programs."""
-    dtype = jax.dtypes.canonicalize_dtype(float)
-    return jax.tree.map(lambda x: np.asarray(x, dtype), algorithm)
+    """Numbers as float64, of which JAX takes as much as it uses: a Python float would be another program."""
+    return jax.tree.map(lambda x: np.asarray(x, np.float64), algorithm)
 
 
 def _same_program(configs: Sequence[Algorithm]) -> list[list[int]]:

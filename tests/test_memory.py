@@ -42,9 +42,11 @@ def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
     env = rl.make(env) if isinstance(env, str) else env
     root, method = jax.random.key(0), jax.tree.map(np.float32, method)
     devices, lanes = tuple(jax.devices()[:1]), (1, blocks, batch.LANES)
-    one = batch._needs(budget, batch._signature((root, np.uint32(0), method, env)))
+    one = batch._needs(budget, batch._signature(batch._given(budget, root, np.uint32(0), method, env)))
     many = jax.tree.map(lambda x: np.full(lanes, x), (np.uint32(0), method))
-    found = batch._compiled(devices, budget, batch._signature((root, *many, env))).memory_analysis()
+    found = batch._compiled(
+        devices, budget, batch._signature(batch._given(budget, root, *many, env))
+    ).memory_analysis()
     total = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
     np.testing.assert_allclose(one.call.bytes(batch.LANES, blocks), total, rtol=0.1)
 
