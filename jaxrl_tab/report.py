@@ -364,8 +364,7 @@ def _differences(datasets: Datasets, view: View) -> dict[str, list[str]]:
     found = stats.differences(datasets)
     cells = {method: ["–", "–"] for method in datasets} if found else {}
     for method, (interval, p, _) in found.items():
-        mean, low, high = (float(x) for x in interval[:3])
-        by = f"{_number(mean, view.decimals)} ({_between(low, high, view)})"
+        by = _of([float(x) for x in interval[:3]], view)
         cells[method] = [by, _unbroken("< 0.001") if p < 0.001 else _number(float(p), 3)]
     return cells
 
@@ -484,8 +483,8 @@ def _of(found: Sequence[float], view: View) -> str:
 
 
 def _between(low: float, high: float, view: View) -> str:
-    """An interval on one line."""
-    return _unbroken(" to ".join(_number(x, view.decimals) for x in (low, high))) if low <= high else "–"
+    """An interval; where there is no room for all of it, a line may begin with "to"."""
+    return " to\xa0".join(_number(x, view.decimals) for x in (low, high)) if low <= high else "–"
 
 
 def _unbroken(text: str) -> str:
