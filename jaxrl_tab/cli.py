@@ -723,7 +723,7 @@ def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
         _print_selection(runner.selection(outcome))
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
-        why = "a number became infinite, or NaN, or grew beyond any possible return"
+        why = "a number became infinite, or NaN, or grew beyond any possible return."
         _console().print(f"{diverged} of {runs} runs diverged: {why}")
     if folder:
         name = next(iter(outcome.datasets))
@@ -755,7 +755,7 @@ def _print_selection(table: "pd.DataFrame") -> None:
         view.add_row(*names, ", ".join(setting) or "–", *cells)
     out = _console()
     out.print(view)
-    out.print("the choice flatters the first number; report the second")
+    out.print("The choice flatters the first number: report the second.")
 
 
 def _run(
@@ -829,7 +829,7 @@ def _print_summary(
     if prediction:
         decimals = max(decimals, _decimals(scores, 3))
     digits = f"{{:.{decimals}f}}".format
-    notes, edges, few = [], {}, False
+    notes, edges, few = [], [], False
     for method, rows in table.groupby("method", sort=False):
         choice = len(rows[score].drop_duplicates()) > 1
         for row in rows.to_dict("records"):
@@ -851,55 +851,63 @@ def _print_summary(
             )
             if doubtful and row["best"]:
                 ends = [
-                    f"{name} {_cell(row[f'{kind}_{key}'], digits)} ("
+                    f"the {name} is {_cell(row[f'{kind}_{key}'], digits)} ("
                     f"{_interval(row[f'{kind}_{key}_low'], row[f'{kind}_{key}_high'], digits)})"
                     for name, key in (("median", "median"), ("interquartile mean", "iqm"))
                 ]
-                notes.append(f"! {method}: {', '.join(ends)}; {row['seeds_wanted']} seeds wanted")
+                wanted = f"{row['seeds_wanted']} seeds would be needed to trust the mean"
+                notes.append(f"! {describe.title(str(method))}: {', '.join(ends)}; {wanted}.")
         view.add_section()
         own = datasets[str(method)]
         at_edge = stats.at_edge(own, stats.best(own)) if choice else {}
-        for name, end in at_edge.items():
-            edges.setdefault(f"the best {name} is the {end} that was tried", []).append(str(method))
+        edges += [describe.at_edge(name, str(method), end) for name, end in at_edge.items()]
     out = _console()
     out.print(", ".join([f"[bold]{environment}[/]", *setting, f"{ds.sizes['seed']} seeds, {length} each"]))
     out.print(view)
     say = lambda line: out.print(line, markup=False)
     if prediction:
-        say("RMS error of V over the states, exact; averaged over the rows of the log, and at the end")
+        say("The RMS error is that of V, over the states: its mean over the rows of the log, and at the end.")
     if varied and len(table[score].drop_duplicates()) > 1:
-        say("* the best of its method on these seeds; chosen for its mean, which so flatters it")
+        say(
+            "* This setting is the best of its method on these seeds. It was chosen for its mean, which flatters it."
+        )
         if sum(table["tied"]) > sum(table["best"]):
-            say("~ not told apart from the best: these seeds do not say which of them is better")
+            say(
+                "~ This setting is not told apart from the best: these seeds do not say which of the two is better."
+            )
     if late:
         say(
-            "unfinished runs end no episode in the last tenth: they score the rewards collected there, as if cut off"
+            "The unfinished runs end no episode in the last tenth: they score the rewards that they collected there, "
+            "as if cut off."
         )
     if few:
         seeds = ds.sizes["seed"]
         say(
-            f"! rests on few bad runs, and may be worse: {stats.unseen(seeds)} stuck, which {seeds} seeds need not show"
+            "! This mean rests on few bad runs, and may be worse than it looks: "
+            f"{stats.unseen(seeds)} stuck, which {seeds} seeds need not show."
         )
-    for line in [*notes, *(f"{end}: {', '.join(methods)}" for end, methods in edges.items())]:
+    for line in [*notes, *edges]:
         say(line)
     if not prediction:
         for name, value in _soft_optima(datasets, env).items():
-            say(f"exploring with {name}: the best policy is worth {six_digits(value)}")
+            say(f"With {name}, no policy that goes on exploring is worth more than {six_digits(value)}.")
     if exact:
         say(
-            "worth of the greedy policy: exact value at the end, median over seeds; -inf: goes round for ever"
+            "The worth of the greedy policy is its exact value at the end, the median over seeds; "
+            "-inf: it goes round for ever."
         )
 
 
 def _soft_optima(datasets: "Mapping[str, xr.Dataset]", env: Environment) -> dict[str, float]:
-    """What the best policy earns that explores as the best settings do: "epsilon 0.1" -> value."""
+    """What the best policy earns that explores as the best settings do: "ε = 0.1" -> value."""
     from jaxrl_tab import stats
 
     found = {}
     for ds in datasets.values():
         setting = stats.fixed(ds) | stats.named(ds, stats.best(ds))
         by = "behaviour" if setting.get("behaviour") else "epsilon"
-        name = ", ".join(f"{key} {words(setting[key])}" for key in (by, "gamma") if key in setting)
+        used = [key for key in (by, "gamma") if key in setting]
+        name = " and ".join(f"{describe.symbol(key)} = {words(setting[key])}" for key in used)
         if name not in found:
             found[name] = stats.soft_optimum(env, setting)
     return {name: value for name, value in found.items() if not np.isnan(value)}

@@ -37,6 +37,7 @@ TITLES = {
     "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
     "k-armed-testbed": "k-armed testbed",
 }
+SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
 
 _ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
 
@@ -63,6 +64,16 @@ def title(name: str) -> str:
     if known in ENVS or known in METHODS:
         known = TITLES.get(known, known.replace("-", " ").capitalize())
     return ",".join([known, *own])
+
+
+def symbol(name: str) -> str:
+    """The name of a hyperparameter as people write it: "α"."""
+    return SYMBOLS.get(name, name)
+
+
+def at_edge(parameter: str, method: str, end: str) -> str:
+    """What to know where the best value is the "largest" or the "smallest" tried; see `stats.at_edge`."""
+    return f"The best {symbol(parameter)} of {title(method)} is the {end} that was tried; a better one may lie beyond."
 
 
 def summary(cls: type) -> str:

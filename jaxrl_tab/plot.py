@@ -36,7 +36,6 @@ from jaxrl_tab.types import Environment, InputError, available_actions
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<")  # one more than colours: the pairs repeat after 56
 DASHES = ("-", "--", ":", "-.")
-GREEK = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
 INK, GREY, ALARM = "#222222", "#6e6e6e", "#D55E00"
 TITLE, TYPE, SMALL, CELL = 10, 9, 8, 7  # font sizes, points; the last is of the hundreds of cells of a table
 WIDTH, NARROW = 7.2, 6.0  # inches: of a figure, and of one with a single curve
@@ -181,7 +180,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     if incomplete:
         hollow = {"marker": "o", "mfc": "white", "mec": INK, "mew": 1.5}
         ax.plot([], [], ls="none", **hollow, label="hollow: some runs unfinished")
-    what = "step size α" if parameter == "alpha" else GREEK.get(parameter, parameter)
+    what = "step size α" if parameter == "alpha" else describe.symbol(parameter)
     if prediction:
         tidy(ax, what, "RMS error of V, mean over the run")
         _error_axis(ax, shown[::3])
@@ -336,7 +335,7 @@ def _label(method: str, setting: Mapping[str, Any]) -> str:
 
 def in_words(setting: Mapping[str, Any]) -> list[str]:
     """Each of the hyperparameters with its value as people write it: "α = 0.5"."""
-    return [f"{GREEK.get(name, name)} = {written(value)}" for name, value in setting.items()]
+    return [f"{describe.symbol(name)} = {written(value)}" for name, value in setting.items()]
 
 
 def written(x: Any) -> str:

@@ -351,7 +351,9 @@ def _finding(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> str:
     if np.isnan(row.mean):
         return "no run has a result to compare"
     setting = _setting_of(next(star for star in stars if star.method == row.method), view)
-    optimum = "" if view.prediction or np.isnan(row.optimum) else f"; at best {_number(row.optimum)}"
+    optimum = (
+        "" if view.prediction or np.isnan(row.optimum) else f"; the exact optimum is {_number(row.optimum)}"
+    )
     seeds = " on fresh seeds" if again else ""
     return f"best: {setting}, with a {view.what} of {_number(row.mean, view.decimals)}{seeds}{optimum}"
 
@@ -387,9 +389,7 @@ def _notes(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> list[s
                 "score the rewards that they collected there, as if the episode had been cut off at the end."
             )
         for parameter, end in row.edges.items():
-            parameter = plot.GREEK.get(parameter, parameter)
-            of = f"The best {parameter} of {describe.title(row.method)}"
-            notes.append(f"{of} is the {end} that was tried; a better one may lie beyond.")
+            notes.append(describe.at_edge(parameter, row.method, end))
     return notes
 
 
@@ -435,7 +435,7 @@ def _settings_table(ranked: Sequence[Row], view: View) -> Table:
         columns["exact optimum"] = lambda row: _number(row.optimum)
     head = [
         "method",
-        *(plot.GREEK.get(name, name) for name in view.varied),
+        *map(describe.symbol, view.varied),
         view.what,
         "95% interval",
         *columns,
@@ -552,7 +552,8 @@ def _parameter(datasets: Datasets, name: str) -> str:
         swept = [n for ds in datasets.values() for n in stats.hyperparameters(ds) + stats.drawn(ds)]
         first = sorted((n for n in swept if n != "draw"), key=lambda n: n != "alpha")
         name = first[0] if first else ""
-    return f"{plot.GREEK[name]} ({name})" if name in plot.GREEK else name
+    symbol = describe.symbol(name)
+    return name if symbol == name else f"{symbol} ({name})"
 
 
 # --- words -------------------------------------------------------------------------------------------

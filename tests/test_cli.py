@@ -130,11 +130,11 @@ def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
     assert marks == ["sarsa *", "sarsa ~"]
     assert "unfinished runs end no episode in the last tenth" in out
     assert "up to 38% of all runs may be stuck, which 8 seeds need not show" in out
-    assert "! sarsa: median -1" in out
-    assert "exploring with epsilon 0.1, gamma 1: the best policy is worth -17.0483" in out
+    assert "! Sarsa: the median is -1" in out
+    assert "With ε = 0.1 and γ = 1, no policy that goes on exploring is worth more than -17.0483." in out
     ds = everything.isel(alpha=[0, 2])
     cli._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
-    assert "the best alpha is the largest that was tried: sarsa" in capsys.readouterr().out
+    assert "The best α of Sarsa is the largest that was tried" in capsys.readouterr().out
 
 
 @pytest.fixture
