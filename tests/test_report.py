@@ -49,12 +49,13 @@ class Page(HTMLParser):
         self.tables += [[]] if tag == "table" else []
         if tag == "tr":
             self.tables[-1].append([])
-        self.cell = tag in ("td", "th")
-        if self.cell:
+        if tag in ("td", "th"):
+            self.cell = True
             self.tables[-1][-1].append("")
 
     def handle_endtag(self, tag):
-        self.cell = False
+        if tag in ("td", "th"):
+            self.cell = False
 
     def handle_data(self, data):
         data = data.replace("\xa0", " ")
