@@ -3,9 +3,10 @@
 A run is one lane. On a CPU 64 lanes go side by side through `vmap`: enough to fill the vector units, few
 enough that their tables stay in the cache. Each device (each core) works through blocks of 64 lanes one after
 another, and hands a few of them back at a time, so memory stays bounded and progress can be shown. Every
-program has exactly this shape, whatever the number of runs: the last block is filled up with copies. That is
-why a result depends on neither the batch it was computed in, nor its place there, nor the number of devices,
-to the last bit. Any other device is given one block, as wide as there are runs for it and as fits its memory.
+program has exactly this shape, whatever the number of runs: the last block is filled up with copies. (Where the
+memory runs out there are fewer lanes, which gives the same bits: see `FEWEST_LANES`.) That is why a result
+depends on neither the batch it was computed in, nor its place there, nor the number of devices, to the last bit.
+Any other device is given one block, as wide as there are runs for it and as fits its memory.
 
 How many bytes all this takes is known before anything is compiled: see `memory`, and `plan`.
 

@@ -63,7 +63,17 @@ from jaxrl_tab.options import (
 from jaxrl_tab.prediction import PREDICTION
 from jaxrl_tab.results import label, save
 from jaxrl_tab.sweep import METHODS
-from jaxrl_tab.types import Environment, InputError, RunError, as_path, build, nearest, one_line, shown
+from jaxrl_tab.types import (
+    Environment,
+    InputError,
+    RunError,
+    as_path,
+    build,
+    nearest,
+    one_line,
+    reason,
+    shown,
+)
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -142,7 +152,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         _give_up_stdout()
         what = f"{error.filename}: " if error.filename else "reading or writing failed: "
-        return _complain("; ".join([what + (error.strerror or str(error)), *_notes(error)]))
+        return _complain("; ".join([what + reason(error), *_notes(error)]))
     except Exception as error:
         if os.environ.get(TRACEBACK) == "1":
             raise

@@ -32,6 +32,7 @@ from typing import Any, TypeVar
 import jax
 
 from jaxrl_tab import provenance
+from jaxrl_tab.types import reason
 
 T = TypeVar("T")
 
@@ -79,7 +80,7 @@ def kept(name: Any, make: Callable[[str], T], pack: Callable[[T], Any], unpack: 
     except FileNotFoundError:
         pass
     except Exception as error:  # jaxlib's have no common type
-        _warn(f"{file} is not used, and made again: {_line(error)}")
+        _warn(f"{file} is not used, and made again: {reason(error)}")
     with _unknown_to_jax():
         made = make("kept_program")
     with contextlib.suppress(Exception):
@@ -87,7 +88,7 @@ def kept(name: Any, make: Callable[[str], T], pack: Callable[[T], Any], unpack: 
         try:
             _write(file, packed)
         except OSError as error:
-            _warn(f"compiled programs are not kept in {file.parent}: {_line(error)}")
+            _warn(f"compiled programs are not kept in {file.parent}: {reason(error)}")
     return made
 
 
@@ -96,7 +97,7 @@ def _default() -> Path | None:
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxrl_tab"
     except RuntimeError as error:
-        _warn(f"compiled programs are not kept: {_line(error)}")
+        _warn(f"compiled programs are not kept: {reason(error)}")
         return None
 
 
@@ -165,7 +166,7 @@ def _is_usable(folder: Path) -> bool:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _check_own(folder.lstat(), stat.S_ISDIR)
     except OSError as error:
-        _warn(f"compiled programs are not kept in {folder}: {_line(error)}")
+        _warn(f"compiled programs are not kept in {folder}: {reason(error)}")
         return False
     return True
 
@@ -227,12 +228,6 @@ _SIZE = hashlib.sha256().digest_size
 
 def _checksum(file: Path, data: bytes) -> bytes:
     return hashlib.sha256(file.name.encode() + data).digest()
-
-
-def _line(error: Exception) -> str:
-    """What an error says, in a line."""
-    said = error.strerror if isinstance(error, OSError) else None
-    return said or next(iter(str(error).splitlines()), "") or type(error).__name__
 
 
 @cache

@@ -132,14 +132,18 @@ def sources() -> str:
 
 
 @cache
-def features() -> list[str]:
-    """All that the CPU says it can do; nothing where it does not say it, as Linux alone does."""
+def cpu(line: str) -> str:
+    """What Linux tells of the CPU in a line of this name, a regular expression; nothing where it does not."""
     with contextlib.suppress(OSError):
-        if found := re.search(
-            r"^(?:flags|Features)\s*:(.*)", Path("/proc/cpuinfo").read_text(), re.MULTILINE
-        ):
-            return found[1].split()
-    return []
+        told = Path("/proc/cpuinfo").read_text()
+        if found := re.search(rf"^(?:{line})[ \t]*:(.*)", told, re.MULTILINE):
+            return found[1].strip()
+    return ""
+
+
+def features() -> list[str]:
+    """All that the CPU says it can do."""
+    return cpu("flags|Features").split()
 
 
 def instructions() -> str:

@@ -76,10 +76,7 @@ class SweepResult:
 
     @property
     def diverged(self) -> np.ndarray:
-        """Whether the table or the sums of the log became no finite numbers, or |Q| grew beyond any possible
-
-        return (`largest_value`), bool [*grid, seeds].
-        """
+        """Which runs diverged, bool [*grid, seeds]: see `is_diverged` and `largest_value`."""
         bound = np.asarray(self.largest_value)[..., None]
         return is_diverged(self.q, self.log.returns, self.log.rewards, largest=bound)
 
@@ -139,9 +136,9 @@ class SweepResult:
 
 
 def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
-    """Whether there is a NaN or an infinity in a table [..., S, A] or in sums [..., rows], bool [...].
+    """Which runs diverged, bool [...], by their table [..., S, A] and sums of their log [..., rows].
 
-    Or an entry of the table that is larger, either way, than `largest` [...].
+    There is a NaN or an infinity in one of these; or an entry of the table is larger in size than `largest` [...].
     """
     found = np.zeros(q.shape[:-2], bool)
     flat, beyond = found.reshape(-1), np.broadcast_to(largest, found.shape).reshape(-1)

@@ -4,7 +4,7 @@ The folder holds `experiment.toml` as it was given, `resolved.json` with all def
 `provenance.json`, the shards with their manifest (see `storage`), and, when all are there, `results.nc`,
 `summary.csv`, pictures and `report.html`. Which runs are in a shard depends on the experiment alone, and what
 a run gives on its seed and hyperparameters alone: so the results are the same to the last bit, however often
-it was interrupted.
+it was interrupted. Where they would not be, as with another version of JAX, nothing is computed: see `Origin`.
 """
 
 import contextlib
@@ -15,7 +15,6 @@ import json
 import logging
 import os
 import platform
-import re
 import shlex
 import shutil
 import sys
@@ -659,22 +658,15 @@ def _session(store: Store, records: dict[str, Any], command: str) -> Iterator[No
 def _machine() -> dict[str, Any]:
     """What numbers depend on, and more about this process."""
     devices = jax.devices()
+    processor = provenance.cpu("model name") or platform.processor() or platform.machine()
     return {
         "surroundings": provenance.surroundings(),
         "python": platform.python_version(),
-        "processor": devices[0].device_kind if devices[0].platform != "cpu" else _processor(),
+        "processor": devices[0].device_kind if devices[0].platform != "cpu" else processor,
         "devices": len(devices),
         "platform": platform.platform(),
         "git_commit": provenance.git_commit(),
     }
-
-
-def _processor() -> str:
-    """The model of the CPU."""
-    with contextlib.suppress(OSError):  # Linux alone has it
-        if found := re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text()):
-            return found[1]
-    return platform.processor() or platform.machine()
 
 
 def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrl_tab.types import InputError, RunError, is_whole
+from jaxrl_tab.types import InputError, RunError, is_whole, reason
 
 MANIFEST, SHARDS, PICTURES, ASIDE, LOCK = "manifest.json", "shards", "pictures", "set-aside", ".lock"
 UNFINISHED = ".unfinished"  # the end of the name of what is being written, which begins with a dot
@@ -91,7 +91,7 @@ def said(path: Path, done: str = "written") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise RunError(f"{path} could not be {done}: {_reason(error)}") from None
+        raise RunError(f"{path} could not be {done}: {reason(error)}") from None
 
 
 def read_json(file: Path) -> Any:
@@ -142,7 +142,7 @@ def new_folder(path: Path) -> Iterator[Path]:
             raise InputError(_exists(path))
         unfinished.mkdir(parents=True)
     except (OSError, ValueError) as error:  # a name that holds NUL
-        raise InputError(f"{path} cannot be made: {_reason(error)}") from None
+        raise InputError(f"{path} cannot be made: {reason(error)}") from None
     try:
         with said(path):
             yield unfinished
@@ -170,7 +170,7 @@ def lock(folder: Path) -> Iterator[None]:
         flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
         file = os.fdopen(os.open(folder / LOCK, flags, 0o666), "rb+", buffering=0)
     except OSError as error:
-        raise InputError(f"{folder} cannot be written: {_reason(error)}") from None
+        raise InputError(f"{folder} cannot be written: {reason(error)}") from None
     with file:
         with contextlib.suppress(ImportError):  # Windows has no such locks
             import fcntl
@@ -477,7 +477,3 @@ def _sync(folder: Path) -> None:
 
 def _exists(path: Path) -> str:
     return f"{path} exists already; name a new folder"
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)

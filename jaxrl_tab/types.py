@@ -56,6 +56,11 @@ def one_line(text: str) -> str:
     return line if len(line) <= SHOWN else line[: SHOWN - 4] + " ..."
 
 
+def reason(error: BaseException) -> str:
+    """What an error says, in one line: one of the system without its number; a silent one by its kind."""
+    return one_line(getattr(error, "strerror", None) or str(error)) or type(error).__name__
+
+
 def nearest(name: Any, names: Iterable[str]) -> str:
     """Returns "did you mean 'x'?" for the name most like `name`, or one that begins so; else all `names`."""
     names, name = list(names), (name if isinstance(name, str) else "").lower().replace("_", "-")

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxrl_tab.executors.base import Arrays, Failed, Job, Work, environment, given, need
-from jaxrl_tab.types import InputError, RunError, whole
+from jaxrl_tab.types import InputError, RunError, reason, whole
 
 _SECONDS = 5  # in which the address of a cluster must answer
 _PATIENCE = 30  # seconds in which it must let us in
@@ -193,7 +193,7 @@ def _check_answers(address: str) -> None:
     except TimeoutError as error:
         raise RunError(f"no Ray cluster at {address}: there is no answer in {_SECONDS} seconds") from error
     except OSError as error:
-        raise RunError(f"no Ray cluster at {address}: {error.strerror or error}") from error
+        raise RunError(f"no Ray cluster at {address}: {reason(error)}") from error
 
 
 def _check_joins(address: str) -> None:
