@@ -86,7 +86,7 @@ class Results:
 
 
 def blocks(count: int, each: int) -> Iterator[slice]:
-    """Where to look at many things, each of so many bytes, some after others: no more than a block at a time."""
+    """Slices of `count` things of `each` bytes, to look at one after another: no larger than a block."""
     most = max(1, BLOCK // max(1, each))
     for first in range(0, count, most):
         yield slice(first, min(first + most, count))
@@ -94,7 +94,7 @@ def blocks(count: int, each: int) -> Iterator[slice]:
 
 
 def let_go() -> None:
-    """What is in files need not stay in this process's memory, until it is looked at again."""
+    """Frees the memory in which results in files were looked at; where they are needed again they are read again."""
     if hasattr(mmap, "MADV_DONTNEED"):
         for file in list(_MAPPED):
             file.madvise(mmap.MADV_DONTNEED)

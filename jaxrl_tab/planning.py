@@ -600,7 +600,7 @@ def _settle(change: Callable[[Any], Any], states: Any) -> Bool[Any, " S"]:
 def spread(
     source: Int[np.ndarray, " N"], target: Int[np.ndarray, " N"], states: Bool[np.ndarray, " S"]
 ) -> Bool[np.ndarray, " S"]:
-    """What can be reached from `states` along arrows from `source` to `target`, bool [S], and they."""
+    """What can be reached from `states` along arrows from `source` to `target`, these included, bool [S]."""
     from scipy import sparse  # here, because it takes 0.3 s
     from scipy.sparse.csgraph import breadth_first_order
 
@@ -613,7 +613,7 @@ def spread(
 
 
 def _reaching(model: Model, taken: Bool[Any, "S A K"], states: Bool[Any, " S"]) -> Bool[Any, " S"]:
-    """The states from which `states` can be reached along the outcomes `taken`, bool [S], and they."""
+    """The states from which `states` can be reached along the outcomes `taken`, these included, bool [S]."""
     if _namespace(model) is np:
         return spread(model.s_next[taken], np.nonzero(taken)[0], states)
     return _settle(lambda x: x | (taken & x[model.s_next]).any((1, 2)), states)
@@ -852,7 +852,7 @@ def _policy_iteration(model: Model, epsilon: float, gamma: Any) -> _Round:
     def go_on(last):
         return last.better.any() & ~last.caught.any() & (last.n < MAX_ROUNDS)
 
-    # Before the first round anything is worse than the first policy: so a program has to judge in one place.
+    # It begins with the first policy as what is better everywhere, so that `judged` is in a program only once.
     probs = _first_policy(model, epsilon, gamma)
     nothing, no = 0 * probs, probs[:, 0] < 0
     return _loop(model, go_on, improve, _Round(probs, nothing[:, 0], nothing, no, ~no, probs, np.int32(-1)))

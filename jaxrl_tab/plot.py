@@ -374,7 +374,7 @@ def _common_soft_optimum(datasets: Datasets, env: Environment) -> float:
 
 
 def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float) -> None:
-    """The y axis of returns, the optimum as a dashed line, and as a dotted one that of who explores.
+    """The y axis of returns, with the optimum as a dashed line, and the best value of exploring as a dotted one.
 
     Early returns can be a hundred times the last ones, and the distance from these to the optimum is what
     matters. Where all are negative and differ by more than a factor of five, the axis is one of ratios.
@@ -561,7 +561,7 @@ class _Moves(NamedTuple):
 
 
 def _tables(ds: xr.Dataset) -> Iterable[np.ndarray]:
-    """The tables of all seeds, [n, S, A] of some after others; what is worked out from them may be larger."""
+    """The tables of all seeds, [n, S, A] for some seeds at a time: what is worked out from them may be larger."""
     q = ds.q.transpose("seed", "state", "action").values
     for block in memory.blocks(len(q), 16 * q[0].nbytes):
         yield q[block]

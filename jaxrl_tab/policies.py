@@ -124,8 +124,8 @@ def _reduce(op: Any, x: Array) -> Array:
 class Policy(Protocol):
     """A rule of choosing actions: a pytree whose numbers are leaves, so that `vmap` batches them.
 
-    Where states do not have every action, Q(s, a) of the others is UNAVAILABLE, and the policy is asked for
-    what it is among those there are: `restricted_to(available) -> Policy`, available bool [S, A].
+    Where states do not have every action, Q(s, a) of the others is UNAVAILABLE, and the policy is asked for one
+    like itself that does not take them: `restricted_to(available) -> Policy`, available bool [S, A].
     """
 
     @property

@@ -7,8 +7,8 @@ the code behind anybody else's may change without a trace in the name.
 
 A program is code, and it is run. So it is read only where nobody else can have put it: the file and its folder
 are the user's own, and no link, and only the user may write them. And only as it was written: it begins with
-the SHA-256 of its name and its content. (That finds all damage; against who can write as the user nothing
-helps.) Whatever is not so is said in a line, and the program is made again.
+the SHA-256 of its name and its content. (That finds all damage. Nothing helps against somebody who can write as
+the user.) Where any of it is not so a line says it, and the program is made again.
 
 Off until `keep` is called, which the command line does.
 """

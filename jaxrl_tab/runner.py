@@ -267,7 +267,7 @@ class Origin(NamedTuple):
             raise InputError(
                 f"what is missing in {path} would not be computed as the rest was: {'; '.join(self.changed)}; "
                 f"go on with what it was, or begin a new folder with {path / GIVEN}, or allow it with --mixed "
-                "(mixed=True), and the report says so"
+                "(mixed=True): the report then says so"
             )
 
 

@@ -997,11 +997,11 @@ def _discounts(late: xr.Dataset) -> xr.DataArray:
 
 
 def standstill(ds: xr.Dataset) -> xr.DataArray:
-    """What a run scores that pays in the whole last tenth and finishes nothing, float64; infinite if none does.
+    """What a run scores that finishes no episode in the last tenth and pays in each of its steps, float64.
 
-    Its steps times the best reward of a step, which is taken to be the highest mean in any row there; some of
-    Sarsa's runs on the cliff are like that. Infinite where this is not below 0, where episodes are the
-    budget, and of prediction: then nothing is known of runs that no seed has shown.
+    It is the number of these steps times the best reward of a step, which is taken to be the highest mean of
+    any row there; some of Sarsa's runs on the cliff are like that. It is infinite where this is not below 0,
+    where episodes are the budget, and of prediction: then nothing is known of runs that no seed has shown.
 
     Returns:
         One number, or [gamma] or [draw] where gamma was swept.
@@ -1042,7 +1042,7 @@ def episode_curve(ds: xr.Dataset) -> xr.Dataset:
 def curve_interval(ds: xr.Dataset, at_most: int) -> Interval:
     """`mean_interval(learning_curve(merge_rows(ds, at_most)))`: of as many seeds as there are on the disk.
 
-    Without what is not `possible`.
+    What cannot be is cut off: see `possible`.
     """
     every = -(-ds.sizes["row"] // at_most)
     merged = _by_seeds(lambda part: learning_curve(_merged(part, every)))
@@ -1240,7 +1240,7 @@ def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
         cliff, Sarsa .5 (1% stuck) and one that is 6.5 better    47   60   81   96  100
         cliff, Sarsa .5 (1% stuck) and one that is 5.5 worse     84   79   76   89   97
 
-    Of ten seeds nine in ten experiments see none of the runs that are stuck 1% of the time, so no rule can be
+    Where 1% of all runs are stuck, nine in ten experiments with ten seeds see none of them, so no rule can be
     good there. Medians and trimmed means choose wrongly in the fourth and fifth line, and more surely so with
     more seeds. What is left open by the seeds there are, `tied` says.
 
@@ -1375,7 +1375,7 @@ def score_interval(ds: xr.Dataset, confidence: float = 0.95, by: Measure = score
 
 
 def possible(interval: Interval, x: xr.DataArray, ds: xr.Dataset) -> Interval:
-    """An interval of returns, or errors, `x` [..., seed, ...] of `ds`, without what cannot be.
+    """An interval of the mean of returns, or errors, `x` [..., seed, ...] of `ds`, without what no mean can be.
 
     No error is below 0. No mean return is above the `optimum`: taken to be so where no single one is, for a
     return may be above it by luck, or because the time limit cut a costly episode short. Where no reward is

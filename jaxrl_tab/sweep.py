@@ -232,7 +232,7 @@ def prepare(
         )
     available = available_actions(env)
     for config in configs:
-        restricted(config, available)  # for what it refuses
+        restricted(config, available)  # only to refuse what cannot be
     budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 

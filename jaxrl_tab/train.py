@@ -157,7 +157,7 @@ def train(
     if is_dataclass(algorithm):
         schedules.check_single(type(algorithm).__name__, algorithm)
     check_pytree("env", env, ENVS)
-    restricted(algorithm, available_actions(env))  # for what it refuses
+    restricted(algorithm, available_actions(env))  # only to refuse what cannot be
     if exact:
         planning.check_finite(env)
     full = in_full((algorithm, env)) if exact else None
@@ -181,7 +181,7 @@ def unchecked(
     stream = rng.stream(key)
     if hasattr(env, "instance"):
         env = env.instance(rng.as_key(rng.word(stream, jnp.int32(0), INSTANCE)))
-        full = full and (full[0], env)  # drawn here: there is nothing fuller
+        full = full and (full[0], env)  # it is drawn in the precision of the program
     measure = _make_measure(algorithm, env, full, record)
     algorithm = restricted(algorithm, available_actions(env))
     start = _make_start(algorithm, env)
@@ -198,8 +198,8 @@ def unchecked(
 def in_full(given: T) -> T:
     """All numbers of a method or an environment in float64, each as two words; what is traced, as it is.
 
-    A program whose numbers are float32 cannot be given others: 0.99 would be 0.9900000095, so that v, in
-    proportion to 1 / (1 - gamma), were 1e-6 off.
+    A program in float32 can be given no other numbers: 0.99 would become 0.9900000095, and v, which goes with
+    1 / (1 - gamma), would be off by 1e-6.
     """
 
     def words(x: Any) -> Any:

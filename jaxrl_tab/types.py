@@ -57,7 +57,7 @@ def one_line(text: str) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """What an error says, in one line: one of the system without its number; a silent one by its kind."""
+    """What an error says, in one line; the name of its class where it says nothing."""
     return one_line(getattr(error, "strerror", None) or str(error)) or type(error).__name__
 
 
@@ -334,8 +334,8 @@ class Algorithm(Protocol[L]):
     A method that multiplies returns by ratios of importance sampling says `multiplies_returns = True`: what
     it learns may be greater than any return, and is no sign that it diverges.
 
-    Where the environment says which actions are `available`, the method is asked for what it is among those:
-    `restricted_to(available) -> Algorithm`, available bool [S, A].
+    Where the environment says which actions are `available`, the method is asked for one like itself that takes
+    and counts no others: `restricted_to(available) -> Algorithm`, available bool [S, A].
     """
 
     @property
@@ -394,7 +394,7 @@ def check_available(what: str, available: Any, num_states: int, num_actions: int
 
 
 def restricted(chooser: T, available: Bool[Array, "S A"] | None) -> T:
-    """A method or a policy as it is where there are these actions only, which is all where it is None.
+    """A method or a policy that takes these actions only; as it is where `available` is None: there are all.
 
     Raises:
         InputError: it cannot be told, for it has no method `restricted_to`; or it takes another action.

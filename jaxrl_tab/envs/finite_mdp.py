@@ -253,7 +253,10 @@ def _others(listed: Listed, count: np.ndarray) -> np.ndarray:
 def _ended(
     listed: Listed, ends: np.ndarray, is_terminal: np.ndarray, start_prob: np.ndarray
 ) -> tuple[Listed, np.ndarray, np.ndarray]:
-    """All of it where the outcomes of `ends` enter terminal states, which may get second numbers for that."""
+    """The outcomes, the terminal states and the start, where those outcomes that are `ends` enter terminal states.
+
+    A state that is entered in both ways gets a second number for being terminal.
+    """
     ends = ends | is_terminal[listed.s_next]
     source = listed.row // listed.num_actions
     on = (listed.prob > 0) & ~ends
