@@ -389,9 +389,8 @@ def _notes(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> list[s
             )
         for parameter, end in row.edges.items():
             parameter = plot.GREEK.get(parameter, parameter)
-            notes.append(
-                f"The best {parameter} of {row.method} is the {end} that was tried; beyond may be a better one."
-            )
+            of = f"The best {parameter} of {describe.title(row.method)}"
+            notes.append(f"{of} is the {end} that was tried; a better one may lie beyond.")
     return notes
 
 

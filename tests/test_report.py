@@ -210,10 +210,10 @@ def test_it_says_what_a_mean_rests_on(windy, windy_sets, undrawn, tmp_path):
     assert numbers(row[2])[0] == pytest.approx((float(others.sum()) - 400) / 5, abs=0.6)
     assert row[2].endswith(" !")
     for said in (
-        "! The mean of sarsa, α = 0.9 rests on few bad runs and may be worse than it looks: 5 seeds were run, and 125",
+        "! The mean of Sarsa, α = 0.9 rests on few bad runs and may be worse than it looks: 5 seeds were run, and 125",
         "The middle of the runs is sure: median −1",
-        "1 of 5 runs of sarsa, α = 0.9 finished no episode in the last tenth",
-        "The best α of sarsa is the largest that was tried",
+        "1 of 5 runs of Sarsa, α = 0.9 finished no episode in the last tenth",
+        "The best α of Sarsa is the largest that was tried",
         "up to 60% of all runs may be stuck",
         "the difference seed by seed decides",
     ):

@@ -52,7 +52,7 @@ def _draw(datasets):
     plot.head(
         canvas,
         f"Random walk, 19 states: RMS error over states and the first {by_n.sizes['row']} episodes\n"
-        f"mean and 95% interval over {by_n.sizes['seed']} seeds",
+        f"mean and pointwise 95% interval over {by_n.sizes['seed']} seeds",
     )
     return canvas
 

@@ -70,7 +70,7 @@ def _draw(datasets):
     plot.head(
         canvas,
         f"Cliff walking, ε = {EPSILON}: episodes 1 to 100 (interim) and 501 to 1000 (asymptotic)\n"
-        f"mean and 95% interval over {seeds} seeds",
+        f"mean and pointwise 95% interval over {seeds} seeds",
     )
     # Matplotlib names lines first; here they come last, in a column of their own.
     handles, labels = ax.get_legend_handles_labels()

@@ -43,7 +43,10 @@ def _draw(datasets):
     plot.tidy(ax, "episodes", "sum of rewards in the episode")
     ax.set(ylim=(-100, 0), xlim=(0, 500))
     seeds = datasets["sarsa"].sizes["seed"]
-    plot.head(canvas, f"Cliff walking, α = {ALPHA}, ε = {EPSILON}\nmean and 95% interval over {seeds} seeds")
+    plot.head(
+        canvas,
+        f"Cliff walking, α = {ALPHA}, ε = {EPSILON}\nmean and pointwise 95% interval over {seeds} seeds",
+    )
     plot.legend(ax, loc="lower right")
     return canvas
 

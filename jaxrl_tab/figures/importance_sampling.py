@@ -143,7 +143,7 @@ def _draw(datasets):
     plot.tidy(left, "episodes", "mean squared error")
     left.set(xscale="log", yscale="log")
     left.set_title(
-        f"Blackjack, 13 with a usable ace against 2\nmean and 95% interval over {seeds} seeds",
+        f"Blackjack, 13 with a usable ace against 2\nmean and pointwise 95% interval over {seeds} seeds",
         fontsize=plot.TYPE,
     )
     plot.legend(left, loc="lower left")

@@ -54,7 +54,7 @@ def _draw(datasets):
         ax.set_title(title, fontsize=plot.TYPE)
         plot.legend(ax, loc="lower right")
     problems = datasets[GREEDY].sizes["seed"]
-    plot.head(canvas, f"Ten-armed testbed: mean and 95% interval over {problems} problems")
+    plot.head(canvas, f"Ten-armed testbed: mean and pointwise 95% interval over {problems} problems")
     return canvas
 
 

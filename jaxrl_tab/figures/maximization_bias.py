@@ -37,7 +37,8 @@ def _draw(datasets):
     ax.set(ylim=(0, 100), xlim=(0, None))
     seeds = datasets[METHODS[0]].sizes["seed"]
     plot.head(
-        canvas, f"Maximization bias, α = {ALPHA}, ε = {EPSILON}\nmean and 95% interval over {seeds} seeds"
+        canvas,
+        f"Maximization bias, α = {ALPHA}, ε = {EPSILON}\nmean and pointwise 95% interval over {seeds} seeds",
     )
     plot.legend(ax, loc="upper right")
     return canvas

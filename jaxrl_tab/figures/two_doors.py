@@ -57,7 +57,7 @@ def _draw(datasets):
     ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     ax.set_ylim(0, 1)
     seeds = datasets[GREEDY].sizes["seed"]
-    plot.head(canvas, f"Two doors, sample averages\nmean and 95% interval over {seeds} seeds")
+    plot.head(canvas, f"Two doors, sample averages\nmean and pointwise 95% interval over {seeds} seeds")
     plot.legend(ax, loc="upper right")
     return canvas
 

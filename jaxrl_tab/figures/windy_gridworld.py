@@ -32,7 +32,8 @@ def _draw(datasets):
     plot.greedy_path(grid, env, q, "An optimal policy", planning.start_value(env, v))
     seeds = datasets["sarsa"].sizes["seed"]
     plot.head(
-        canvas, f"Windy gridworld, α = {ALPHA}, ε = {EPSILON}\nmean and 95% interval over {seeds} seeds"
+        canvas,
+        f"Windy gridworld, α = {ALPHA}, ε = {EPSILON}\nmean and pointwise 95% interval over {seeds} seeds",
     )
     return canvas
 
