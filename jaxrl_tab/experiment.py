@@ -38,7 +38,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
-from jaxrl_tab import axes, batch, describe, memory, policies, rng, schedules
+from jaxrl_tab import axes, batch, describe, memory, policies, schedules
 from jaxrl_tab.axes import DRAW
 from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.prediction import METHODS, PREDICTION
@@ -373,12 +373,11 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
     kind = "core" if devices[0].platform == "cpu" else devices[0].device_kind
     found = {}
     for name, part in parts.items():
-        root = rng.key(part.seed)
         each = [
             batch.forecast(
                 part.env,
                 leaves_as_arrays(part.configs[members[0]]),
-                root,
+                part.root,
                 len(members) * part.num_seeds,
                 part.budget,
                 limit,
