@@ -136,10 +136,10 @@ def new_folder(path: Path) -> Iterator[Path]:
     Raises:
         InputError: there is something already, or it cannot be made.
     """
-    unfinished = _unfinished(path.with_name(f"{path.name}-{os.getpid()}"))
     try:
         if path.exists() or path.is_symlink():
             raise InputError(_exists(path))
+        unfinished = _unfinished(path.with_name(f"{path.name}-{os.getpid()}"))  # "." has no name
         unfinished.mkdir(parents=True)
     except (OSError, ValueError) as error:  # a name that holds NUL
         raise InputError(f"{path} cannot be made: {reason(error)}") from None

@@ -2,6 +2,7 @@
 
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -160,6 +161,15 @@ def test_where_the_disk_is_full_nothing_is_half_there(folder, monkeypatch, call)
     assert names(folder) == WHOLE and (folder / "manifest.json").read_bytes() == before
     store.write(3, ARRAYS)
     assert sorted(Store(folder, "abc").shards) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("there", [".", "", "..", "/"])
+def test_a_new_folder_is_none_that_has_no_name_of_its_own(there):
+    with (
+        pytest.raises(InputError, match="exists already; name a new folder"),
+        storage.new_folder(Path(there)),
+    ):
+        pass
 
 
 def test_a_new_folder_is_there_with_all_its_files_or_not_at_all(tmp_path):
