@@ -540,7 +540,7 @@ def test_every_field_of_every_class_takes_a_value_or_refuses_it_in_one_line(stub
 
 
 def test_functions_answer_or_refuse_in_one_line(stubbed):
-    """Broken once: `grid={1: 2}`, NUL in a path -> fails."""
+    """Broken once: NUL in a path let through -> fails."""
     call_functions(called())
 
 

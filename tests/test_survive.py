@@ -213,9 +213,9 @@ def test_an_interrupted_run_goes_on_where_it_was(undisturbed, tmp_path, computed
 
 
 @pytest.mark.slow
-def test_killed_twenty_times_at_random_moments(undisturbed, tmp_path):
+def test_killed_ten_times_at_random_moments(undisturbed, tmp_path):
     """Broken once: results put together only by who computed a shard -> fails."""
-    subprocess.run([*QUICK, "kill", str(tmp_path), "20"], check=True)
+    subprocess.run([*QUICK, "kill", str(tmp_path), "10"], check=True)
     folders = sorted(tmp_path.glob("killed-*"))
     assert len(folders) > 1
     for folder in folders:
@@ -267,8 +267,8 @@ def test_other_damaged_files_are_named_and_made_again(folder, undisturbed, compu
     rl.resume(folder)
     assert name in caplog.text and computed == []
     assert_same(folder, undisturbed[0])
-    if name != "provenance.json":
-        assert (folder / name).read_bytes() == (undisturbed[0] / name).read_bytes() or name == "results.nc"
+    if name not in ("provenance.json", "results.nc"):  # in which times are
+        assert (folder / name).read_bytes() == (undisturbed[0] / name).read_bytes()
 
 
 # --- refused -----------------------------------------------------------------------------------------
