@@ -18,7 +18,7 @@ import threading
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import jax
 import numpy as np
@@ -139,7 +139,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
-        _give_up_stdout()
+        _give_up(sys.stdout)
         return 1
     except InputError as error:
         return _complain(str(error), code=2)
@@ -150,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         return _complain("; ".join(["there is not enough memory", *_notes(error)]))
     except OSError as error:
-        _give_up_stdout()
+        _give_up(sys.stdout)
         what = f"{error.filename}: " if error.filename else "reading or writing failed: "
         return _complain("; ".join([what + reason(error), *_notes(error)]))
     except Exception as error:
@@ -194,16 +194,18 @@ def _lookalikes(error: UnicodeError) -> tuple[str, int]:
 codecs.register_error("lookalikes", _lookalikes)
 
 
-def _give_up_stdout() -> None:
-    """Python flushes stdout once more at its end: what cannot be written goes nowhere."""
+def _give_up(stream: TextIO) -> None:
+    """Python flushes stdout and stderr once more at its end: what cannot be written goes nowhere."""
     with contextlib.suppress(OSError, ValueError):  # as where a test has put something else in its place
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _complain(line: str, code: int = 1) -> int:
     """Prints one line on stderr, if that is possible. Returns the exit code."""
-    with contextlib.suppress(OSError):
+    try:
         print(f"{PROG}: {line}", file=sys.stderr, flush=True)
+    except OSError:
+        _give_up(sys.stderr)
     return code
 
 

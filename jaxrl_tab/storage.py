@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrl_tab.types import InputError, RunError, is_whole, reason
+from jaxrl_tab.types import InputError, RunError, is_whole, one_line, reason
 
 MANIFEST, SHARDS, PICTURES, ASIDE, LOCK = "manifest.json", "shards", "pictures", "set-aside", ".lock"
 UNFINISHED = ".unfinished"  # the end of the name of what is being written, which begins with a dot
@@ -142,7 +142,7 @@ def new_folder(path: Path) -> Iterator[Path]:
         unfinished = _unfinished(path.with_name(f"{path.name}-{os.getpid()}"))  # "." has no name
         unfinished.mkdir(parents=True)
     except (OSError, ValueError) as error:  # a name that holds NUL
-        raise InputError(f"{path} cannot be made: {reason(error)}") from None
+        raise InputError(f"{one_line(str(path))} cannot be made: {reason(error)}") from None
     try:
         with said(path):
             yield unfinished
@@ -476,4 +476,4 @@ def _sync(folder: Path) -> None:
 
 
 def _exists(path: Path) -> str:
-    return f"{path} exists already; name a new folder"
+    return f"{one_line(str(path))} exists already; name a new folder"

@@ -632,7 +632,7 @@ def test_listing_imports_nothing_heavy():
 def in_a_shell(words, tmp_path, **environment):
     """The exit code of a command in a shell, and what it wrote to the files `out` and `err` there."""
     command = f"{shlex.quote(sys.executable)} -m jaxrl_tab {words}"
-    unset = {"JAXRL_TAB_TRACEBACK": ""}
+    unset = {"JAXRL_TAB_TRACEBACK": "", "PYTHONUNBUFFERED": ""}
     code = subprocess.run(command, shell=True, cwd=tmp_path, env=os.environ | unset | environment).returncode
     texts = [(tmp_path / name).read_text() if (tmp_path / name).exists() else "" for name in ("out", "err")]
     return code, *texts
@@ -643,6 +643,11 @@ def in_a_shell(words, tmp_path, **environment):
     [
         (
             "list --json > /dev/full 2> err",
+            1,
+            "jaxrl-tab: reading or writing failed: No space left on device\n",
+        ),
+        (
+            "--version > /dev/full 2> err",  # which is found out when it is flushed
             1,
             "jaxrl-tab: reading or writing failed: No space left on device\n",
         ),

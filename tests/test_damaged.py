@@ -141,15 +141,13 @@ def try_one(seed, made, scratch):
     """One file of a copy is damaged; then it is resumed, twice if it was refused. What happened, in words."""
     (folders, expected), rng = made, np.random.default_rng(seed)
     path = scratch / str(seed) / "a" / "run"
-    shutil.copytree(folders[rng.integers(2)], path)
+    shutil.copytree(folders[seed // 20 % 2], path)
     outside = path.parent.parent / "outside.txt"
     outside.write_text("outside")
     OUTSIDE[:] = [outside]
     files = sorted(file for file in path.rglob("*") if file.is_file() and file.name != storage.LOCK)
-    texts = [file for file in files if file.suffix in (".json", ".toml")]
-    some = texts if rng.integers(2) else files
-    file = some[rng.integers(len(some))]
-    damage = DAMAGES[rng.integers(len(DAMAGES))]
+    damage = DAMAGES[seed % len(DAMAGES)]
+    file = files[3 * (seed + seed // len(DAMAGES)) % len(files)]  # in the end each with each damage
     damage(rng, file)
     what = f"{seed}: {damage.__name__} {file.relative_to(path)}"
     try:
@@ -170,7 +168,7 @@ def try_one(seed, made, scratch):
 
 
 def test_damaged_folders(folders, tmp_path):
-    """Broken once: names in the manifest not looked at, links followed, shapes not compared -> each fails."""
+    """Broken once: checksums not looked at, what is no JSON not caught -> each fails; pipes read -> hangs."""
     with tiny.small():
         refused = ["refused" in try_one(seed, folders, tmp_path) for seed in range(TRIALS)]
     assert sum(refused) < TRIALS / 3  # most are mended

@@ -2,14 +2,17 @@
 
 import itertools
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_reference import random_mdp
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning
+from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.results import is_diverged
 from jaxrl_tab.sweep import BEYOND, prepare
+from jaxrl_tab.types import Outcome, pytree
 
 
 def returns_of_all_paths(env, gamma, steps, begin):
@@ -31,7 +34,7 @@ def returns_of_all_paths(env, gamma, steps, begin):
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 1.0])
 def test_the_largest_return_is_that_of_some_path(gamma):
-    """Broken once: costs not looked at; rewards of outcomes that have no chance; a step more -> fails."""
+    """Broken once: costs not looked at; a step more -> fails."""
     env = rl.WindyGridworld(shape=(2, 3), wind=(0, 0, 0), start=(0, 0), goal=(1, 2))
     found = returns_of_all_paths(env, gamma, 4, range(6))
     assert planning.largest_return(env, gamma, 4) == pytest.approx(np.abs(found).max())
@@ -51,6 +54,23 @@ def test_the_largest_return_by_hand():
     away = rl.FiniteMDP(stays, np.array([[1.0, 0.0], [-1e9, -1e9]]))
     assert planning.largest_return(away, 0.0, 9) == 1
     assert planning.largest_return(away, 0.0, 9, anywhere=True) == 1e9
+
+
+def test_the_largest_return_knows_no_outcome_without_a_chance():
+    """Broken once: its reward counted -> fails."""
+
+    @pytree
+    class Lottery(Finite):
+        num_states, num_actions, max_steps = 2, 1, 9
+
+        def initial(self):
+            return jnp.eye(2)[0]
+
+        def outcomes(self, s, a):
+            reward = jnp.where(s == 0, jnp.array([-1.0, 1e6]), 0)
+            return jnp.array([1.0, 0.0]), Outcome(jnp.array([1, 1]), reward, jnp.array([True, True]))
+
+    assert planning.largest_return(Lottery(), 1.0, 9) == 1
 
 
 def test_values_beyond_any_return_have_diverged():

@@ -173,8 +173,8 @@ def test_a_sweep_streams_through_in_bounded_memory():
 def test_an_experiment_ends_in_bounded_memory(tmp_path):
     """2 x 50 000 runs with tables, intervals, pictures and the report: 114 MB of results, in 50 MB and a shard.
 
-    Beside what Python, JAX and the libraries hold once they have done all of it. Broken once: results written
-    as a whole, all tables looked at at once -> each fails.
+    Beside what Python, JAX and the libraries hold once they have done all of it. Broken once: all tables looked
+    at at once -> fails.
     """
     code = """if True:
         import resource, sys, jaxrl_tab as rl
@@ -195,3 +195,25 @@ def test_an_experiment_ends_in_bounded_memory(tmp_path):
     )
     assert "are kept in files" in run.stderr
     assert int(run.stdout) < 50_000_000 + runner.SHARD_BYTES
+
+
+def test_results_in_files_are_written_some_at_a_time(tmp_path):
+    """112 MB of tables. Broken once: as a whole -> 110 MB are taken for it."""
+    code = """if True:
+        import pathlib, resource, sys, jax, numpy as np, xarray as xr
+        from jaxrl_tab import memory, results
+        peak = lambda: 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        def save(runs, name):
+            like = {"q": jax.ShapeDtypeStruct((70, 4), np.float32)}
+            q = memory.Results(like, runs, on_disk=True).arrays["q"].reshape(2, runs // 2, 70, 4)
+            ds = xr.Dataset({"q": (("alpha", "seed", "state", "action"), q)})
+            results.save(ds, "sarsa", pathlib.Path(sys.argv[1]) / name, {})
+        save(20_000, "few.nc")
+        before = peak()
+        save(100_000, "many.nc")
+        print(peak() - before)
+    """
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    assert int(run.stdout) < memory.BLOCK

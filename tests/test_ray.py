@@ -176,7 +176,7 @@ GRPC = bytes(3) + b"\4" + bytes(5)
 
 
 def test_addresses_where_something_else_listens_are_refused_soon(listens, monkeypatch):
-    """Broken once: only connected -> Ray tries for minutes."""
+    """Broken once: only connected -> half a minute later another line, or Ray tries for minutes."""
     monkeypatch.setattr(ray_executor, "_SECONDS", 0.5)
     with pytest.raises(RunError, match="something else listens there"):
         executors.get("ray", address=listens(b"HTTP/1.1 400 Bad Request\r\n\r\n"))

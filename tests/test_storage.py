@@ -94,13 +94,22 @@ def test_a_missing_shard_and_a_damaged_result_are_named(folder):
 
 @pytest.mark.parametrize("damage", [*DAMAGES, lambda file: file.unlink()])
 def test_a_damaged_manifest_is_made_again_of_the_shards(folder, damage):
-    """No shard is computed again that is whole. Broken once: no checksum of the manifest itself -> fails."""
+    """No shard is computed again that is whole."""
     before = Store(folder, "abc").shards
     damage(folder / "manifest.json")
     store = Store(folder, "abc")
     assert len(store.found) == 1 and store.found[0].startswith("manifest.json is ")
     assert store.shards == before and store.files == []
     assert Store(folder, "abc").found == []
+
+
+def test_a_manifest_that_says_otherwise_is_damaged(folder):
+    """In a way that only its own checksum tells. Broken once: that not looked at -> fails."""
+    file = folder / "manifest.json"
+    file.write_text(file.read_text().replace('"diverged": 2', '"diverged": 3'))
+    store = Store(folder, "abc")
+    assert len(store.found) == 1 and store.found[0].startswith("manifest.json is damaged")
+    assert store.shards[2].diverged == 2
 
 
 @pytest.mark.parametrize("damage", DAMAGES)

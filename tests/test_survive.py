@@ -166,7 +166,7 @@ def test_several_environments_have_groups_and_pictures_of_their_own(tmp_path):
 
 def test_any_label_has_its_pictures(tmp_path, computed):
     """Broken once: the label as the name of a folder -> the file name is too long."""
-    labels = ["x" * 200, "foo.unfinished", "Walk", "walk"]
+    labels = ["\u4e16" * 200, "foo.unfinished", "Walk", "walk"]
     walks = [{"name": "random-walk", "label": label} for label in labels]
     rl.run(rl.Experiment(walks, "td", seeds=2, steps=100), tmp_path / "run")
     assert len(list((tmp_path / "run" / "pictures").glob("*/overview.png"))) == 4
@@ -213,11 +213,11 @@ def test_an_interrupted_run_goes_on_where_it_was(undisturbed, tmp_path, computed
 
 
 @pytest.mark.slow
-def test_killed_twenty_times_at_random_moments(undisturbed, tmp_path):
+def test_killed_ten_times_at_random_moments(undisturbed, tmp_path):
     """Broken once: results put together only by who computed a shard -> fails."""
-    subprocess.run([*QUICK, "kill", str(tmp_path), "20"], check=True)
+    subprocess.run([*QUICK, "kill", str(tmp_path), "10"], check=True)
     folders = sorted(tmp_path.glob("killed-*"))
-    assert len(folders) > 1
+    assert folders
     for folder in folders:
         assert_same(folder, undisturbed[0])
         assert not (folder / storage.ASIDE).exists()  # nothing was found damaged
@@ -267,8 +267,8 @@ def test_other_damaged_files_are_named_and_made_again(folder, undisturbed, compu
     rl.resume(folder)
     assert name in caplog.text and computed == []
     assert_same(folder, undisturbed[0])
-    if name != "provenance.json":
-        assert (folder / name).read_bytes() == (undisturbed[0] / name).read_bytes() or name == "results.nc"
+    if name not in ("provenance.json", "results.nc"):  # in which times are
+        assert (folder / name).read_bytes() == (undisturbed[0] / name).read_bytes()
 
 
 # --- refused -----------------------------------------------------------------------------------------
@@ -309,7 +309,10 @@ def test_an_altered_resolved_json_is_damage(folder, undisturbed, computed, caplo
 
 @pytest.mark.parametrize(
     "text",
-    ["[]", "3", '{"file": 3, "sessions": []}', '{"file": null, "sessions": [{"versions": 3}]}', '"\\ud800"'],
+    [
+        *("[]", "3", '{"file": 3, "sessions": []}', '{"file": null, "sessions": [{"versions": 3}]}'),
+        '{"file": "\\ud800", "sessions": []}',
+    ],
 )
 def test_records_of_another_kind_are_begun_anew(folder, caplog, text):
     """Broken once: looked at only whether it is JSON -> TypeError, KeyError, UnicodeEncodeError."""
@@ -328,9 +331,9 @@ def test_what_is_no_experiment_or_no_name_is_refused(tmp_path):
         with pytest.raises(InputError, match="run takes an Experiment, not"):
             rl.run(wrong, tmp_path / "run")
     for wrong in (3, None, "a\0b", b"bytes"):
-        with pytest.raises(InputError, match="the name of a folder must be text"):
+        with pytest.raises(InputError, match="the folder must be named by a text, or a Path, not"):
             rl.resume(wrong)
-    with pytest.raises(InputError, match="the name of a folder must be text"):
+    with pytest.raises(InputError, match="the folder must be named by a text, or a Path, not"):
         rl.run(quick.SELECTED, "a\0b")
 
 
@@ -495,9 +498,13 @@ def test_other_errors_of_jax_are_not_taken_for_want_of_memory(windy, monkeypatch
 
 
 def test_runs_that_diverge_are_counted_and_leave_all_others_as_they_are(tmp_path, capsys):
-    """In the data, on the way, and on the screen."""
+    """In the data, on the way, and on the screen.
+
+    By numbers that are none, or beyond ten times any return: each of the 2000 steps costs 1. Broken once: judged
+    by infinities alone -> fails.
+    """
     reports = []
-    method = {"name": "sarsa-lambda", "alpha": [0.25, 3.0]}
+    method = {"name": "sarsa-lambda", "alpha": [0.25, 0.8, 3.0]}
     rl.run(
         rl.Experiment("windy-gridworld", method, seeds=40, steps=2000),
         tmp_path / "run",
@@ -506,13 +513,14 @@ def test_runs_that_diverge_are_counted_and_leave_all_others_as_they_are(tmp_path
     alone = rl.run(rl.Experiment("windy-gridworld", method | {"alpha": 0.25}, seeds=40, steps=2000))
     with xr.open_datatree(tmp_path / "run" / "results.nc") as tree:
         ds = tree["sarsa-lambda"].to_dataset().load()
-    bad = ~np.isfinite(ds.q).all(("state", "action"))
-    assert 0 < bad.sel(alpha=3).sum() < 40 and not bad.sel(alpha=0.25).any()
+    bad = ~(abs(ds.q) <= 10 * 2000).all(("state", "action"))
+    assert not bad.sel(alpha=0.25).any() and 0 < bad.sel(alpha=0.8).sum() < 40
+    assert np.isfinite(ds.q.sel(alpha=0.8)).all() and not np.isfinite(ds.q.sel(alpha=3)).all()
     np.testing.assert_array_equal(ds.diverged, bad)
     assert reports[-1].diverged == bad.sum()
     np.testing.assert_array_equal(ds.q.sel(alpha=0.25), alone.datasets["windy-gridworld/sarsa-lambda"].q)
     assert cli.main(["resume", str(tmp_path / "run")]) == 0
-    assert f"{int(bad.sum())} of 80 runs diverged" in capsys.readouterr().out
+    assert f"{int(bad.sum())} of 120 runs diverged" in capsys.readouterr().out
 
 
 # --- Ctrl-C ------------------------------------------------------------------------------------------
