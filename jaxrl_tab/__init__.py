@@ -9,6 +9,9 @@
 Importing the package asks XLA for faster loops, as long as JAX has not started: see `batch`.
 """
 
+import importlib
+from typing import Any
+
 from jaxrl_tab import (
     algorithms,
     batch,
@@ -65,6 +68,20 @@ from jaxrl_tab.train import Log, train
 from jaxrl_tab.types import InputError, Outcome, RunError, Transition
 
 __version__ = "0.1.0"
+_LATER = (
+    "export",
+    "figures",
+    "plot",
+    "report",
+    "stats",
+)  # imported when they are first used: they take a second
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LATER:
+        return importlib.import_module(f"jaxrl_tab.{name}")
+    raise AttributeError(f"module 'jaxrl_tab' has no attribute {name!r}")
+
 
 __all__ = [
     "ALGORITHMS",

@@ -42,6 +42,7 @@ from jaxrl_tab.types import (
     foreign,
     is_distribution,
     shown,
+    stand_ins,
 )
 
 BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
@@ -91,8 +92,7 @@ def enumerate_model(env: Any) -> Model:
     actions = jnp.arange(env.num_actions, dtype=jnp.int32)
     available = available_actions(env)
     if available is not None:
-        another = jnp.where(available, actions[None], env.num_actions - 1).min(1, keepdims=True)
-        actions = jnp.where(available, actions[None], another)
+        actions = stand_ins(available)
     of_states = None if available is None else 0
     prob, outcome = jax.vmap(jax.vmap(env.outcomes, (None, 0)), (0, of_states))(states, actions)
     return Model(
@@ -314,6 +314,9 @@ def value_iteration(
 ) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S A"]]:
     """The optimal values v* and q* (book, section 4.4), float64 [S] and [S, A]; 0 at terminal states.
 
+    At gamma = 1 values need not be finite. Where that is so only of states that cannot be reached from the
+    start, all such states have NaN, and the others what they are worth.
+
     It starts from the values that policy iteration finds, for from 0 a corridor of S states would need S
     sweeps, and at gamma = 1 waiting for nothing may look better than it is. Sweeps then show how far these
     are from v*.
@@ -329,14 +332,13 @@ def value_iteration(
         max_sweeps: how many sweeps to make at most.
 
     Raises:
-        InputError: gamma is 1 and from some state no policy ever ends while rewards go on, or a round trip
-            earns more than it costs; or `max_sweeps` were not enough.
+        InputError: gamma is 1 and from some state that can be reached no policy ever ends while rewards go
+            on, or a round trip earns more than it costs; or `max_sweeps` were not enough.
     """
     check_rate("gamma", gamma)
     if not (isinstance(tol, int | float | np.number) and tol > 0):
         raise InputError(f"tol must be greater than 0, not {shown(tol)}")
-    model = exact_model(env)
-    found = _solved(env, model, 0.0, gamma)
+    model, found, out = _solved(env, 0.0, gamma)
     v, terms = found.v, (found.probs * backup(_sizes(model), abs(found.v), gamma)).sum(1)
     rounding = ROUNDING * np.finfo(v.dtype).eps * terms
     old, ratio = np.inf, 1.0
@@ -348,7 +350,7 @@ def value_iteration(
         v = new_v
         if change * rate <= tol * (1 - rate):
             q = backup(model, v, gamma)
-            return _largest(q), q
+            return _unless(out, _largest(q)), _unless(out, q)
         old, ratio = change, change / old
     raise InputError(
         f"{_name(env)}: value iteration did not converge in {max_sweeps} sweeps; raise max_sweeps"
@@ -385,8 +387,8 @@ def epsilon_soft(
     """
     check_rate("epsilon", epsilon)
     check_rate("gamma", gamma)
-    found = _solved(env, exact_model(env), epsilon, gamma)
-    return found.probs, found.v, found.q
+    _, found, out = _solved(env, epsilon, gamma)
+    return found.probs, _unless(out, found.v), _unless(out, found.q)
 
 
 def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
@@ -415,9 +417,18 @@ def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = 
     return float(most[:, begin].max() + change * more)
 
 
-def _solved(env: Environment, model: Model, epsilon: float, gamma: float) -> "_Round":
-    """The last round of policy iteration. Raises InputError where there is no finite answer."""
-    found = _policy_iteration(model, epsilon, gamma)
+def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "_Round", Bool[np.ndarray, " S"]]:
+    """The model, the last round of policy iteration in it, and which states were left out of both.
+
+    Left out is what cannot be reached, where nothing else has no finite value. Raises InputError where there
+    is no finite answer.
+    """
+    model = exact_model(env)
+    found, out = _policy_iteration(model, epsilon, gamma), np.zeros(len(model.start), bool)
+    if found.caught.any() and not (found.caught & (there := reachable(model))).any():
+        out = ~there
+        model = _ending(model, out)
+        found = _policy_iteration(model, epsilon, gamma)
     if found.caught.any():
         where, who = f"{_name(env)}: from state {first(found.caught)[0]}", "epsilon-soft " if epsilon else ""
         said = (
@@ -430,7 +441,22 @@ def _solved(env: Environment, model: Model, epsilon: float, gamma: float) -> "_R
         )
     if found.better.any():
         raise InputError(f"{_name(env)}: policy iteration did not settle in {MAX_ROUNDS} rounds")
-    return found
+    return model, found, out
+
+
+def _unless(out: Bool[np.ndarray, " S"], values: Float[np.ndarray, "S *A"]) -> Float[np.ndarray, "S *A"]:
+    """`values`, and NaN for the states that were left out."""
+    return np.where(out.reshape(-1, *[1] * (values.ndim - 1)), np.nan, values)
+
+
+def _ending(model: Model, states: Bool[Any, " S"]) -> Model:
+    """The model in which `states` are terminal, so that whatever they pay has no part in anything."""
+    where, states = _namespace(model).where, states[:, None, None]
+    return model._replace(
+        s_next=where(states, np.arange(len(states), dtype=np.int32)[:, None, None], model.s_next),
+        reward=where(states, 0, model.reward),
+        terminal=model.terminal | states,
+    )
 
 
 # --- inside a compiled program -----------------------------------------------------------------------
@@ -462,13 +488,8 @@ def _traced_model(env: Any) -> Model:
     anything. Probabilities that are thirds of float32 are made to add up to 1.
     """
     model = enumerate_model(jax.tree.map(lambda x: x.copy() if isinstance(x, np.ndarray) else x, env))
-    out = ~reachable(model)[:, None, None]
-    return model._replace(
-        prob=model.prob / model.prob.sum(-1, keepdims=True),
-        s_next=jnp.where(out, jnp.arange(len(out), dtype=jnp.int32)[:, None, None], model.s_next),
-        reward=jnp.where(out, 0, model.reward),
-        terminal=model.terminal | out,
-    )
+    model = _ending(model, ~reachable(model))
+    return model._replace(prob=model.prob / model.prob.sum(-1, keepdims=True))
 
 
 def measurer(env: Environment, gamma: Any) -> Measure:

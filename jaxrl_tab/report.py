@@ -346,15 +346,16 @@ def _runs(ds: xr.Dataset) -> str:
 
 
 def _finding(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> str:
-    """The best method in a sentence, by what was found on fresh seeds where there is that."""
-    row = min((again.get(row.method, row) for row in stars), key=lambda row: _rank(row, view.prediction))
+    """The best method in a sentence, by what was found on fresh seeds where all were run on some."""
+    on_fresh = len(again) == len(stars)
+    row = min(again.values() if on_fresh else stars, key=lambda row: _rank(row, view.prediction))
     if np.isnan(row.mean):
         return "no run has a result to compare"
     setting = _setting_of(next(star for star in stars if star.method == row.method), view)
     optimum = (
         "" if view.prediction or np.isnan(row.optimum) else f"; the exact optimum is {_number(row.optimum)}"
     )
-    seeds = " on fresh seeds" if again else ""
+    seeds = " on fresh seeds" if on_fresh else ""
     return f"best: {setting}, with a {view.what} of {_number(row.mean, view.decimals)}{seeds}{optimum}"
 
 

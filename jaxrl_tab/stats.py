@@ -1049,7 +1049,7 @@ def curve_interval(ds: xr.Dataset, at_most: int) -> Interval:
 
     def of(part: xr.Dataset) -> Interval:
         curve = merged(part)
-        return possible(mean_interval(curve), curve, part)
+        return possible(mean_interval(curve), curve, ds)  # of all rows: what they pay is possible in any
 
     return _over_rows(ds, of, every)
 
@@ -1326,7 +1326,9 @@ def at_edge(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, str]:
             continue
         if setting[name] == tried.max() and not (name in ("epsilon", "lam", "gamma") and tried.max() == 1):
             found[name] = "largest"
-        elif setting[name] == tried.min() and tried.min() != (1 if tried.dtype.kind in "iu" else 0):
+        elif setting[name] == tried.min() and tried.min() not in (
+            (0, 1) if tried.dtype.kind in "iu" else (0,)
+        ):
             found[name] = "smallest"
     return found
 
@@ -1527,7 +1529,7 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
         `last_tenth_return`, `_low` and `_high` are then what the policy that acts earned in those runs that
         finished an episode there.
     """
-    records, names, results = [], {}, {}
+    records, names, columns = [], {}, {}
     compared = differences(datasets)
     for method, ds in datasets.items():
         swept, constant = hyperparameters(ds), fixed(ds)
@@ -1568,11 +1570,12 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
             results["greedy_value"] = _sound(ds.greedy_value.isel(row=-1), ds).median("seed")
         if prediction:
             results["final_v_error"] = mean_interval(_sound(ds.v_error.isel(row=-1), ds)).estimate
+        columns |= dict.fromkeys(results)
         results["optimum"] = optimum(ds)
         table = xr.Dataset(results).expand_dims(method=[method])
         frame = table.to_dataframe(dim_order=["method", *swept]).reset_index()
         records += [constant | record for record in frame.to_dict("records")]
-    return pd.DataFrame(records, columns=["method", *names, *results])
+    return pd.DataFrame(records, columns=["method", *names, *columns, "optimum"])
 
 
 def _is_at(x: xr.DataArray, setting: Mapping[str, Any]) -> xr.DataArray:

@@ -91,7 +91,7 @@ def said(path: Path, done: str = "written") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise RunError(f"{path} could not be {done}: {reason(error)}") from None
+        raise RunError(f"{one_line(str(path))} could not be {done}: {reason(error)}") from None
 
 
 def read_json(file: Path) -> Any:
@@ -170,7 +170,7 @@ def lock(folder: Path) -> Iterator[None]:
         flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
         file = os.fdopen(os.open(folder / LOCK, flags, 0o666), "rb+", buffering=0)
     except OSError as error:
-        raise InputError(f"{folder} cannot be written: {reason(error)}") from None
+        raise InputError(f"{one_line(str(folder))} cannot be written: {reason(error)}") from None
     with file:
         with contextlib.suppress(ImportError):  # Windows has no such locks
             import fcntl
@@ -178,7 +178,7 @@ def lock(folder: Path) -> Iterator[None]:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise InputError(f"another process is at work in {folder}") from None
+                raise InputError(f"another process is at work in {one_line(str(folder))}") from None
         yield
 
 
@@ -401,7 +401,7 @@ def _empty(fingerprint: str) -> dict[str, Any]:
 def _own_folder(path: Path) -> Path:
     """A folder in the folder, made if need be. Raises InputError where it is a link: that leads out of it."""
     if path.is_symlink():
-        raise InputError(f"{path} is a link: put the folder that it leads to in its place")
+        raise InputError(f"{one_line(str(path))} is a link: put the folder that it leads to in its place")
     with said(path):
         path.mkdir(exist_ok=True)
     return path

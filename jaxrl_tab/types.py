@@ -380,6 +380,14 @@ def available_actions(env: Any) -> Bool[Array, "S A"] | None:
     return there
 
 
+def stand_ins(available: Bool[Array, "S A"]) -> Int[Array, "S A"]:
+    """What is done where an action is asked for: itself where it is available, else the first that is, [S, A]."""
+    actions = jnp.arange(available.shape[1], dtype=jnp.int32)
+    return jnp.where(
+        available, actions, jnp.where(available, actions, len(actions) - 1).min(1, keepdims=True)
+    )
+
+
 def check_available(what: str, available: Any, num_states: int, num_actions: int) -> None:
     """Raises InputError unless these are booleans [S, A], with an action in every state."""
     there = concrete(available)

@@ -158,8 +158,8 @@ def test_one_very_bad_state_spoils_no_answer(big):
 
 def test_sweeps_go_on_until_every_state_is_exact(monkeypatch):
     """From a start that is 1 off. Broken once -> fails: rounding judged by the largest value anywhere."""
-    solved = planning._solved
-    monkeypatch.setattr(planning, "_solved", lambda *args: (x := solved(*args))._replace(v=x.v - 1))
+    model, found, out = planning._solved(ring(1e15), 0.0, 0.99)
+    monkeypatch.setattr(planning, "_solved", lambda *_: (model, found._replace(v=found.v - 1), out))
     v, _ = planning.value_iteration(ring(1e15), 0.99)
     np.testing.assert_allclose(v[:4], AROUND, rtol=0, atol=1e-10)
 
@@ -241,6 +241,34 @@ def test_what_is_no_table_is_refused(q, message):
     for policy in (planning.greedy_policy, lambda q: planning.epsilon_greedy_policy(q, 0.1)):
         with pytest.raises(rl.InputError, match=message):
             policy(q)
+
+
+@pytest.mark.parametrize("forever", [-1e9, 1e9, 1e-3])
+def test_at_gamma_1_what_cannot_be_reached_need_not_be_finite(forever):
+    """Three states before the end, 3, to which action 1 leads for -1 a state; action 0 waits for -2. State 4 cannot
+
+    be reached and pays for ever. Broken once: refused, as where a state that can be reached is so -> fails.
+    """
+    p, r = np.zeros((5, 2, 5)), np.zeros((5, 2))
+    for s in range(3):
+        p[s, 0, s] = p[s, 1, s + 1] = 1
+        r[s] = -2, -1
+    p[3, :, 3] = p[4, :, 4] = 1
+    r[4] = forever
+    env = rl.FiniteMDP(p, r, terminal=[3])
+    v, q = planning.value_iteration(env)
+    np.testing.assert_array_equal(v, [-3, -2, -1, 0, np.nan])
+    np.testing.assert_array_equal(q[:4], [[-5, -3], [-4, -2], [-3, -1], [0, 0]])
+    probs, v, _ = planning.policy_iteration(env)
+    np.testing.assert_array_equal(probs[:3], [[0, 1]] * 3)
+    np.testing.assert_array_equal(v, [-3, -2, -1, 0, np.nan])
+    _, v, _ = planning.epsilon_soft(
+        env, 0.5
+    )  # each state is left in three of four steps: 4/3 steps, 1/3 at -2
+    np.testing.assert_allclose(v[:4], np.array([3, 2, 1, 0]) * -(1 + 2 / 3), rtol=1e-12)
+    p[0, 0] = np.eye(5)[4]
+    with pytest.raises(rl.InputError, match="from state 4 no policy ever ends"):
+        planning.value_iteration(rl.FiniteMDP(p, r, terminal=[3]))
 
 
 # --- long corridors ----------------------------------------------------------------------------------

@@ -71,3 +71,13 @@ def test_importing_the_package_is_cheap_and_starts_nothing():
     heavy = {"scipy", "xarray", "pandas", "matplotlib", "optax", "rich", "tyro", "h5py", "numba"}
     assert not (heavy | {"gymnax", "gymnasium", "flax"}) & set(modules.split())
     assert devices == "3"
+
+
+def test_what_takes_long_to_import_is_there_when_it_is_used():
+    code = (
+        "import sys, jaxrl_tab as rl; assert 'jaxrl_tab.stats' not in sys.modules;"
+        "print(callable(rl.stats.best), callable(rl.plot.overview), callable(rl.export.load),"
+        " callable(rl.report.write), hasattr(rl.figures, 'FIGURES'), hasattr(rl, 'nothing'))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True"] * 5 + ["False"]

@@ -475,3 +475,15 @@ def test_q_learning_learns_the_lake():
     run = jax.jit(jax.vmap(lambda key: rl.train(key, method, env, num_steps=10_000, log_every=10_000)[0].q))
     q = run(jax.random.split(jax.random.key(0), 20))
     np.testing.assert_allclose(q[:, 0].max(1), 0.9**5, rtol=1e-4)
+
+
+def test_actions_that_are_not_there_are_said_and_do_what_the_first_one_does():
+    """In state A of maximisation bias there are left, 0, and right, 1. Broken once: 5 goes right -> fails."""
+    env = to_gymnasium(rl.make("maximization-bias"))
+    _, info = env.reset(seed=0)
+    assert info["action_mask"].tolist() == [1, 1] + 8 * [0] and info["action_mask"].dtype == np.int8
+    s, reward, terminated, _, info = env.step(5)
+    assert (s, reward, terminated) == (1, 0, False) and env.P[0][5] == [(1.0, 1, 0.0, False)]
+    assert info["action_mask"].all()
+    with_all = to_gymnasium(rl.make("cliff-walking"))
+    assert with_all.reset(seed=0)[1] == {}

@@ -542,3 +542,11 @@ def test_the_example(capsys):
     assert names["catch_value"]["at best"] == pytest.approx(1)
     assert names["catch_value"]["as learned"] > 0.99
     assert capsys.readouterr().out.count("reward -100.0, and again in state 36") == 2
+
+
+def test_actions_that_are_not_there_do_what_the_first_one_does():
+    """As in Gymnasium, see there. Broken once: what the environment makes of action 5, right -> fails."""
+    env, key = to_gymnax(rl.make("maximization-bias")), jax.random.key(0)
+    _, state = env.reset(key)
+    s, state, reward, terminated, _, info = env.step(key, state, 5)
+    assert (int(s), float(reward), bool(terminated)) == (1, 0, False) and info["action_mask"].all()

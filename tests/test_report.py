@@ -159,8 +159,10 @@ def test_it_says_how_it_was_made_and_escapes_it(made):
 
 
 def test_what_it_says_first_is_the_best_method(made):
+    """Not all methods were run on fresh seeds, so none is judged by them."""
     assert re.search(
-        r"windy : best: Q-learning, α = 0.9, with a mean return of −1\d\.\d+ on fresh seeds", read(made).text
+        r"windy : best: Q-learning, α = 0.9, with a mean return of −1\d\.\d+; the exact optimum",
+        read(made).text,
     )
 
 

@@ -15,7 +15,15 @@ from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 from jaxrl_tab import planning, rng
 from jaxrl_tab.envs import ENVS, FiniteMDP
 from jaxrl_tab.envs.base import MAX_STEPS
-from jaxrl_tab.types import Environment, FiniteEnvironment, InputError, check_pytree, shown
+from jaxrl_tab.types import (
+    Environment,
+    FiniteEnvironment,
+    InputError,
+    available_actions,
+    check_pytree,
+    shown,
+    stand_ins,
+)
 
 # Wrappers that change no reward, action, observation, end or dynamics of an episode, by their exact class.
 HARMLESS = (
@@ -188,6 +196,9 @@ class Tabular(gymnasium.Env):
         self.observation_space = spaces.Discrete(env.num_states)
         self.action_space = spaces.Discrete(env.num_actions)
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
+        there = available_actions(env)
+        self._available = None if there is None else np.asarray(there)
+        self._done = None if there is None else np.asarray(stand_ins(there))
         self._s: int | None = None
         self._steps = 0
         if isinstance(env, FiniteEnvironment):
@@ -196,18 +207,23 @@ class Tabular(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[int, dict]:
         super().reset(seed=seed)
         self._s, self._steps = int(self._reset(self._key())), 0
-        return self._s, {}
+        return self._s, self._info()
 
     def step(self, action: Any) -> tuple[int, float, bool, bool, dict]:
         if self._s is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         if not self.action_space.contains(action):
             raise InputError(f"action must be one of 0 to {self.env.num_actions - 1}, not {shown(action)}")
-        outcome = self._step(self._key(), self._s, int(action))
+        action = int(action if self._done is None else self._done[self._s, action])
+        outcome = self._step(self._key(), self._s, action)
         self._s, self._steps = int(outcome.s_next), self._steps + 1
         terminated = bool(outcome.terminal)
         truncated = not terminated and self._steps >= self.env.max_steps
-        return self._s, float(outcome.reward), terminated, truncated, {}
+        return self._s, float(outcome.reward), terminated, truncated, self._info()
+
+    def _info(self) -> dict[str, Any]:
+        """Which actions there are, as Gymnasium's Taxi says it, where they are not all everywhere."""
+        return {} if self._available is None else {"action_mask": self._available[self._s].astype(np.int8)}
 
     def _key(self) -> jax.Array:
         return rng.key(int(self.np_random.integers(2**32)))
@@ -234,6 +250,9 @@ def to_gymnasium(env: Environment) -> Tabular:
     Gymnasium's own tabular environments have. The time limit truncates, as it does here; there is nothing to
     render. `reset(seed=...)` makes what follows reproducible. An environment that draws the problem of each
     run, such as the k-armed testbed, keeps the one that it holds: give `env.instance(key)`.
+
+    Where not all actions are available in each state, `info["action_mask"]`, int8 [A], says which are, and another
+    one does what the first of these does. (`from_gymnasium` then takes it for a copy of that action.)
 
     Raises:
         InputError: `env` is no environment of ours.

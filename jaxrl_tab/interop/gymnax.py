@@ -22,10 +22,12 @@ from jaxrl_tab.types import (
     Environment,
     InputError,
     Outcome,
+    available_actions,
     check_pytree,
     nearest,
     pytree,
     shown,
+    stand_ins,
     static,
     whole,
 )
@@ -520,11 +522,15 @@ class Tabular(environment.Environment):
         return s, TabularState(time=jnp.int32(0), s=s, terminal=jnp.bool(False))
 
     def step_env(self, key: Any, state: TabularState, action: Any, params: Any) -> tuple[Any, ...]:
-        outcome = self.env.step(key, state.s, jnp.asarray(action, jnp.int32))
+        there, action = available_actions(self.env), jnp.asarray(action, jnp.int32)
+        if there is not None:
+            action = stand_ins(there)[state.s, action]
+        outcome = self.env.step(key, state.s, action)
         s, terminal = jnp.asarray(outcome.s_next, jnp.int32), jnp.asarray(outcome.terminal, bool)
         reward = jnp.asarray(outcome.reward, float)
         state = TabularState(time=state.time + 1, s=s, terminal=terminal)
-        return s, state, reward, terminal, {"discount": self.discount(state, params)}
+        info = {"discount": self.discount(state, params)}
+        return s, state, reward, terminal, info if there is None else {**info, "action_mask": there[s]}
 
     def observe(self, key: Any, state: TabularState, action: Any, params: Any) -> Any:
         return state.s
@@ -555,6 +561,8 @@ def to_gymnax(env: Environment) -> Tabular:
     Observations are the numbers of states. The time limit is `max_steps_in_episode` of its parameters. An
     environment that draws the problem of each run, such as the k-armed testbed, keeps the one that it
     holds: give `env.instance(key)`. The same `env` gives the same object, so programs are compiled once.
+    Where not all actions are available in each state, `info["action_mask"]`, bool [A], says which are in the
+    state that was entered, and another one does what the first of these does.
 
     Raises:
         InputError: `env` is no environment of ours.
