@@ -322,14 +322,21 @@ def _instead(value: Any) -> str:
 
 
 def check_single(what: str, obj: Any) -> None:
-    """Raises InputError where a number of `obj`, or of a schedule or a policy in it, is an array of several."""
+    """Raises InputError where a number of `obj`, or of a schedule or a policy in it, is an array of several.
+
+    But initial values of Q may be a table [S, A].
+    """
     for field in dataclasses.fields(obj):
         value = getattr(obj, field.name)
         if field.metadata.get("static"):
             continue
         if dataclasses.is_dataclass(value):
             check_single(f"{what}: {field.name}", value)
-        elif field.type in (float, Rate) and (shape := np.shape(value)):
+        elif (
+            field.type in (float, Rate)
+            and (shape := np.shape(value))
+            and (field.name, len(shape)) != ("q0", 2)
+        ):
             raise InputError(
                 f"{what}: {field.name} is an array of shape {shape}: one run takes one number; sweep(...) "
                 "tries all of a list, and jax.vmap runs all of an array"

@@ -258,8 +258,8 @@ def test_state_numbers():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"rules": "gym"}, "rules 'gym' are unknown; did you mean 'gymnasium'?"),
-        ({"rules": 1}, "rules 1 are unknown; choose one of book, gymnasium, gymnasium-sab, natural"),
+        ({"rules": "gym"}, "rules 'gym' is unknown; did you mean 'gymnasium'?"),
+        ({"rules": 1}, "rules 1 is unknown; choose one of book, gymnasium, gymnasium-sab, natural"),
         ({"max_steps": 0}, "max_steps must be a whole number of at least 1, not 0"),
         ({"player": 11, "dealer": 1}, "player must be a sum of 12 to 21, not 11"),
         ({"player": 12.5, "dealer": 1}, "player must be a sum of 12 to 21, not 12.5"),

@@ -551,7 +551,10 @@ def reward_with(index, value, rewards=R):
         (windy(max_step=3), "windy-gridworld has no parameter 'max_step'; did you mean 'max_steps'?"),
         (cliff(start=(0, 0)), "cliff-walking has no parameter 'start'; choose one of shape, max_steps"),
         (windy(moves="kings"), "windy-gridworld: moves 'kings' is unknown; did you mean 'king'?"),
-        (windy(moves=["king"]), "windy-gridworld: moves ['king'] is unknown; did you mean 'king'?"),
+        (
+            windy(moves=["king"]),
+            "windy-gridworld: moves ['king'] is unknown; choose one of four, king, king+stay",
+        ),
         (windy(stochastic="yes"), "windy-gridworld: stochastic must be True or False, not 'yes'"),
         (windy(shape=7), "windy-gridworld: shape must be (rows, columns), at least 1 x 1, not 7"),
         (windy(shape=(0, 10)), "windy-gridworld: shape must be (rows, columns), at least 1 x 1, not (0, 10)"),

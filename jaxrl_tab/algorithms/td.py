@@ -53,7 +53,8 @@ class TDControl:
         alpha: step size, > 0; a number or a schedule.
         epsilon: probability of exploring, in [0, 1]; a number or a schedule.
         gamma: discount rate, in [0, 1].
-        q0: initial value of every entry of Q; above the true values it is optimistic (book, section 2.6).
+        q0: initial value of every entry of Q, or for one run a table of them [S, A]; above the true values it
+            is optimistic (book, section 2.6).
         behaviour: the policy that acts (see `policies`), instead of the epsilon-greedy one.
     """
 
