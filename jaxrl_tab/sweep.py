@@ -26,6 +26,7 @@ from jaxrl_tab.types import (
     InputError,
     available_actions,
     build,
+    check_held,
     check_pytree,
     foreign,
     is_whole,
@@ -219,6 +220,7 @@ def prepare(
             f"env must be an environment such as make('windy-gridworld'), not {shown(env)}{foreign(env)}"
         )
     check_pytree("env", env)
+    check_held(env)
     if exact:
         planning.check_finite(env)
     if isinstance(env, FiniteEnvironment):

@@ -25,6 +25,7 @@ from jaxrl_tab.types import (
     InputError,
     Transition,
     available_actions,
+    check_held,
     check_pytree,
     concrete,
     init_learner,
@@ -157,6 +158,7 @@ def train(
     if is_dataclass(algorithm):
         schedules.check_single(type(algorithm).__name__, algorithm)
     check_pytree("env", env, ENVS)
+    check_held(env)
     restricted(algorithm, available_actions(env))  # only to refuse what cannot be
     if exact:
         planning.check_finite(env)

@@ -167,6 +167,22 @@ def foreign(obj: Any) -> str:
     return f"; rl.interop.from_{library} imports it" if library else ""
 
 
+def check_held(obj: Any) -> None:
+    """Raises InputError where a number of `obj` would be infinite in JAX's floats, which are float32 as a rule."""
+    dtype = jax.dtypes.canonicalize_dtype(float)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(obj):
+        if not jnp.issubdtype(jax.typeof(leaf).dtype, jnp.floating) or (number := concrete(leaf)) is None:
+            continue
+        with np.errstate(over="ignore"):
+            lost = np.isfinite(number) & ~np.isfinite(number.astype(dtype))
+        if lost.any():
+            field = jax.tree_util.keystr(path, simple=True, separator=".")
+            raise InputError(
+                f"{type(obj).__name__}: {field} holds {number[lost][0]:g}, and {dtype} has numbers up to "
+                f"{np.finfo(dtype).max:.2g} in size"
+            )
+
+
 # --- frozen dataclasses that are pytrees -------------------------------------------------------------
 
 

@@ -224,3 +224,16 @@ def test_keys_of_the_old_kind_are_keys(windy):
     old = jax.random.PRNGKey(3)
     np.testing.assert_array_equal(run(old), run(jax.random.key(3)))
     np.testing.assert_array_equal(jax.jit(jax.vmap(run))(old[None])[0], run(old))
+
+
+def test_rewards_that_float32_cannot_hold_are_refused():
+    """They would be infinite. Exact values are computed in float64, which holds them."""
+    p, r = np.zeros((2, 2, 2)), np.array([[-1, 1e39], [0, 0]])
+    p[:, :, 1] = 1
+    env = rl.FiniteMDP(p, r, terminal=[1])
+    assert rl.planning.value_iteration(env)[0][0] == 1e39
+    said = r"^FiniteMDP: reward holds 1e\+39, and float32 has numbers up to 3\.4e\+38 in size$"
+    with pytest.raises(rl.InputError, match=said):
+        rl.train(jax.random.key(0), rl.Sarsa(), env, num_steps=10)
+    with pytest.raises(rl.InputError, match=said):
+        rl.sweep(env, rl.Sarsa, num_seeds=2, num_steps=10)
