@@ -6,6 +6,8 @@ import os
 import pickle
 import resource
 import stat
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -401,3 +403,28 @@ def test_where_no_folder_can_be_made_it_works_without(default, tmp_path, monkeyp
     monkeypatch.setattr(Path, "home", homeless)
     assert default() is None and thing()
     assert said() == ["compiled programs are not kept: Could not determine home directory."]
+
+
+def test_two_processes_keep_the_same_program_at_once(tmp_path):
+    """Each reads the other's while it writes. Broken once: written under its own name from the start -> damaged."""
+    code = (
+        "import sys; from pathlib import Path; from jaxrl_tab import programs;"
+        "file, mine = Path(sys.argv[1]), sys.argv[2].encode() * 500_000; whole = {b'1' * 500_000, b'2' * 500_000}\n"
+        "programs._write(file, mine); print('ready', flush=True); sys.stdin.readline()\n"
+        "for _ in range(100): programs._write(file, mine); assert programs._read(file) in whole"
+    )
+    given = [sys.executable, "-c", code, str(tmp_path / f"{'0' * 64}.program")]
+    with contextlib.ExitStack() as ends:
+        started = [
+            ends.enter_context(
+                subprocess.Popen([*given, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            )
+            for name in "12"
+        ]
+        for process in started:
+            assert process.stdout.readline() == "ready\n"
+        for process in started:
+            process.stdin.write("go\n")
+            process.stdin.flush()
+        assert [process.wait(60) for process in started] == [0, 0]
+    assert len(list(tmp_path.iterdir())) == 1
