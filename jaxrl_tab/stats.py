@@ -1046,10 +1046,11 @@ def curve_interval(ds: xr.Dataset, at_most: int) -> Interval:
     """
     every = -(-ds.sizes["row"] // at_most)
     merged = _by_seeds(lambda part: learning_curve(_merged(part, every)))
+    costs = _only_costs(ds)  # of all rows: what they pay is possible in any
 
     def of(part: xr.Dataset) -> Interval:
         curve = merged(part)
-        return possible(mean_interval(curve), curve, ds)  # of all rows: what they pay is possible in any
+        return _within(mean_interval(curve), curve, part, costs)
 
     return _over_rows(ds, of, every)
 
@@ -1383,12 +1384,24 @@ def possible(interval: Interval, x: xr.DataArray, ds: xr.Dataset) -> Interval:
     return may be above it by luck, or because the time limit cut a costly episode short. Where no reward is
     above 0, no return is.
     """
+    return _within(interval, x, ds, _only_costs(ds))
+
+
+def _only_costs(ds: xr.Dataset) -> bool:
+    """Whether no row of any run has rewards above 0."""
+    if is_prediction(ds) or "rewards" not in ds:
+        return False
+    return not _by_seeds(lambda some: (some.rewards > 0).any("row"))(ds).any()
+
+
+def _within(interval: Interval, x: xr.DataArray, ds: xr.Dataset, only_costs: bool) -> Interval:
+    """`possible`, where it is known whether there are `_only_costs`."""
     if is_prediction(ds):
         return interval._replace(low=interval.low.clip(min=0))
     best_seen = x.max("seed")
     top = optimum(ds).broadcast_like(best_seen)
     top = top.where(best_seen <= top + 1e-6 * abs(top), np.inf)  # float32 has its rounding
-    if "rewards" in ds and not _by_seeds(lambda some: (some.rewards > 0).any("row"))(ds).any():
+    if only_costs:
         top = top.clip(max=0)
     high = _least(interval.high, top.where(top > interval.estimate, interval.estimate))
     return interval._replace(high=interval.high.copy(data=high.transpose(*interval.high.dims).values))

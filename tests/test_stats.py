@@ -238,3 +238,24 @@ def test_optimum_where_gamma_was_swept(ds):
     table = stats.summary({"sarsa": ds})
     assert table.gamma.tolist() == [0.9, 1.0]
     assert table.optimum.tolist() == [-7.94, -15.0]
+
+
+def test_what_is_possible_in_a_row_is_judged_by_all_rows(monkeypatch):
+    """Rewards above 0 come in the last row alone. Broken once: judged block by block -> an end is cut at 0."""
+    count = np.ones((4, 3), np.int32)
+    returns = np.array([[-3.0, -3, 5], [-1, -3, 5], [-2, -1, 5], [-0.1, -0.1, 6]])
+    fields = {
+        "episodes": count,
+        "steps": 10 * count,
+        "lengths": 10 * count,
+        "returns": returns,
+        "rewards": returns,
+    }
+    ds = xr.Dataset({name: (("seed", "row"), x) for name, x in fields.items()}).assign_attrs(
+        num_steps=30, log_every=10
+    )
+    whole = stats.curve_interval(ds, 3)
+    assert whole.high[0] > 0
+    monkeypatch.setattr(stats, "MEMORY", 4)
+    for one, other in zip(stats.curve_interval(ds, 3), whole, strict=True):
+        np.testing.assert_array_equal(one, other)
