@@ -15,7 +15,7 @@ import numpy as np
 import jaxrl_tab as rl
 from benchmarks import problems
 from benchmarks.rounds import Round, Timing
-from jaxrl_tab.types import Environment
+from jaxrl_tab.core.types import Environment
 
 Outcome = Callable[[rl.Log], np.ndarray]
 

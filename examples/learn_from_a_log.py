@@ -10,7 +10,7 @@ import numpy as np
 import jaxrl_tab as rl
 from jaxrl_tab import planning
 from jaxrl_tab.algorithms import OffPolicyMonteCarlo
-from jaxrl_tab.policies import Table
+from jaxrl_tab.core.policies import Table
 
 env = rl.make("blackjack")
 sizes = env.num_states, env.num_actions

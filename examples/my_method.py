@@ -7,9 +7,10 @@ section 7.6): how much does each bit of looking at averages help?
 import jax.numpy as jnp
 
 import jaxrl_tab as rl
-from jaxrl_tab import stats, tables
+from jaxrl_tab import stats
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.types import pytree
+from jaxrl_tab.core import tables
+from jaxrl_tab.core.types import pytree
 
 
 @pytree

@@ -12,20 +12,7 @@ Importing the package asks XLA for faster loops, as long as JAX has not started:
 import importlib
 from typing import Any
 
-from jaxrl_tab import (
-    algorithms,
-    batch,
-    bridge,
-    envs,
-    executors,
-    importance,
-    interop,
-    offline,
-    planning,
-    policies,
-    prediction,
-    schedules,
-)
+from jaxrl_tab import algorithms, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
     DoubleQLearning,
@@ -40,9 +27,19 @@ from jaxrl_tab.algorithms import (
     SarsaLambda,
     SarsaLambdaForward,
     TargetQLearning,
+    bridge,
+    prediction,
 )
-from jaxrl_tab.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
-from jaxrl_tab.batch import use_all_cores
+from jaxrl_tab.algorithms.prediction import PREDICTION
+from jaxrl_tab.core import policies, schedules
+from jaxrl_tab.core.types import InputError, Outcome, RunError, Transition
+from jaxrl_tab.engine import batch, offline
+from jaxrl_tab.engine.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
+from jaxrl_tab.engine.batch import use_all_cores
+from jaxrl_tab.engine.offline import Experience, collect, learn, replay
+from jaxrl_tab.engine.results import SweepResult
+from jaxrl_tab.engine.sweep import sweep
+from jaxrl_tab.engine.train import Log, train
 from jaxrl_tab.envs import (
     ENVS,
     Blackjack,
@@ -58,28 +55,25 @@ from jaxrl_tab.envs import (
     WindyGridworld,
     make,
 )
-from jaxrl_tab.experiment import Experiment
-from jaxrl_tab.offline import Experience, collect, learn, replay
-from jaxrl_tab.prediction import PREDICTION
-from jaxrl_tab.results import SweepResult
-from jaxrl_tab.runner import resume, run
-from jaxrl_tab.sweep import sweep
-from jaxrl_tab.train import Log, train
-from jaxrl_tab.types import InputError, Outcome, RunError, Transition
+from jaxrl_tab.exact import importance, planning
+from jaxrl_tab.experiment import executors
+from jaxrl_tab.experiment.runner import resume, run
+from jaxrl_tab.experiment.spec import Experiment
 
 __version__ = "0.1.0"
-_LATER = (
-    "export",
-    "figures",
-    "plot",
-    "report",
-    "stats",
-)  # imported when they are first used: they take a second
+# Imported when they are first used, because they take a second: name -> where it is.
+_LATER = {
+    "export": "stats.export",
+    "figures": "figures",
+    "plot": "show.plot",
+    "report": "show.report",
+    "stats": "stats",
+}
 
 
 def __getattr__(name: str) -> Any:
     if name in _LATER:
-        return importlib.import_module(f"jaxrl_tab.{name}")
+        return importlib.import_module(f"jaxrl_tab.{_LATER[name]}")
     raise AttributeError(f"module 'jaxrl_tab' has no attribute {name!r}")
 
 

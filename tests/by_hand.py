@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from jaxrl_tab.types import Task, Transition, init_learner
+from jaxrl_tab.core.types import Task, Transition, init_learner
 
 
 def learned(method, num_states, episodes, gamma, cut=False):

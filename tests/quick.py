@@ -18,7 +18,9 @@ import numpy as np
 import xarray  # noqa: F401  So that none of the processes has to.
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, cli, plot, programs, runner
+from jaxrl_tab import batch, cli, plot
+from jaxrl_tab.engine import programs
+from jaxrl_tab.experiment import runner
 
 SELECTED = rl.Experiment(
     "windy-gridworld",

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, interop, policies, programs
+from jaxrl_tab import batch, interop, policies
+from jaxrl_tab.engine import programs
 
 STEPS = {"num_seeds": 3, "num_steps": 40, "log_every": 20}
 
@@ -60,7 +61,7 @@ def everything() -> dict[str, np.ndarray]:
 
 
 if __name__ == "__main__":
-    sys.modules["jaxrl_tab.train"].CHUNKS = ()  # a third to compile, as the fixture `step_by_step`
+    sys.modules["jaxrl_tab.engine.train"].CHUNKS = ()  # a third to compile, as the fixture `step_by_step`
     batch.use_all_cores()
     programs.keep()
     np.savez(sys.argv[1], **everything())

@@ -12,10 +12,10 @@ from test_reference import STEPS, task_of, words_of
 
 import jaxrl_tab as rl
 from jaxrl_tab import bridge, importance, planning, schedules
+from jaxrl_tab.algorithms.prediction import PREDICTION
+from jaxrl_tab.core.policies import UCB, UNAVAILABLE, EpsilonGreedy, Greedy, Softmax, Table
+from jaxrl_tab.core.types import Outcome, pytree, restricted
 from jaxrl_tab.envs.base import Finite
-from jaxrl_tab.policies import UCB, UNAVAILABLE, EpsilonGreedy, Greedy, Softmax, Table
-from jaxrl_tab.prediction import PREDICTION
-from jaxrl_tab.types import Outcome, pytree, restricted
 
 HAS = np.array([[1, 0, 1, 0], [0, 0, 1, 0], [1, 1, 0, 1], [1, 1, 1, 1], [0, 1, 0, 0]], bool)
 UNIFORM = HAS / HAS.sum(1, keepdims=True)

@@ -6,9 +6,9 @@ import xarray as xr
 from scipy import stats
 
 import jaxrl_tab as rl
-from jaxrl_tab import axes
-from jaxrl_tab.sweep import configurations
-from jaxrl_tab.types import InputError
+from jaxrl_tab.core.types import InputError
+from jaxrl_tab.engine import axes
+from jaxrl_tab.engine.sweep import configurations
 
 MANY = 4000
 

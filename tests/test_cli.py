@@ -15,14 +15,16 @@ import xarray as xr
 from made_up import make_result
 
 import jaxrl_tab as rl
-from jaxrl_tab import cli, describe, options, planning, plot, runner, stats
+from jaxrl_tab import cli, planning, plot, stats
 from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.cli import main
+from jaxrl_tab.algorithms.prediction import PREDICTION
+from jaxrl_tab.cli import main, options
+from jaxrl_tab.core import describe
+from jaxrl_tab.core.types import InputError, pytree, static
+from jaxrl_tab.engine.sweep import METHODS
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.experiment import runner
 from jaxrl_tab.figures import FIGURES, figure
-from jaxrl_tab.prediction import PREDICTION
-from jaxrl_tab.sweep import METHODS
-from jaxrl_tab.types import InputError, pytree, static
 
 TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
 

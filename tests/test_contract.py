@@ -8,9 +8,9 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch, planning, policies, schedules
-from jaxrl_tab.prediction import METHODS
-from jaxrl_tab.sweep import _same_program
-from jaxrl_tab.types import Algorithm, Environment, FiniteEnvironment, Transition, pytree
+from jaxrl_tab.algorithms.prediction import METHODS
+from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, Transition, pytree
+from jaxrl_tab.engine.sweep import _same_program
 
 
 def pairs():

@@ -11,10 +11,11 @@ import pytest
 from scipy import stats
 
 import jaxrl_tab as rl
-from jaxrl_tab import policies, rng, schedules, tables
+from jaxrl_tab import policies, schedules
+from jaxrl_tab.core import rng, tables
+from jaxrl_tab.core.types import Transition, nearest
+from jaxrl_tab.engine.sweep import METHODS
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.sweep import METHODS
-from jaxrl_tab.types import Transition, nearest
 
 # --- tables ------------------------------------------------------------------------------------------
 

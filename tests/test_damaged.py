@@ -16,8 +16,8 @@ import pytest
 import tiny
 
 import jaxrl_tab as rl
-from jaxrl_tab import runner, storage
-from jaxrl_tab.types import InputError, RunError
+from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.experiment import runner, storage
 
 TRIALS = 40
 VALUES = (None, True, [], {}, [1, 2], "x", -1, 10**400, 1e308, {"a": 1}, [[]] * 9, "../../outside.txt")
@@ -179,7 +179,6 @@ if __name__ == "__main__":
     import traceback
 
     import jax
-
     import jaxrl_tab.batch
 
     jax.config.update("jax_num_cpu_devices", 2)

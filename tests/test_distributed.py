@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 import shards
 
-from jaxrl_tab import executors, provenance
-from jaxrl_tab.types import RunError
+from jaxrl_tab import executors
+from jaxrl_tab.core.types import RunError
+from jaxrl_tab.engine import provenance
 
 PROGRAM = """
 import functools, sys

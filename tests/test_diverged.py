@@ -9,10 +9,10 @@ from test_reference import random_mdp
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning
+from jaxrl_tab.core.types import Outcome, pytree
+from jaxrl_tab.engine.results import is_diverged
+from jaxrl_tab.engine.sweep import BEYOND, prepare
 from jaxrl_tab.envs.base import Finite
-from jaxrl_tab.results import is_diverged
-from jaxrl_tab.sweep import BEYOND, prepare
-from jaxrl_tab.types import Outcome, pytree
 
 
 def returns_of_all_paths(env, gamma, steps, begin):

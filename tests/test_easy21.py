@@ -6,7 +6,8 @@ import pytest
 from sampling import p_value, p_value_of_transitions
 
 import jaxrl_tab as rl
-from jaxrl_tab import planning, rng
+from jaxrl_tab import planning
+from jaxrl_tab.core import rng
 
 STICK, HIT = 0, 1
 TERMINAL = 210

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxrl_tab import rng
+from jaxrl_tab.core import rng
+from jaxrl_tab.core.types import FiniteEnvironment, InputError, Outcome
 from jaxrl_tab.envs import ENVS, CliffWalking, FiniteMDP, RandomWalk, WindyGridworld, make
 from jaxrl_tab.envs.base import Finite
-from jaxrl_tab.types import FiniteEnvironment, InputError, Outcome
 
 # of the book's four moves, the king's four more, and the one to stay
 UP, RIGHT, DOWN, LEFT, UP_RIGHT, DOWN_RIGHT, DOWN_LEFT, UP_LEFT, STAY = range(9)

@@ -12,8 +12,9 @@ import pytest
 from scipy import integrate, stats
 
 import jaxrl_tab as rl
-from jaxrl_tab import planning, rng
-from jaxrl_tab.types import InputError, Outcome
+from jaxrl_tab import planning
+from jaxrl_tab.core import rng
+from jaxrl_tab.core.types import InputError, Outcome
 
 UP, RIGHT, DOWN, LEFT = range(4)
 

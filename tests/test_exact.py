@@ -12,7 +12,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning
-from jaxrl_tab.train import _restored, in_full
+from jaxrl_tab.engine.train import _restored, in_full
 
 S, A = 6, 2
 GAMMAS = 0.0, 0.5, 0.9, 0.99, 1.0

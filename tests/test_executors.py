@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import shards
 
-from jaxrl_tab import executors, provenance
-from jaxrl_tab.executors import base
-from jaxrl_tab.types import InputError, RunError
+from jaxrl_tab import executors
+from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.engine import provenance
+from jaxrl_tab.experiment.executors import base
 
 
 def test_local_gives_what_work_gives_one_at_a_time(tmp_path):

@@ -17,8 +17,8 @@ import pytest
 import tiny
 
 import jaxrl_tab as rl
-from jaxrl_tab import runner
-from jaxrl_tab.types import InputError, RunError
+from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.experiment import runner
 
 STEP = 17
 CALLS = ("fsync", "replace", "rename", "mkdir", "open", "unlink")  # of os

@@ -6,8 +6,8 @@ import pytest
 import xarray as xr
 
 from jaxrl_tab import planning, schedules
+from jaxrl_tab.core.policies import EpsilonGreedy
 from jaxrl_tab.figures import FIGURES, blackjack_regret, importance_sampling, trace_gridworld
-from jaxrl_tab.policies import EpsilonGreedy
 
 
 def expected(name):

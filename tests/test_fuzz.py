@@ -26,12 +26,14 @@ import pytest
 import xarray as xr
 
 import jaxrl_tab as rl
-from jaxrl_tab import axes, cli, describe, planning, policies, schedules, stats
+from jaxrl_tab import cli, planning, policies, schedules, stats
+from jaxrl_tab.algorithms.prediction import METHODS
+from jaxrl_tab.core import describe
+from jaxrl_tab.core.types import InputError
+from jaxrl_tab.engine import axes
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.experiment import Experiment, Selection, template
+from jaxrl_tab.experiment.spec import Experiment, Selection, template
 from jaxrl_tab.figures import FIGURES
-from jaxrl_tab.prediction import METHODS
-from jaxrl_tab.types import InputError
 
 LONGEST = 400  # characters of a message
 SECONDS = 2.0  # of computing, for one input
@@ -530,7 +532,7 @@ def make_still(put):
     def stop(*_, **__):
         raise InputError("so far it was right")
 
-    put(sys.modules["jaxrl_tab.sweep"], "compute", stop)
+    put(sys.modules["jaxrl_tab.engine.sweep"], "compute", stop)
     put(rl.runner, "_begin", stop)
 
 

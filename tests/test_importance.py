@@ -9,8 +9,8 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import importance, planning
-from jaxrl_tab.policies import Table
-from jaxrl_tab.prediction import OffPolicyMonteCarloPrediction
+from jaxrl_tab.algorithms.prediction import OffPolicyMonteCarloPrediction
+from jaxrl_tab.core.policies import Table
 
 pytestmark = pytest.mark.filterwarnings("error")
 

@@ -15,7 +15,7 @@ from test_reference import ENVS, STEPS, random_mdp, task_of, words_of
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning, schedules
-from jaxrl_tab.schedules import Optax, Power
+from jaxrl_tab.core.schedules import Optax, Power
 
 GAMMAS = (0.0, 0.5, 0.9, 1.0)
 EPSILON = 0.25

@@ -12,9 +12,9 @@ from test_monte_carlo import EPSILON, FIXED, GAMMAS, N, check, played, task_apar
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning
-from jaxrl_tab.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
-from jaxrl_tab.schedules import Power
-from jaxrl_tab.types import Transition
+from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
+from jaxrl_tab.core.schedules import Power
+from jaxrl_tab.core.types import Transition
 
 # --- decision for decision, in float64 ---------------------------------------------------------------
 

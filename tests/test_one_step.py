@@ -8,9 +8,10 @@ import reference
 from test_reference import GAMMAS, STEPS, env_and_task, initial_tables, random_mdp, uniforms, words_of
 
 import jaxrl_tab as rl
-from jaxrl_tab import planning, policies, rng, schedules
-from jaxrl_tab.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
-from jaxrl_tab.types import Transition
+from jaxrl_tab import planning, policies, schedules
+from jaxrl_tab.core import rng
+from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
+from jaxrl_tab.core.types import Transition
 
 ALPHAS = 0.5, 0.25, 0.5, 0.125
 EPSILON = 0.25

@@ -6,9 +6,9 @@ import pytest
 import xarray as xr
 
 import jaxrl_tab as rl
-from jaxrl_tab import options, policies, schedules
-from jaxrl_tab.cli import HYPERPARAMETERS, main
-from jaxrl_tab.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
+from jaxrl_tab import policies, schedules
+from jaxrl_tab.cli import HYPERPARAMETERS, main, options
+from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
 
 
 def typed(option, token, method="expected-sarsa"):

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxrl_tab import planning
+from jaxrl_tab.core.types import InputError, Outcome, pytree
 from jaxrl_tab.envs import CliffWalking, FiniteMDP, RandomWalk, WindyGridworld
-from jaxrl_tab.types import InputError, Outcome, pytree
 
 # --- tasks and oracles -------------------------------------------------------------------------------
 

@@ -13,8 +13,9 @@ from matplotlib.quiver import Quiver
 from matplotlib.text import Text
 
 import jaxrl_tab as rl
-from jaxrl_tab import describe, plot, stats
-from jaxrl_tab.prediction import PREDICTION
+from jaxrl_tab import plot, stats
+from jaxrl_tab.algorithms.prediction import PREDICTION
+from jaxrl_tab.core import describe
 
 pytestmark = pytest.mark.filterwarnings("error")
 

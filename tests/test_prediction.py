@@ -18,8 +18,7 @@ from test_reference import STEPS, env_and_task
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch, planning
-from jaxrl_tab.policies import Softmax, Table
-from jaxrl_tab.prediction import (
+from jaxrl_tab.algorithms.prediction import (
     PREDICTION,
     TD,
     MonteCarloPrediction,
@@ -29,8 +28,9 @@ from jaxrl_tab.prediction import (
     OffPolicyTD,
     TDLambda,
 )
-from jaxrl_tab.schedules import Power, Schedule
-from jaxrl_tab.types import Algorithm
+from jaxrl_tab.core.policies import Softmax, Table
+from jaxrl_tab.core.schedules import Power, Schedule
+from jaxrl_tab.core.types import Algorithm
 
 # --- decision for decision, in float64: five states, three actions, and a time limit that is often met -----
 

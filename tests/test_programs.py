@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, programs, provenance
-from jaxrl_tab.types import pytree
+from jaxrl_tab import batch
+from jaxrl_tab.core.types import pytree
+from jaxrl_tab.engine import programs, provenance
 
 BUDGET = {"num_steps": 40, "log_every": 20}
 
@@ -408,7 +409,7 @@ def test_where_no_folder_can_be_made_it_works_without(default, tmp_path, monkeyp
 def test_two_processes_keep_the_same_program_at_once(tmp_path):
     """Each reads the other's while it writes. Broken once: written under its own name from the start -> damaged."""
     code = (
-        "import sys; from pathlib import Path; from jaxrl_tab import programs;"
+        "import sys; from pathlib import Path; from jaxrl_tab.engine import programs;"
         "file, mine = Path(sys.argv[1]), sys.argv[2].encode() * 500_000; whole = {b'1' * 500_000, b'2' * 500_000}\n"
         "programs._write(file, mine); print('ready', flush=True); sys.stdin.readline()\n"
         "for _ in range(100): programs._write(file, mine); assert programs._read(file) in whole"

@@ -13,8 +13,11 @@ import pytest
 import quick
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, plot, provenance, rng, runner, storage
-from jaxrl_tab.types import InputError
+from jaxrl_tab import batch, plot
+from jaxrl_tab.core import rng
+from jaxrl_tab.core.types import InputError
+from jaxrl_tab.engine import provenance
+from jaxrl_tab.experiment import runner, storage
 
 SHARDS = 64 * 200
 WALK = rl.Experiment("random-walk", "sarsa", seeds=130, steps=200)  # three shards

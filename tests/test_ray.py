@@ -18,9 +18,10 @@ import shards
 import xarray as xr
 
 import jaxrl_tab as rl
-from jaxrl_tab import executors, plot, runner
-from jaxrl_tab.executors import ray as ray_executor
-from jaxrl_tab.types import InputError, RunError
+from jaxrl_tab import executors, plot
+from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.experiment import runner
+from jaxrl_tab.experiment.executors import ray as ray_executor
 
 ray = pytest.importorskip("ray")
 cluster_utils = pytest.importorskip("ray.cluster_utils")

@@ -12,7 +12,8 @@ import pytest
 from made_up import ALPHAS, make_result
 
 import jaxrl_tab as rl
-from jaxrl_tab import describe, plot, report, stats
+from jaxrl_tab import plot, report, stats
+from jaxrl_tab.core import describe
 
 pytestmark = pytest.mark.filterwarnings("error")
 ABOUT = {

@@ -7,6 +7,7 @@ from scipy import stats as oracle
 
 import jaxrl_tab as rl
 from jaxrl_tab import stats
+from jaxrl_tab.stats import intervals
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -40,10 +41,10 @@ def test_halls_interval_mirrors_and_scales():
 @pytest.mark.parametrize("method", ["percentile", "bca"])
 def test_bootstraps_are_scipys(method, monkeypatch):
     """But for the resamples, of which both take many: a bound has a standard error of 0.6% of the width."""
-    monkeypatch.setattr(stats, "RESAMPLES", 19_999)
-    stats._weights.cache_clear()
+    monkeypatch.setattr(intervals, "RESAMPLES", 19_999)
+    intervals._weights.cache_clear()
     interval = stats.mean_interval(TIMES, method=method)
-    stats._weights.cache_clear()
+    intervals._weights.cache_clear()
     expected = oracle.bootstrap(
         (TIMES.values,), np.mean, axis=1, method=method, n_resamples=19_999, rng=np.random.default_rng(1)
     ).confidence_interval
@@ -54,7 +55,7 @@ def test_bootstraps_are_scipys(method, monkeypatch):
 
 def test_bootstrap_t_in_plain_loops():
     x = TIMES[1, :, 2]
-    weights, t = stats._weights(12), []
+    weights, t = intervals._weights(12), []
     for counts in np.rint(weights * 12).astype(int):
         drawn = np.repeat(x.values, counts)
         t.append((drawn.mean() - x.values.mean()) / (drawn.std(ddof=1) / 12**0.5))
@@ -66,7 +67,7 @@ def test_bootstrap_t_in_plain_loops():
     np.testing.assert_allclose(interval.high, x.values.mean() - low * error)
 
 
-@pytest.mark.parametrize("method", stats.BOUNDS)
+@pytest.mark.parametrize("method", intervals.BOUNDS)
 def test_values_that_are_all_equal_have_a_point(method):
     x = xr.DataArray([[2.0] * 5, [1, 2, 3, 4, 5]], dims=("alpha", "seed"))
     mean, low, high, _ = stats.mean_interval(x, method=method)
@@ -74,7 +75,7 @@ def test_values_that_are_all_equal_have_a_point(method):
     assert float(low[1]) < 3 < float(high[1])
 
 
-@pytest.mark.parametrize("method", stats.BOUNDS)
+@pytest.mark.parametrize("method", intervals.BOUNDS)
 def test_a_place_has_the_interval_that_it_has_alone(method):
     """Whatever lies beside it, also where values are missing; and the seeds may be any axis."""
     x = TIMES.copy()
@@ -88,7 +89,7 @@ def test_a_place_has_the_interval_that_it_has_alone(method):
 
 def test_blocks_change_nothing(monkeypatch):
     whole = stats.bootstrap_interval(TIMES, np.median)
-    monkeypatch.setattr(stats, "MEMORY", 12 * stats.RESAMPLES)
+    monkeypatch.setattr(intervals, "MEMORY", 12 * stats.RESAMPLES)
     for part, of_all in zip(stats.bootstrap_interval(TIMES, np.median), whole, strict=True):
         np.testing.assert_array_equal(part, of_all)
 
@@ -228,7 +229,7 @@ def test_iqm_by_hand():
 def test_the_fast_iqm_is_the_iqm_of_each_resample(n):
     """With the same resamples, in a plain loop: its quantiles are the bounds."""
     x = TIMES[0, :n]
-    counts = np.rint(stats._weights(n) * n).astype(int)
+    counts = np.rint(intervals._weights(n) * n).astype(int)
     resampled = [stats.iqm(np.repeat(np.sort(x[:, 1]), count)) for count in counts]
     interval = stats.iqm_interval(x)
     expected = np.quantile(resampled, oracle.norm.cdf(np.array([-1, 1]) * 1.959964 * (n / (n - 1)) ** 0.5))

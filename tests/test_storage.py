@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxrl_tab import storage
-from jaxrl_tab.storage import Store
-from jaxrl_tab.types import InputError, RunError
+from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment.storage import Store
 
 ARRAYS = {"q": np.arange(6, dtype=np.float32).reshape(1, 2, 3), "seconds": np.array([0.5, 0.25])}
 

@@ -17,8 +17,10 @@ import quick
 import xarray as xr
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, cli, interrupt, plot, runner, stats, storage
-from jaxrl_tab.types import InputError, RunError
+from jaxrl_tab import batch, cli, plot, stats
+from jaxrl_tab.cli import interrupt
+from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.experiment import runner, storage
 
 QUICK = [sys.executable, str(Path(quick.__file__))]
 LONG = "sweep windy-gridworld sarsa --alpha 0.25 --steps 2000 --log-every 2000 --seeds 20000 --out"
@@ -430,7 +432,7 @@ def test_a_full_disk_is_one_line_and_no_shard_is_lost(small_disk, tmp_path, undi
     limit = (
         "" if small_disk else "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)); "
     )
-    code = f"{limit}import sys, quick; from jaxrl_tab import runner; runner._check_room = lambda *_: None"
+    code = f"{limit}import sys, quick; from jaxrl_tab.experiment import runner; runner._check_room = lambda *_: None"
     code += "; quick.make_quick(); sys.exit(quick.cli.main())"
     argv = [sys.executable, "-c", code, "sweep", str(file), "--out", str(out)]
     done = subprocess.run(argv, capture_output=True, text=True, cwd=Path(quick.__file__).parent)

@@ -7,12 +7,12 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch
+from jaxrl_tab.core.policies import Softmax, Table
+from jaxrl_tab.core.schedules import glie
+from jaxrl_tab.core.types import Outcome, pytree
+from jaxrl_tab.engine.results import is_diverged
+from jaxrl_tab.engine.sweep import METHODS, _exact_value, compute, configurations, prepare, result
 from jaxrl_tab.envs.base import Finite
-from jaxrl_tab.policies import Softmax, Table
-from jaxrl_tab.results import is_diverged
-from jaxrl_tab.schedules import glie
-from jaxrl_tab.sweep import METHODS, _exact_value, compute, configurations, prepare, result
-from jaxrl_tab.types import Outcome, pytree
 
 
 @pytree

@@ -14,9 +14,9 @@ from by_hand import learned as learned_by_hand
 from test_reference import STEPS, env_and_task, random_mdp, words_of
 
 import jaxrl_tab as rl
-from jaxrl_tab.policies import Table
-from jaxrl_tab.schedules import Optax, Power
-from jaxrl_tab.types import Transition
+from jaxrl_tab.core.policies import Table
+from jaxrl_tab.core.schedules import Optax, Power
+from jaxrl_tab.core.types import Transition
 
 TRACES = ("accumulating", "replacing", "dutch")
 METHODS = [

@@ -9,7 +9,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import policies
-from jaxrl_tab.types import Transition, pytree
+from jaxrl_tab.core.types import Transition, pytree
 
 N = 400
 

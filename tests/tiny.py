@@ -9,7 +9,8 @@ import quick
 import xarray as xr
 
 import jaxrl_tab as rl
-from jaxrl_tab import plot, report, runner
+from jaxrl_tab import plot, report
+from jaxrl_tab.experiment import runner
 
 EXPERIMENT = rl.Experiment("windy-gridworld", {"name": "sarsa", "alpha": [0.25, 0.5]}, seeds=40, steps=20)
 

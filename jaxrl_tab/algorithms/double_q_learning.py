@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrl_tab import policies, schedules, tables
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.schedules import Clock
-from jaxrl_tab.types import Transition, pytree
+from jaxrl_tab.core import policies, schedules, tables
+from jaxrl_tab.core.schedules import Clock
+from jaxrl_tab.core.types import Transition, pytree
 
 
 class DoubleState(NamedTuple):

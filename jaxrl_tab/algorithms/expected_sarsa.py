@@ -2,11 +2,11 @@
 
 from typing import ClassVar
 
-from jaxrl_tab import tables
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDState
-from jaxrl_tab.policies import Policy
-from jaxrl_tab.types import Transition, pytree
+from jaxrl_tab.core import tables
+from jaxrl_tab.core.policies import Policy
+from jaxrl_tab.core.types import Transition, pytree
 
 
 @pytree

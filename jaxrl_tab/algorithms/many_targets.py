@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrl_tab import policies, tables
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.td import TDState, check_learning
-from jaxrl_tab.policies import Table
-from jaxrl_tab.schedules import Clock, Rate
-from jaxrl_tab.types import (
+from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.policies import Table
+from jaxrl_tab.core.schedules import Clock, Rate
+from jaxrl_tab.core.types import (
     InputError,
     Transition,
     as_array,

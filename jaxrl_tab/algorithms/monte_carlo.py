@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrl_tab import episode, schedules, tables
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.episode import Episode
-from jaxrl_tab.schedules import Clock, Rate, sample_average
-from jaxrl_tab.types import Transition, pytree, static, whole
+from jaxrl_tab.core import episode, schedules, tables
+from jaxrl_tab.core.episode import Episode
+from jaxrl_tab.core.schedules import Clock, Rate, sample_average
+from jaxrl_tab.core.types import Transition, pytree, static, whole
 
 
 class Step(NamedTuple):

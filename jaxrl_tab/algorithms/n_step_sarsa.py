@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab import schedules, tables
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.schedules import Clock
-from jaxrl_tab.types import Transition, pytree, static, whole
+from jaxrl_tab.core import schedules, tables
+from jaxrl_tab.core.schedules import Clock
+from jaxrl_tab.core.types import Transition, pytree, static, whole
 
 
 class Memory(NamedTuple):

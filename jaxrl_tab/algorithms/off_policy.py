@@ -4,10 +4,10 @@ from typing import Any, Self
 
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrl_tab import tables
 from jaxrl_tab.algorithms.td import Learner, TDControl
-from jaxrl_tab.policies import Policy, Table, check_coverage, check_policy
-from jaxrl_tab.types import pytree, restricted
+from jaxrl_tab.core import tables
+from jaxrl_tab.core.policies import Policy, Table, check_coverage, check_policy
+from jaxrl_tab.core.types import pytree, restricted
 
 
 @pytree

@@ -7,17 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrl_tab import episode, schedules, tables
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
-from jaxrl_tab.episode import Episode
-from jaxrl_tab.policies import Greedy, Policy, check_coverage
-from jaxrl_tab.schedules import Clock, Rate, sample_average
-from jaxrl_tab.types import (
-    Transition,
-    check_choice,
-    pytree,
-    static,
-)
+from jaxrl_tab.core import episode, schedules, tables
+from jaxrl_tab.core.episode import Episode
+from jaxrl_tab.core.policies import Greedy, Policy, check_coverage
+from jaxrl_tab.core.schedules import Clock, Rate, sample_average
+from jaxrl_tab.core.types import Transition, check_choice, pytree, static
 
 WEIGHTINGS = ("weighted", "ordinary", "per-decision")
 

@@ -2,9 +2,9 @@
 
 import jax.numpy as jnp
 
-from jaxrl_tab import policies, tables
 from jaxrl_tab.algorithms.traces import TraceControl, TraceState
-from jaxrl_tab.types import Transition, pytree
+from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.types import Transition, pytree
 
 
 @pytree

@@ -2,9 +2,9 @@
 
 from typing import ClassVar
 
-from jaxrl_tab import policies, tables
 from jaxrl_tab.algorithms.td import TDControl, TDState
-from jaxrl_tab.types import Transition, pytree
+from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.types import Transition, pytree
 
 
 @pytree

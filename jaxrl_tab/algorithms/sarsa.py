@@ -1,8 +1,8 @@
 """Sarsa: on-policy one-step control (book, section 6.4; Silver, lecture 5)."""
 
-from jaxrl_tab import tables
 from jaxrl_tab.algorithms.td import TDControl, TDState
-from jaxrl_tab.types import Transition, pytree
+from jaxrl_tab.core import tables
+from jaxrl_tab.core.types import Transition, pytree
 
 
 @pytree

@@ -5,10 +5,10 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrl_tab import schedules, tables
 from jaxrl_tab.algorithms.traces import KEPT, TraceControl
-from jaxrl_tab.schedules import Clock
-from jaxrl_tab.types import InputError, Transition, pytree, static
+from jaxrl_tab.core import schedules, tables
+from jaxrl_tab.core.schedules import Clock
+from jaxrl_tab.core.types import InputError, Transition, pytree, static
 
 
 class SarsaLambdaState(NamedTuple):

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab import episode, schedules, tables
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.episode import Episode
-from jaxrl_tab.schedules import Clock, check_number
-from jaxrl_tab.types import Transition, pytree
+from jaxrl_tab.core import episode, schedules, tables
+from jaxrl_tab.core.episode import Episode
+from jaxrl_tab.core.schedules import Clock, check_number
+from jaxrl_tab.core.types import Transition, pytree
 
 
 class Step(NamedTuple):

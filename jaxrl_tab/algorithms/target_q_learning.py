@@ -4,11 +4,11 @@ from typing import ClassVar
 
 import jax
 
-from jaxrl_tab import policies, tables
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDState
-from jaxrl_tab.policies import Greedy, Policy
-from jaxrl_tab.types import Transition, pytree
+from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.policies import Greedy, Policy
+from jaxrl_tab.core.types import Transition, pytree
 
 
 @pytree

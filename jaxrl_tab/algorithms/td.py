@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrl_tab import policies, schedules, tables
-from jaxrl_tab.policies import EpsilonGreedy, Policy
-from jaxrl_tab.schedules import Clock, Rate, check_number, check_rate
-from jaxrl_tab.types import InputError, Transition, check_switches, concrete, pytree, restricted
+from jaxrl_tab.core import policies, schedules, tables
+from jaxrl_tab.core.policies import EpsilonGreedy, Policy
+from jaxrl_tab.core.schedules import Clock, Rate, check_number, check_rate
+from jaxrl_tab.core.types import InputError, Transition, check_switches, concrete, pytree, restricted
 
 
 class Learner(Protocol):

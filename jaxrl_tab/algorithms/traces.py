@@ -5,15 +5,10 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrl_tab import schedules, tables
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.schedules import Clock, check_number
-from jaxrl_tab.types import (
-    Transition,
-    check_choice,
-    pytree,
-    static,
-)
+from jaxrl_tab.core import schedules, tables
+from jaxrl_tab.core.schedules import Clock, check_number
+from jaxrl_tab.core.types import Transition, check_choice, pytree, static
 
 # The part of its trace that a pair keeps when it comes again with step size alpha, before 1 is added.
 KEPT = {

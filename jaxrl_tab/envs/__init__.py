@@ -6,6 +6,7 @@ ENVS holds those that can be made from their name alone; `FiniteMDP` needs its a
 import re
 from typing import Any
 
+from jaxrl_tab.core.types import InputError, build, nearest, shown
 from jaxrl_tab.envs.blackjack import Blackjack
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.easy21 import Easy21
@@ -17,7 +18,6 @@ from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.two_doors import TwoDoors
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
-from jaxrl_tab.types import InputError, build, nearest, shown
 
 ENVS = {
     "windy-gridworld": WindyGridworld,

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.base import FixedStart
-from jaxrl_tab.types import Outcome
 
 
 class Bandit(FixedStart):

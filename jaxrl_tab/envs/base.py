@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab import policies, tables
-from jaxrl_tab.types import InputError, Outcome, as_array, shown
+from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.types import InputError, Outcome, as_array, shown
 
 MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so that every episode ends
 

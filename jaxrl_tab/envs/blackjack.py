@@ -7,25 +7,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from jaxrl_tab.core.types import InputError, check_choice, pytree, shown, static, whole
 from jaxrl_tab.envs.base import Panel, assign
-from jaxrl_tab.envs.cards import (
-    DEALER_STICKS,
-    LIMIT,
-    SHOWN,
-    CardGame,
-    Game,
-    compare,
-    hands_panel,
-    tabulate,
-)
-from jaxrl_tab.types import (
-    InputError,
-    check_choice,
-    pytree,
-    shown,
-    static,
-    whole,
-)
+from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, hands_panel, tabulate
 
 NAME = "blackjack"
 MAX_STEPS = 32  # no hand can take more than 20 cards: the sums 12 to 21 with a usable ace, then without

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab import policies, tables
+from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.base import Finite, Panel
-from jaxrl_tab.types import Outcome
 
 STICK, HIT = 0, 1
 SHOWN = 10  # that many different cards the dealer may show

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxrl_tab.core.types import Outcome, pytree, static, whole
 from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_shape
-from jaxrl_tab.types import Outcome, pytree, static, whole
 
 NAME = "cliff-walking"
 

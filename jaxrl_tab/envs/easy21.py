@@ -6,18 +6,9 @@ from numbers import Integral
 import numpy as np
 from jaxtyping import Float
 
+from jaxrl_tab.core.types import InputError, pytree, shown, static, whole
 from jaxrl_tab.envs.base import Panel, assign
-from jaxrl_tab.envs.cards import (
-    DEALER_STICKS,
-    LIMIT,
-    SHOWN,
-    CardGame,
-    Game,
-    compare,
-    hands_panel,
-    tabulate,
-)
-from jaxrl_tab.types import InputError, pytree, shown, static, whole
+from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, hands_panel, tabulate
 
 NAME = "easy21"
 MAX_STEPS = 100  # a hand that goes on and on is bust long before

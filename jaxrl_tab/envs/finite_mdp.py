@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrl_tab import policies
+from jaxrl_tab.core import policies
+from jaxrl_tab.core.types import TOLERANCE, InputError, Outcome, first, pytree, static, whole
 from jaxrl_tab.envs.base import MAX_STEPS, Finite, assign, numbers
 from jaxrl_tab.envs.listed import (
     NAME,
@@ -18,16 +19,7 @@ from jaxrl_tab.envs.listed import (
     of_other_arrays,
     of_outcomes,
 )
-from jaxrl_tab.planning import spread
-from jaxrl_tab.types import (
-    TOLERANCE,
-    InputError,
-    Outcome,
-    first,
-    pytree,
-    static,
-    whole,
-)
+from jaxrl_tab.exact.planning import spread
 
 
 @pytree

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab import tables
+from jaxrl_tab.core import tables
+from jaxrl_tab.core.types import InputError, Outcome, first, pytree, static, whole
 from jaxrl_tab.envs.bandit import Bandit
 from jaxrl_tab.envs.base import assign, numbers, unbatched
-from jaxrl_tab.types import InputError, Outcome, first, pytree, static, whole
 
 NAME = "k-armed-testbed"
 

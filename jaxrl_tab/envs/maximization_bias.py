@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from jaxrl_tab.core.types import Outcome, pytree, static, whole
 from jaxrl_tab.envs.base import FixedStart, assign
-from jaxrl_tab.types import Outcome, pytree, static, whole
 
 NAME = "maximization-bias"
 

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrl_tab.core.types import InputError, Outcome, pytree, shown, static, whole
 from jaxrl_tab.envs.base import MAX_STEPS, FixedStart, assign, numbers, unbatched
-from jaxrl_tab.types import InputError, Outcome, pytree, shown, static, whole
 
 NAME = "random-walk"
 

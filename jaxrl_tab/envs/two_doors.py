@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrl_tab.core.types import TOLERANCE, InputError, first, pytree, shown
 from jaxrl_tab.envs.bandit import Bandit
 from jaxrl_tab.envs.base import assign, numbers, unbatched
-from jaxrl_tab.types import TOLERANCE, InputError, first, pytree, shown
 
 NAME = "two-doors"
 

@@ -6,16 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrl_tab.core.types import InputError, Outcome, check_choice, check_switches, pytree, static, whole
 from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_grid, numbers, unbatched
-from jaxrl_tab.types import (
-    InputError,
-    Outcome,
-    check_choice,
-    check_switches,
-    pytree,
-    static,
-    whole,
-)
 
 NAME = "windy-gridworld"
 MOVES = {"four": 4, "king": 8, "king+stay": 9}

@@ -31,7 +31,7 @@ def _error(method, **setting):
 def _draw(datasets):
     from matplotlib.legend import Legend
 
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     by_n, by_lambda = datasets["n-step-td"].v_error, datasets["td-lambda"].v_error
     canvas = plot.canvas(plot.WIDTH, 6.2)
@@ -61,7 +61,8 @@ def _curves(ax, error, knob, symbol):
     """The error against alpha, a curve for each value of the knob."""
     import matplotlib as mpl
 
-    from jaxrl_tab import plot, stats
+    from jaxrl_tab import stats
+    from jaxrl_tab.show import plot
 
     colors = mpl.colormaps["viridis"](np.linspace(0, 0.93, error.sizes[knob]))
     for value, color, marker in zip(error[knob].values, colors, plot.MARKERS * 2, strict=False):

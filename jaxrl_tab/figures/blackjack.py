@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jaxrl_tab import planning
 from jaxrl_tab.envs import Blackjack
+from jaxrl_tab.exact import planning
 from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
 
 STICK, HIT = 0, 1
@@ -48,7 +48,7 @@ def _learned_value(datasets):
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     ds = datasets[RUN]
     learned, exact = _by_hand(ds.q.values), _optimal()
@@ -80,7 +80,7 @@ def _policy(ax, hit, best):
     import matplotlib as mpl
     from matplotlib.colors import ListedColormap
 
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     pale = mpl.colormaps["Blues"].resampled(256)(np.linspace(0, 0.62, 256))  # texts can be read on it
     look = {"cmap": ListedColormap(pale), "vmin": 0, "vmax": 1, "ec": "white", "lw": 0.5}
@@ -100,7 +100,7 @@ def _policy(ax, hit, best):
 
 def _surface(ax, v):
     """Values over the dealer's card and the player's sum."""
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     at = np.meshgrid(SHOWN, SUMS)
     image = ax.plot_surface(*at, v, cmap="viridis", vmin=-1, vmax=1, ec="#00000055", lw=0.4)

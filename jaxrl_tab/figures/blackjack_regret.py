@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxrl_tab.core.policies import EpsilonGreedy
+from jaxrl_tab.core.schedules import Harmonic, glie
+from jaxrl_tab.core.types import pytree
 from jaxrl_tab.envs import Blackjack
 from jaxrl_tab.figures.figure import Figure, Number, swept
-from jaxrl_tab.policies import EpsilonGreedy
-from jaxrl_tab.schedules import Harmonic, glie
-from jaxrl_tab.types import pytree
 
 N0 = "100 / (100 + N(s))"
 EPSILONS = {"1/k": glie(), "0.1": 0.1, N0: Harmonic(100.0, clock="visit")}
@@ -90,7 +90,7 @@ def _worst(datasets):
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     canvas = plot.canvas(plot.NARROW, 4.4)
     ax = canvas.subplots()

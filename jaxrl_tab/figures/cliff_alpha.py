@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxrl_tab import planning
 from jaxrl_tab.envs import CliffWalking
+from jaxrl_tab.exact import planning
 from jaxrl_tab.figures import cliff_walking
 from jaxrl_tab.figures.figure import Figure, Number, swept
 
@@ -41,7 +41,9 @@ def _greedy_limit():
 
 
 def _draw(datasets):
-    from jaxrl_tab import describe, plot, stats
+    from jaxrl_tab import stats
+    from jaxrl_tab.core import describe
+    from jaxrl_tab.show import plot
 
     canvas = plot.canvas(plot.WIDTH, 5.2)
     ax = canvas.subplots()

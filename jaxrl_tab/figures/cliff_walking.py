@@ -1,7 +1,7 @@
 """Sarsa and Q-learning on the cliff (book, example 6.6)."""
 
-from jaxrl_tab import planning
 from jaxrl_tab.envs import CliffWalking
+from jaxrl_tab.exact import planning
 from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
 
 ALPHA = 0.5
@@ -31,7 +31,8 @@ def best_soft() -> float:
 
 
 def _draw(datasets):
-    from jaxrl_tab import describe, plot
+    from jaxrl_tab.core import describe
+    from jaxrl_tab.show import plot
 
     canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()

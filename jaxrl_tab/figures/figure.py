@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from jaxrl_tab.sweep import sweep
-from jaxrl_tab.types import Algorithm, Environment
+from jaxrl_tab.core.types import Algorithm, Environment
+from jaxrl_tab.engine.sweep import sweep
 
 if TYPE_CHECKING:
     import matplotlib.figure

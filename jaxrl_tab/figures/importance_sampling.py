@@ -4,13 +4,13 @@ from functools import partial
 
 import numpy as np
 
-from jaxrl_tab import importance, planning
+from jaxrl_tab.core.policies import Table
+from jaxrl_tab.core.types import pytree
 from jaxrl_tab.envs import Blackjack, InfiniteVariance
 from jaxrl_tab.envs.base import FixedStart
 from jaxrl_tab.envs.cards import HIT, LIMIT, SHOWN, STICK
+from jaxrl_tab.exact import importance, planning
 from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
-from jaxrl_tab.policies import Table
-from jaxrl_tab.types import pytree
 
 METHOD = "off-policy-monte-carlo-prediction"  # all actions are equally likely to be taken
 WEIGHTINGS = ("ordinary", "weighted")
@@ -122,7 +122,7 @@ def _paths(datasets, weighting):
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     canvas = plot.canvas(plot.WIDTH, 4)
     left, right = canvas.subplots(1, 2)

@@ -1,9 +1,9 @@
 """The ten-armed test bed: how much exploration pays (book, sections 2.3, 2.6 and 2.7)."""
 
+from jaxrl_tab.core.policies import UCB
+from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.envs import KArmedTestbed
 from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
-from jaxrl_tab.policies import UCB
-from jaxrl_tab.schedules import sample_average
 
 AVERAGE = sample_average()
 SETTINGS = {
@@ -37,7 +37,7 @@ def _late_reward(name):
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     canvas = plot.canvas(plot.WIDTH, 3.5)
     axes = canvas.subplots(1, 2, sharey=True)

@@ -25,7 +25,8 @@ def _share(method, first, last=None):
 
 
 def _draw(datasets):
-    from jaxrl_tab import describe, plot
+    from jaxrl_tab.core import describe
+    from jaxrl_tab.show import plot
 
     canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from jaxrl_tab.figures.figure import EXACT, Check, Figure
-from jaxrl_tab.html import render
+from jaxrl_tab.show.html import render
 
 
 def page(checked: Mapping[str, tuple[Figure, Sequence[Check]]], version: str) -> str:

@@ -59,7 +59,7 @@ def _unlike_the_path(method, last=ENV.max_steps):
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     path = datasets["path"].isel(row=0)
     arrived = _arrived(datasets)

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from jaxrl_tab import policies, schedules
+from jaxrl_tab.core import policies, schedules
 from jaxrl_tab.envs import TwoDoors
 from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
 
@@ -43,7 +43,7 @@ def _share(behaviour, plays):
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()

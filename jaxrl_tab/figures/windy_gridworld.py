@@ -1,7 +1,7 @@
 """Sarsa on the windy gridworld (book, example 6.5)."""
 
-from jaxrl_tab import planning
 from jaxrl_tab.envs import WindyGridworld
+from jaxrl_tab.exact import planning
 from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
 
 ALPHA, EPSILON = 0.5, 0.1
@@ -22,7 +22,7 @@ def _optimal_steps(moves):
 
 
 def _draw(datasets):
-    from jaxrl_tab import plot
+    from jaxrl_tab.show import plot
 
     canvas = plot.canvas(plot.WIDTH, 3.4)
     curve, grid = canvas.subplots(1, 2)

@@ -30,7 +30,7 @@ import numpy as np
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
-from jaxrl_tab import rng
+from jaxrl_tab.core import rng
 
 MOST = 16_384  # combinations of the draws of one call; a function that has more is left to its key
 DENOMINATOR = 1000  # of the fractions that float32 numbers are read as, at most

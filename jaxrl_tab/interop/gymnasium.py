@@ -12,10 +12,8 @@ from gymnasium import spaces, wrappers
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 
-from jaxrl_tab import planning, rng
-from jaxrl_tab.envs import ENVS, FiniteMDP
-from jaxrl_tab.envs.base import MAX_STEPS
-from jaxrl_tab.types import (
+from jaxrl_tab.core import rng
+from jaxrl_tab.core.types import (
     Environment,
     FiniteEnvironment,
     InputError,
@@ -24,6 +22,9 @@ from jaxrl_tab.types import (
     shown,
     stand_ins,
 )
+from jaxrl_tab.envs import ENVS, FiniteMDP
+from jaxrl_tab.envs.base import MAX_STEPS
+from jaxrl_tab.exact import planning
 
 # Wrappers that change no reward, action, observation, end or dynamics of an episode, by their exact class.
 HARMLESS = (

@@ -14,11 +14,8 @@ from gymnax.environments import environment, spaces
 from gymnax.wrappers import LegacyStepAPIWrapper, LogWrapper
 from jaxtyping import Array, Bool, Int, Key
 
-from jaxrl_tab import rng
-from jaxrl_tab.envs import ENVS, FiniteMDP
-from jaxrl_tab.envs.base import numbers
-from jaxrl_tab.interop import draws
-from jaxrl_tab.types import (
+from jaxrl_tab.core import rng
+from jaxrl_tab.core.types import (
     Environment,
     InputError,
     Outcome,
@@ -31,6 +28,9 @@ from jaxrl_tab.types import (
     static,
     whole,
 )
+from jaxrl_tab.envs import ENVS, FiniteMDP
+from jaxrl_tab.envs.base import numbers
+from jaxrl_tab.interop import draws
 
 MAX_STATES = (
     20_000  # of an imported task: with many more a table is no way to learn, and finding them is slow

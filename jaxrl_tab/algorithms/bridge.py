@@ -1,0 +1,245 @@
+"""The bridge to dynamic programming: what a one-step method samples is what dynamic programming sums.
+
+Each method of the table below moves an entry towards a target that it draws: a **sample backup**. The mean of
+that target, over the outcomes of the environment and over whatever the method draws itself, is a **full
+backup** of dynamic programming (Silver, lecture 5, "Relationship between DP and TD"; book, section 8.5).
+
+    print(bridge.table())
+    q_next = bridge.expected_backup(rl.QLearning(gamma=0.9), env, q)     # = planning.optimality_backup(...)
+"""
+
+import contextlib
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.extend as jex
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from jaxrl_tab.algorithms.prediction import Prediction, ValueState
+from jaxrl_tab.algorithms.td import TDControl
+from jaxrl_tab.core import policies
+from jaxrl_tab.core.policies import choose
+from jaxrl_tab.core.types import (
+    Environment,
+    InputError,
+    Transition,
+    available_actions,
+    init_learner,
+    restricted,
+    shown,
+)
+from jaxrl_tab.exact import planning
+from jaxrl_tab.exact.planning import Model
+
+
+class Row(NamedTuple):
+    """A row of the lecture's table: a Bellman equation and the two ways to turn it into an update.
+
+    Attributes:
+        equation: the Bellman equation.
+        full, full_update: the method of dynamic programming, and its update.
+        backup: the function of `planning` that is one sweep of it.
+        sample, sample_update: the method of temporal differences, and its update.
+        methods: the names of all registered methods that sample it, in ALGORITHMS and PREDICTION; those with
+            a target policy of their own sample it for that policy, the others for the policy that acts.
+    """
+
+    equation: str
+    full: str
+    full_update: str
+    backup: Callable[..., np.ndarray]
+    sample: str
+    sample_update: str
+    methods: tuple[str, ...]
+
+
+TABLE = (
+    Row(
+        "Bellman expectation equation for v_pi",
+        "iterative policy evaluation",
+        "v(s) <- E[R + gamma v(S') | s]",
+        planning.evaluation_backup,
+        "TD(0)",
+        "V(S) <-alpha- R + gamma V(S')",
+        ("td", "off-policy-td"),
+    ),
+    Row(
+        "Bellman expectation equation for q_pi",
+        "q-policy iteration",
+        "q(s, a) <- E[R + gamma q(S', A') | s, a]",
+        planning.expectation_backup,
+        "Sarsa",
+        "Q(S, A) <-alpha- R + gamma Q(S', A')",
+        ("sarsa", "expected-sarsa", "q-learning-target"),
+    ),
+    Row(
+        "Bellman optimality equation for q*",
+        "q-value iteration",
+        "q(s, a) <- E[R + gamma max_a' q(S', a') | s, a]",
+        planning.optimality_backup,
+        "Q-learning",
+        "Q(S, A) <-alpha- R + gamma max_a' Q(S', a')",
+        ("q-learning", "double-q-learning"),
+    ),
+)
+"""x <-alpha- y stands for x <- x + alpha (y - x)."""
+
+
+def table() -> str:
+    """The lecture's table, to print."""
+    cells = [("Bellman equation", "full backup (DP)", "sample backup (TD)")]
+    for row in TABLE:
+        cells += [(row.equation, row.full, row.sample), ("", row.full_update, row.sample_update)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in cells]
+    return "\n".join([*lines, "", "x <-alpha- y stands for x <- x + alpha (y - x)"])
+
+
+def expected_backup(
+    method: TDControl | Prediction, env: Environment, values: Float[np.ndarray, "S *A"]
+) -> Float[np.ndarray, "S *A"]:
+    """The mean of the target that `method` draws, float64, exact to rounding: [S, A] of Q, or [S] of V.
+
+    The `update` of the method itself is run, once for every outcome of the environment together with every
+    outcome of every draw that the method makes by `policies.sample` and `policies.coin`; each is weighted
+    with its probability. Nothing is drawn.
+
+    Args:
+        method: a one-step method. Its schedules stand where they stand in the first step; alpha is not used.
+        env: an environment with `outcomes`.
+        values: what the learner believes: Q [S, A], in all tables that it has; for a method of prediction V
+            [S]. It gives the mean for each pair (s, a), UNAVAILABLE where s does not have a; in prediction for
+            each s, over the actions of the policy that acts.
+
+    Raises:
+        InputError: `values` has the wrong shape; `env` can only be sampled; the method remembers more from
+            step to step than tables, so that it learns from more than one transition; or it draws in another
+            way.
+    """
+    if not isinstance(method, TDControl | Prediction):
+        raise InputError(
+            f"method must be an instance of a one-step method such as Sarsa(), not {shown(method)}"
+        )
+    model = planning.exact_model(env)
+    of_states = isinstance(method, Prediction)
+    values = planning.checked_values(model, "v" if of_states else "q", values)
+    belief = {"v0": values[:, None]} if of_states else {"q0": values}
+    with jax.enable_x64():
+        available = available_actions(env)
+        at_once: Any = restricted(dataclasses.replace(method, alpha=1.0, **belief), available)
+        start = jax.eval_shape(lambda: init_learner(at_once, env))
+        _check_one_step(type(method).__name__, start, np.shape(*belief.values()))
+        means = values + np.asarray(_expected_moves(at_once, model, of_states))
+        return means if available is None or of_states else np.asarray(policies.among(means, available))
+
+
+@partial(jax.jit, static_argnames="of_states")
+def _expected_moves(method: Any, model: Model, of_states: bool) -> Float[Array, "S *A"]:
+    """How far an update with alpha = 1 moves each entry, on average."""
+    num_states, num_actions, _ = model.prob.shape
+    start = method.init(num_states, num_actions)
+    key = _no_words()
+
+    def move(s, a):
+        k = policies.sample(key, model.prob[s, a])
+        s_next, r, terminal = model.s_next[s, a, k], model.reward[s, a, k], model.terminal[s, a, k]
+        t = Transition(s, a, r, s_next, jnp.where(terminal, 0, method.gamma), terminal)
+        after, _ = method.update(key, start, t)
+        entry = s, 0 if of_states else a
+        # Of several tables the one that learned is moved to its target; the others are as they were.
+        moves = [x[entry] - y[entry] for x, y in zip(_tables(after), _tables(start), strict=True)]
+        return jnp.stack(moves).sum()
+
+    def mean(s):
+        if of_states:
+            return _mean_over_draws(lambda: move(s, method.policy(key, start, s)))
+        actions = jnp.arange(num_actions, dtype=jnp.int32)
+        return jax.vmap(lambda a: _mean_over_draws(lambda: move(s, a)))(actions)
+
+    # State by state, for all updates that run at the same time have tables of their own.
+    return lax.map(mean, jnp.arange(num_states, dtype=jnp.int32))
+
+
+def _memory(state: Any) -> dict[str, Any]:
+    """What a learner keeps from step to step, apart from its clock."""
+    kept = state.learner if isinstance(state, ValueState) else state
+    return {field: x for field, x in kept._asdict().items() if field != "clock"}
+
+
+def _tables(state: Any) -> list[Float[Array, "S A"]]:
+    return list(_memory(state).values())
+
+
+def _check_one_step(name: str, state: Any, shape: tuple[int, ...]) -> None:
+    for field, x in _memory(state).items():
+        if getattr(x, "shape", None) != shape:
+            raise InputError(
+                f"{name} remembers {field} from step to step, so it learns from more than one transition; "
+                "a one-step method keeps nothing but tables"
+            )
+
+
+# --- every draw, instead of one ----------------------------------------------------------------------
+
+
+def _mean_over_draws(draw: Callable[[], Float[Array, ""]]) -> Float[Array, ""]:
+    """The mean of `draw()`, over all that `policies.sample` and `policies.coin` may give in it."""
+    sizes: list[int] = []
+
+    def note(weights: Array) -> Array:
+        sizes.append(len(weights))
+        return jnp.int32(0)
+
+    def follow(path: Int[Array, " draws"]) -> Float[Array, ""]:
+        chosen, chance = iter(path), jnp.ones(())
+
+        def take(weights: Array) -> Array:
+            nonlocal chance
+            i = next(chosen)
+            chance *= weights[i] / weights.sum()
+            return i
+
+        with _choosing(take):
+            x = draw()
+        return jnp.where(chance > 0, chance * x, 0)  # what cannot happen may be no number
+
+    with _choosing(note):
+        jax.eval_shape(draw)
+    paths = jnp.indices(sizes, dtype=jnp.int32).reshape(len(sizes), math.prod(sizes)).T
+    return jax.vmap(follow)(paths).sum()
+
+
+@contextlib.contextmanager
+def _choosing(by: Callable[[Array], Array]) -> Iterator[None]:
+    token = choose.set(by)
+    try:
+        yield
+    finally:
+        choose.reset(token)
+
+
+def _refuse(*_: Any) -> Array:
+    raise InputError("this method draws in another way than by policies.sample and policies.coin")
+
+
+_SILENT = jex.random.define_prng_impl(
+    key_shape=(1,),
+    seed=_refuse,
+    split=lambda key, shape: jnp.zeros((*shape, 1), jnp.uint32),
+    random_bits=_refuse,
+    fold_in=lambda key, data: key,
+    name="jaxrl_tab_silent",
+    tag="silent",
+)
+
+
+def _no_words() -> Array:
+    """A key from which nothing can be drawn: what a method draws without being asked would be no mean."""
+    return jax.random.wrap_key_data(jnp.zeros(1, jnp.uint32), impl=_SILENT)

@@ -1,0 +1,345 @@
+"""Prediction: learn the values v_pi of a given policy (Silver, lecture 4; book, chapters 5 to 7 and 12).
+
+A table of state values is a table of action values with **one action**. Told that every action was the same
+one, Sarsa is TD(0), n-step Sarsa is n-step TD, Sarsa(lambda) is TD(lambda), and Monte Carlo control averages
+the returns of states. So a method here is a method of control that never hears which action was taken, while
+pi acts. (Action values q_pi need nothing new: give a method of control `behaviour=policies.Table(pi)`.)
+
+Off-policy, b acts while v_pi is learned; ratios rho = pi(A | S) / b(A | S) then come in.
+
+    state, log = rl.train(key, rl.prediction.TD(pi=probs, alpha=0.1), env, num_episodes=100, exact=True)
+    state.v, log.v_error          # V [S]; the root of its mean squared error at the end of each row
+"""
+
+import dataclasses
+from collections import ChainMap
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
+from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table, check_coverage
+from jaxrl_tab.core.schedules import Rate, check_number, sample_average
+from jaxrl_tab.core.types import (
+    Algorithm,
+    Environment,
+    InputError,
+    Task,
+    Transition,
+    available_actions,
+    check_switches,
+    init_learner,
+    pytree,
+    restricted,
+    shown,
+    static,
+)
+from jaxrl_tab.exact import planning
+
+
+class ValueState(NamedTuple):
+    """A learner of state values.
+
+    Attributes:
+        learner: the state of a method of control with one action; its Q is V, float [S, 1].
+        acting: the policy that acts, float [S, A].
+        target: the policy that is learned about, float [S, A]; None where it is the same.
+    """
+
+    learner: Any
+    acting: Float[Array, "S A"]
+    target: Float[Array, "S A"] | None
+
+    @property
+    def q(self) -> Float[Array, "S 1"]:
+        return self.learner.q
+
+    @property
+    def v(self) -> Float[Array, " S"]:
+        """V, float [S]; of a batch of learners [..., S]."""
+        return self.learner.q[..., 0]
+
+
+@pytree
+class Prediction:
+    """What all share. A method says what kind of control it is.
+
+    Attributes:
+        pi: the policy whose values are learned: probabilities float [S, A], or a policies.Table of them;
+            None: all actions are equally likely.
+        alpha: step size, > 0; a number or a schedule.
+        gamma: discount rate, in [0, 1].
+        v0: initial value of every entry of V.
+    """
+
+    pi: Any = None
+    alpha: Rate = 0.1
+    gamma: float = 1.0
+    v0: float = 0.0
+
+    acts_after_update: ClassVar[bool] = True
+
+    def __post_init__(self):
+        check_switches(type(self).__name__, self)
+        _as_table(self, "pi")
+        check_number(self, "v0", lambda x: x == x, "a number")
+        try:
+            self.control()
+        except InputError as error:  # said of a class of which nobody spoke
+            raise InputError(f"{type(self).__name__}: {str(error).partition(': ')[2]}") from None
+
+    def control(self) -> Algorithm:
+        """The method of control that learns V."""
+        raise NotImplementedError
+
+    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+        """The method where states have these actions only, as `TDControl.restricted_to`."""
+        return dataclasses.replace(self, pi=_among(self.pi, available), **more)
+
+    def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
+        learner = init_learner(self.control(), Task(num_states, 1, max_steps))
+        return ValueState(learner, _probabilities(self.pi, num_states, num_actions), None)
+
+    def policy(self, key: Key[Array, ""], state: ValueState, s: Int[Array, ""]) -> Int[Array, ""]:
+        return policies.sample(key, tables.row(state.acting, s))
+
+    def update(self, key, state: ValueState, t: Transition):
+        learner, _ = self.control().update(key, state.learner, t._replace(a=jnp.zeros_like(t.a)))
+        state = state._replace(learner=learner)
+        return state, self.policy(key, state, t.s_next)
+
+    def exact_value(self, env: Environment) -> float:
+        """v_pi from the start distribution, float64; -inf where pi may go round for ever at a cost."""
+        with jax.enable_x64():
+            method = restricted(self, available_actions(env))
+            pi = np.asarray(_probabilities(method.pi, env.num_states, env.num_actions))
+        return planning.policy_value(env, pi, self.gamma)
+
+    def measurer(self, env: Environment):
+        """What `train(exact=True)` records: the root of the mean squared error of V, from the state."""
+        planning.check_finite(env)
+        with planning.doubled():
+            pi = _probabilities(self.pi, env.num_states, env.num_actions)
+        measure = planning.value_measurer(env, pi, self.gamma)
+        return lambda state: {"v_error": measure(state.v)}
+
+
+@pytree
+class TD(Prediction):
+    """TD(0): V(S) <- V(S) + alpha [R + gamma V(S') - V(S)] (book, equation 6.2)."""
+
+    def control(self) -> Sarsa:
+        return Sarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0)
+
+
+@pytree
+class NStepTD(Prediction):
+    """V(S_t) <- V(S_t) + alpha [R_{t+1} + ... + gamma^n V(S_{t+n}) - V(S_t)] (book, equation 7.2).
+
+    Attributes:
+        n: how many rewards it looks ahead, at least 1.
+    """
+
+    n: int = static(default=4)
+
+    def control(self) -> Algorithm:
+        return NStepSarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0, n=self.n)
+
+
+@pytree
+class TDLambda(Prediction):
+    """TD(lambda) with eligibility traces (book, sections 12.2 and 12.5; Silver, lecture 4).
+
+    Attributes:
+        lam: lambda, in [0, 1].
+        trace: "accumulating", "replacing" or "dutch": dutch is true online TD(lambda).
+        offline: keep V as it is in an episode, and add the sum of all increments at its end: off-line
+            TD(lambda) (Silver, lecture 4), not the book's off-line lambda-return algorithm; see
+            `SarsaLambda`. It goes with accumulating traces.
+    """
+
+    lam: float = 0.9
+    trace: str = static(default="accumulating")
+    offline: bool = static(default=False)
+
+    def control(self) -> Algorithm:
+        return SarsaLambda(
+            alpha=self.alpha,
+            gamma=self.gamma,
+            q0=self.v0,
+            lam=self.lam,
+            trace=self.trace,
+            offline=self.offline,
+        )
+
+
+@pytree
+class MonteCarloPrediction(Prediction):
+    """V(S) <- V(S) + alpha [G - V(S)] at the end of the episode (book, section 5.1 and equation 6.1).
+
+    Attributes:
+        alpha: step size, > 0; a number or a schedule. By default 1/N(s): V is the mean of the returns.
+        first_visit: only the return from the first time that a state occurs in an episode counts.
+    """
+
+    alpha: Rate = sample_average()
+    first_visit: bool = static(default=False)
+
+    def control(self) -> Algorithm:
+        return MonteCarlo(alpha=self.alpha, gamma=self.gamma, q0=self.v0, first_visit=self.first_visit)
+
+
+# --- off-policy --------------------------------------------------------------------------------------
+
+
+@pytree
+class OffPolicyPrediction(Prediction):
+    """What the methods share that learn v_pi while another policy acts.
+
+    Attributes:
+        behaviour: b, the policy that acts, as `pi` is given; b(a | s) > 0 wherever pi(a | s) > 0. None: all
+            actions are equally likely.
+    """
+
+    behaviour: Any = None
+
+    def __post_init__(self):
+        _as_table(self, "behaviour")
+        super().__post_init__()
+        if self.behaviour is not None:
+            any_action = EpsilonGreedy(1.0)
+            check_coverage(type(self).__name__, any_action if self.pi is None else self.pi, self.behaviour)
+
+    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+        return super().restricted_to(available, behaviour=_among(self.behaviour, available), **more)
+
+    def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
+        state = super().init(num_states, num_actions, max_steps)
+        acting = _probabilities(self.behaviour, num_states, num_actions)
+        return state._replace(acting=acting, target=state.acting)
+
+
+@pytree
+class OffPolicyTD(OffPolicyPrediction, TD):
+    """TD(0) with importance sampling (Silver, lecture 5).
+
+    V(S) <- V(S) + alpha [rho (R + gamma V(S')) - V(S)]
+
+    One ratio for one step: its variance is far lower than that of whole returns.
+    """
+
+    multiplies_returns: ClassVar[bool] = True
+    acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[str] = "transitions of b"
+
+    def update(self, key, state: ValueState, t: Transition):
+        assert state.target is not None
+        control, one = self.control(), jnp.zeros_like(t.a)
+        rho = tables.entry(state.target, t.s, t.a) / tables.entry(state.acting, t.s, t.a)
+        t = t._replace(a=one)
+        learner = control.begin(state.learner, t)
+        v_next = tables.entry(learner.q, t.s_next, one)
+        delta = rho * (t.r + t.discount * v_next) - tables.entry(learner.q, t.s, one)
+        state = state._replace(learner=control.learn(learner, t, delta))
+        return state, self.policy(key, state, t.s_next)
+
+
+@pytree
+class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
+    """Monte Carlo with importance sampling (book, section 5.5): the mean of returns G of b, weighted.
+
+    "ordinary" averages rho_{t:T-1} G (book, equation 5.5): unbiased, and its variance may be infinite.
+    "weighted" divides by the sum of the ratios (equation 5.6): biased, and far closer. "per-decision" weighs
+    each reward by the ratios up to it (section 5.9).
+
+    Attributes:
+        alpha: step size, > 0; a number or a schedule. By default 1/N(s): what is averaged counts equally.
+        weighting: "weighted", "ordinary" or "per-decision" importance sampling.
+        first_visit: only the return from the first time that a state occurs in an episode counts.
+    """
+
+    alpha: Rate = sample_average()
+    weighting: str = static(default="weighted")
+    first_visit: bool = static(default=False)
+
+    acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[str] = "episodes of b"
+
+    @property
+    def multiplies_returns(self) -> bool:
+        return self.weighting != "weighted"
+
+    def control(self, acting: Any = None, target: Any = None) -> Algorithm:
+        return _OfStates(
+            alpha=self.alpha,
+            gamma=self.gamma,
+            q0=self.v0,
+            behaviour=None if acting is None else Table(acting),
+            target=None if target is None else Table(target),
+            weighting=self.weighting,
+            first_visit=self.first_visit,
+        )
+
+    def update(self, key, state: ValueState, t: Transition):
+        learner, _ = self.control(state.acting, state.target).update(key, state.learner, t)
+        state = state._replace(learner=learner)
+        return state, self.policy(key, state, t.s_next)
+
+
+@pytree
+class _OfStates(OffPolicyMonteCarlo):
+    """Off-policy Monte Carlo with one entry a state, of which the ratio of its own action is a part."""
+
+    of_states: ClassVar[bool] = True
+
+    @property
+    def all_policies(self) -> tuple[Policy, ...]:
+        return ()  # tables, which do not go by visits, and have as many actions as the task
+
+    def rest(self, state, t: Transition) -> Float[Array, ""]:
+        return t.discount * tables.entry(state.q, t.s_next, self.column(t.a))
+
+    def column(self, a: Int[Array, ""]) -> Int[Array, ""]:
+        return jnp.zeros_like(a)
+
+
+def _as_table(obj: Any, name: str) -> None:
+    """Makes the probabilities in field `name` a Table."""
+    value, what = getattr(obj, name), f"{type(obj).__name__}: {name}"
+    if value is None or isinstance(value, Table):
+        return
+    if not isinstance(value, Sequence | np.ndarray | jax.Array):
+        raise InputError(
+            f"{what} must be probabilities [S, A], or a policies.Table of them, not {shown(value)}"
+        )
+    try:
+        object.__setattr__(obj, name, Table(value))
+    except InputError as error:
+        raise InputError(f"{what}: {str(error).partition(': ')[2]}") from None
+
+
+def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:
+    return policies.uniform(available) if table is None else restricted(table, available)
+
+
+def _probabilities(table: Table | None, num_states: int, num_actions: int) -> Float[Array, "S A"]:
+    if table is None:
+        return jnp.full((num_states, num_actions), 1 / num_actions, dtype=float)
+    table.check(num_states, num_actions)
+    return jnp.asarray(table.probabilities, float)
+
+
+PREDICTION = {
+    "td": TD,
+    "n-step-td": NStepTD,
+    "td-lambda": TDLambda,
+    "monte-carlo-prediction": MonteCarloPrediction,
+    "off-policy-td": OffPolicyTD,
+    "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,
+}
+METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__

@@ -1,0 +1,172 @@
+"""What an environment or a method says about itself: its parameters, from its fields and its docstring.
+
+And what a person may give for one of them: a number, or text such as "glie" and "softmax:0.5".
+"""
+
+import dataclasses
+import inspect
+import re
+import sys
+from collections.abc import Callable
+from fractions import Fraction
+from numbers import Integral, Real
+from typing import Any, NamedTuple
+
+from jaxrl_tab.algorithms.prediction import METHODS
+from jaxrl_tab.core import policies, schedules
+from jaxrl_tab.core.types import InputError, shown
+from jaxrl_tab.envs import ENVS
+
+# As people write the names in which not only the first letter is large.
+TITLES = {
+    "expected-sarsa": "Expected Sarsa",
+    "n-step-sarsa": "n-step Sarsa",
+    "sarsa-lambda": "Sarsa(λ)",
+    "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
+    "q-learning": "Q-learning",
+    "q-learning-target": "Q-learning of a target policy",
+    "double-q-learning": "Double Q-learning",
+    "q-lambda": "Q(λ)",
+    "monte-carlo": "Monte Carlo",
+    "off-policy-monte-carlo": "Off-policy Monte Carlo",
+    "td": "TD(0)",
+    "n-step-td": "n-step TD",
+    "td-lambda": "TD(λ)",
+    "off-policy-td": "Off-policy TD(0)",
+    "monte-carlo-prediction": "Monte Carlo prediction",
+    "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
+    "k-armed-testbed": "k-armed testbed",
+}
+SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
+
+_ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
+
+
+class Parameter(NamedTuple):
+    """A field of an environment or a method.
+
+    Attributes:
+        name: of the field.
+        type: its annotation, as written.
+        default: its value if it is not given.
+        help: one line, from the section "Attributes" of the class, or of the nearest base that has it there.
+    """
+
+    name: str
+    type: Any
+    default: Any
+    help: str
+
+
+def title(name: str) -> str:
+    """The name of an environment or a method as people write it; a name that a user gave stays as it is."""
+    known, *own = name.split(",")  # "random-walk,states=5" of an experiment
+    if known in ENVS or known in METHODS:
+        known = TITLES.get(known, known.replace("-", " ").capitalize())
+    return ",".join([known, *own])
+
+
+def symbol(name: str) -> str:
+    """The name of a hyperparameter as people write it: "α"."""
+    return SYMBOLS.get(name, name)
+
+
+def at_edge(parameter: str, method: str, end: str) -> str:
+    """What to know where the best value is the "largest" or the "smallest" tried; see `stats.at_edge`."""
+    return f"The best {symbol(parameter)} of {title(method)} is the {end} that was tried; a better one may lie beyond."
+
+
+def summary(cls: type) -> str:
+    """The first line of the docstring of `cls`."""
+    return inspect.cleandoc(cls.__doc__ or "").partition("\n")[0]
+
+
+def parameters(cls: type) -> list[Parameter]:
+    """The parameters of a registered class, in their order."""
+    told: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        told |= _attributes(base.__dict__.get("__doc__") or "")
+    return [Parameter(f.name, f.type, f.default, told.get(f.name, "")) for f in dataclasses.fields(cls)]
+
+
+def takes_schedule(parameter: Parameter) -> bool:
+    """Whether it may be a schedule instead of a number."""
+    return parameter.type == schedules.Rate
+
+
+def takes_policy(parameter: Parameter) -> bool:
+    """Whether it is a policy."""
+    return parameter.type == policies.Policy | None
+
+
+def kind(parameter: Parameter) -> type:
+    """The type of its value, or of the entries of its value: that of its default; float for a schedule."""
+    like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
+    return float if takes_schedule(parameter) else type(like)
+
+
+def value(what: str, given: Any, parameter: Parameter) -> Any:
+    """`given` as a value of a parameter, or as an entry of one that is a tuple.
+
+    Args:
+        what: what the person calls the parameter.
+        given: a number, a switch or a text, as it is typed: "glie", "softmax:0.5"; schedules and policies
+            stay as they are.
+        parameter: which parameter it is for.
+
+    Raises:
+        InputError: it is of the wrong type, or a text that means nothing.
+    """
+    name = given.replace("_", "-") if isinstance(given, str) else ""
+    if takes_policy(parameter):
+        if not name and isinstance(given, policies.Policy):
+            return given
+        return _parsed(policies.parse, what, name or shown(given))
+    rate = takes_schedule(parameter)
+    if rate and isinstance(given, schedules.Schedule):
+        return given
+    if rate and schedules.is_named(name):
+        return _parsed(schedules.parse, what, name)
+    wanted, fits = _KINDS[kind(parameter)]
+    wrong = not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool)
+    if wrong or (isinstance(given, int | Fraction) and abs(given) > sys.float_info.max):
+        more = f" or a schedule ({schedule_forms()})" if rate else ""
+        raise InputError(f"{what} takes {wanted}{more}, not {shown(given)}")
+    return kind(parameter)(given)
+
+
+_KINDS: dict[type, tuple[str, type]] = {
+    bool: ("true or false", bool),
+    int: ("a whole number", Integral),
+    float: ("a number", Real),
+    str: ("text", str),
+}
+
+
+def schedule_forms() -> str:
+    """How a schedule may be typed."""
+    forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.FAMILIES)])
+    return f"{forms}, where CLOCK is one of {', '.join(schedules.CLOCKS)}"
+
+
+def _parsed(parse: Callable[[str], Any], what: str, text: str) -> Any:
+    try:
+        return parse(text)
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from None
+
+
+def _attributes(doc: str) -> dict[str, str]:
+    """The entries of the section "Attributes": `name: text` or `name, name: text`, indented by four."""
+    _, _, section = inspect.cleandoc(doc).partition("\nAttributes:\n")
+    entries: dict[str, str] = {}
+    names: list[str] = []
+    for line in section.splitlines():
+        if line and not line.startswith(" "):
+            break
+        if entry := _ENTRY.fullmatch(line):
+            names = entry[1].split(", ")
+            entries |= dict.fromkeys(names, entry[2])
+        elif line.strip():
+            entries |= {name: f"{entries[name]} {line.strip()}" for name in names}
+    return entries

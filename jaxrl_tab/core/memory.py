@@ -1,0 +1,143 @@
+"""How many bytes a sweep needs, known from shapes before anything is compiled; and where its results go.
+
+Two things take memory: the results, which grow with the number of runs, and the call of the compiled program,
+whose size can be chosen. Results that do not fit beside a call go to files, which the operating system reads
+and writes as they are looked at. So the number of runs is limited by the disk alone.
+"""
+
+import mmap
+import os
+import re
+import shutil
+import sys
+import tempfile
+import weakref
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxrl_tab.core.types import InputError, shown
+
+UNITS = {"B": 1} | {f"{k}B": 1000**i for i, k in enumerate("kMGT", 1)}
+BLOCK = 2**24  # bytes of results that are looked at at a time, after they are computed
+_MAPPED: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()  # the files of results
+UNITS |= {f"{k}iB": 1024**i for i, k in enumerate("KMGT", 1)}
+
+
+class Call(NamedTuple):
+    """The bytes that one call of the program takes on one device.
+
+    Blocks of lanes go one after another. What a block was given and what it gave stay until the call ends;
+    what it worked with serves the next one.
+
+    Attributes:
+        shared: what all lanes read: the environment.
+        kept: of a lane, the arguments and the results.
+        working: of a lane, what its loop carries from step to step.
+    """
+
+    shared: int
+    kept: int
+    working: int
+
+    def bytes(self, lanes: int, blocks: int) -> int:
+        return self.shared + lanes * (blocks * self.kept + self.working)
+
+
+class Results:
+    """What many runs give: arrays with a leading axis of runs, written piece by piece.
+
+    Where they are `on_disk`, each array is a file without a name in the temporary folder (`TMPDIR`), mapped
+    into memory; it is gone when nobody holds the array any more, or with the process.
+
+    Attributes:
+        arrays: a pytree of arrays [runs, ...].
+    """
+
+    arrays: Any
+
+    def __init__(self, like: Any, runs: int, on_disk: bool = False):
+        """Makes room. `like` is a pytree of the shapes that one run gives."""
+        make = self._in_a_file if on_disk else np.empty
+        self.arrays = jax.tree.map(lambda x: make((runs, *x.shape), x.dtype), like)
+
+    def write(self, runs: np.ndarray, given: Any) -> None:
+        """Writes what these runs gave: `runs` int [n], `given` a pytree of arrays [n, ...]."""
+
+        def put(array: np.ndarray, x: np.ndarray) -> None:
+            array[runs] = x
+
+        jax.tree.map(put, self.arrays, given)
+        let_go()
+
+    def _in_a_file(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+        size = max(1, int(np.prod(shape)) * np.dtype(dtype).itemsize)
+        with tempfile.TemporaryFile() as file:
+            if hasattr(os, "posix_fallocate"):  # holds the room: else a full disk would kill the process
+                os.posix_fallocate(file.fileno(), 0, size)
+            file.truncate(size)
+            mapped = mmap.mmap(file.fileno(), size)
+        _MAPPED.add(mapped)
+        return np.ndarray(shape, dtype, buffer=mapped)
+
+
+def blocks(count: int, each: int) -> Iterator[slice]:
+    """Slices of `count` things of `each` bytes, to look at one after another: no larger than a block."""
+    most = max(1, BLOCK // max(1, each))
+    for first in range(0, count, most):
+        yield slice(first, min(first + most, count))
+        let_go()
+
+
+def let_go() -> None:
+    """Frees the memory in which results in files were looked at; where they are needed again they are read again."""
+    if hasattr(mmap, "MADV_DONTNEED"):
+        for file in list(_MAPPED):
+            file.madvise(mmap.MADV_DONTNEED)
+
+
+def size(tree: Any) -> int:
+    """The bytes of arrays of the shapes and dtypes of a pytree."""
+    return sum(int(np.prod(x.shape)) * x.dtype.itemsize for x in jax.tree.leaves(tree))
+
+
+def free(devices: Sequence[Any] = ()) -> int:
+    """The bytes that are free on each of these devices; on a CPU, or without any, in the machine.
+
+    All there are where the system does not say how many are free, and no limit where it says nothing.
+    """
+    if devices and devices[0].platform != "cpu":
+        stats = [device.memory_stats() or {} for device in devices]
+        return min(s.get("bytes_limit", sys.maxsize) - s.get("bytes_in_use", 0) for s in stats)
+    with suppress(OSError, TypeError):  # Linux alone has it
+        available = re.search(r"MemAvailable:\s*(\d+) kB", Path("/proc/meminfo").read_text())
+        return 1024 * int(available[1])  # pyright: ignore[reportOptionalSubscript]
+    with suppress(AttributeError, ValueError, OSError):
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return sys.maxsize
+
+
+def disk() -> tuple[str, int]:
+    """The temporary folder, and the bytes that are free in it."""
+    folder = tempfile.gettempdir()
+    return folder, shutil.disk_usage(folder).free
+
+
+def words(count: int) -> str:
+    """So many bytes for people: three digits and a unit."""
+    unit = max((u for u in ("B", "kB", "MB", "GB", "TB") if UNITS[u] <= max(count, 1)), key=UNITS.__getitem__)
+    return f"{count / UNITS[unit]:.3g} {unit}"
+
+
+def parse(text: str) -> int:
+    """So many bytes, from text such as "4GB" or "1.5 GiB". Raises InputError where it is something else."""
+    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z]+)", text.strip(), re.IGNORECASE)
+    units = {unit.lower(): factor for unit, factor in UNITS.items()}
+    count = int(float(found[1]) * units.get(found[2].lower(), 0)) if found else 0
+    if count < 1:
+        raise InputError(f"must be a number with a unit ({', '.join(UNITS)}), such as 4GB, not {shown(text)}")
+    return count

@@ -1,0 +1,497 @@
+"""Policies: the exact probabilities of the actions, and one way to draw from them.
+
+A policy turns a row of action values Q(s, .) into probabilities, float [A]. What is drawn, what Expected
+Sarsa averages over, what importance sampling divides by and what `planning` evaluates are therefore the same
+numbers. Ties for the maximum share its probability equally, everywhere. (In float32, the precision of JAX
+unless told otherwise, values of a deterministic task become exact ties after fewer visits than in float64, so
+ties are broken more often and single entries of Q may differ: in the windy gridworld, by Q-learning with
+alpha = 0.5, Q(15, 2) is -10.781 on average and would be -10.751. Returns and lengths of episodes do not.)
+
+Where a state does not have every action (`types.Environment`), none of these takes another one.
+
+Every method takes one as its `behaviour`, and methods that learn about another policy take one as their
+`target`: `Greedy`, `EpsilonGreedy`, `Softmax`, `UCB`, or any `Table` of probabilities. All but tables are
+written as they are typed on the command line (`str`, `parse`): "softmax:0.5".
+"""
+
+import dataclasses
+import zlib
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
+from functools import reduce
+from itertools import accumulate
+from typing import Any, Protocol, Self, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from jaxrl_tab.core import schedules, tables
+from jaxrl_tab.core.schedules import Clock, Rate, check_number, check_rate
+from jaxrl_tab.core.types import (
+    InputError,
+    as_array,
+    check_available,
+    concrete,
+    first,
+    is_distribution,
+    nearest,
+    pytree,
+    shown,
+)
+
+# The value of an action that a state does not have: no maximum is there, and no softmax. It is finite, for 0
+# times it must be 0, and nobody learns about it, so it stays.
+UNAVAILABLE = -1e30
+UNROLLED = 16  # rows up to this length are worked through entry by entry
+
+# Where set, `sample` and `coin` ask it for the index, given the weights, and do not look at the key: so
+# everything that is random in a method can be enumerated (see `bridge`).
+choose: ContextVar[Callable[[Array], Array] | None] = ContextVar("choose", default=None)
+
+
+def largest(q: Float[Array, " A"]) -> Float[Array, ""]:
+    """max_a q(a), [A] -> []."""
+    # A comparison, because the maximum of XLA asks for NaN first, which takes four instructions more.
+    larger = lambda x, y: jnp.where(x > y, x, y)
+    return reduce(larger, list(q)) if len(q) <= UNROLLED else q.max()
+
+
+def greedy(q: Float[Array, " A"]) -> Float[Array, " A"]:
+    """The greedy policy: all maximal actions equally likely, [A] -> [A]."""
+    best = (q == largest(q)).astype(q.dtype)
+    return best / _reduce(jnp.add, best)
+
+
+def epsilon_greedy(q: Float[Array, " A"], epsilon: Float[Array, ""] | float) -> Float[Array, " A"]:
+    """epsilon / A for every action and the rest for the greedy ones, [A] -> [A] (book, section 5.4)."""
+    return epsilon / q.shape[0] + (1 - epsilon) * greedy(q)
+
+
+def softmax(q: Float[Array, " A"], temperature: Float[Array, ""] | float) -> Float[Array, " A"]:
+    """Probabilities proportional to exp(q / temperature), [A] -> [A] (book, equation 2.11)."""
+    weights = jnp.exp((q - largest(q)) / temperature)
+    return weights / _reduce(jnp.add, weights)
+
+
+def among(q: Any, available: Any) -> Float[Array, "S A"]:
+    """Action values, one for all or [S, A], with UNAVAILABLE in place of those that are not `available` [S, A].
+
+    `available` may be numbers, as the leaves of a method in a sweep are.
+    """
+    return jnp.where(jnp.asarray(available, float) > 0, jnp.asarray(q, float), UNAVAILABLE)
+
+
+def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
+    """Draws an index with probability proportional to `weights` [n] >= 0, int32 [].
+
+    By inversion, from one random word of which 24 bits count. The word is scaled to the sum of the weights,
+    so an index of weight zero is never drawn, however the sum was rounded.
+    """
+    if (chosen := choose.get()) is not None:
+        return chosen(weights)
+    u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(weights.dtype) * 2**-24
+    if len(weights) > UNROLLED:
+        edges = jnp.cumsum(weights)
+        return (u * edges[-1] >= edges[:-1]).sum(dtype=jnp.int32)
+    *edges, total = accumulate(list(weights))
+    return reduce(jnp.add, ((u * total >= edge).astype(jnp.int32) for edge in edges), jnp.int32(0))
+
+
+def coin(key: Key[Array, ""]) -> Bool[Array, ""]:
+    """A fair coin, bool [], from the lowest bit of the key's word.
+
+    `sample` never looks at that bit, so what both give for one key is independent: a word for two decisions.
+    """
+    if (chosen := choose.get()) is not None:
+        return chosen(jnp.ones(2)) == 1
+    return (jax.random.bits(key, dtype=jnp.uint32) & 1) == 1
+
+
+def _reduce(op: Any, x: Array) -> Array:
+    """Under `vmap` a row of A is one of many, and a reduction along so short an axis cannot be vectorised;
+
+    entry by entry, each operation runs over all lanes at once.
+    """
+    return reduce(op, list(x)) if len(x) <= UNROLLED else op.reduce(x)
+
+
+# --- policies as objects -----------------------------------------------------------------------------
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """A rule of choosing actions: a pytree whose numbers are leaves, so that `vmap` batches them.
+
+    Where states do not have every action, Q(s, a) of the others is UNAVAILABLE, and the policy is asked for one
+    like itself that does not take them: `restricted_to(available) -> Policy`, available bool [S, A].
+    """
+
+    @property
+    def by_visit(self) -> bool:
+        """Whether it needs N(s, a), the table of visits in the clock."""
+        ...
+
+    def check(self, num_states: int, num_actions: int) -> None:
+        """Raises InputError where it does not fit a task of so many states and actions."""
+        ...
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        """pi(. | s), float [A], where `q` is Q(s, .)."""
+        ...
+
+
+def check_policy(obj: Any, name: str) -> None:
+    """Raises InputError unless field `name` of `obj` is a policy, or None."""
+    value = getattr(obj, name)
+    if value is not None and (isinstance(value, type) or not isinstance(value, Policy)):
+        table = isinstance(value, Sequence | np.ndarray | jax.Array) and not isinstance(value, str)
+        hint = "; for probabilities [S, A] it is policies.Table(...)" if table else ""
+        raise InputError(
+            f"{type(obj).__name__}: {name} must be a policy such as policies.Softmax(0.5), not "
+            f"{shown(value)}{hint}"
+        )
+
+
+def _check_table(what: str, table: Any, num_states: int, num_actions: int) -> None:
+    if (shape := np.shape(table)) != (num_states, num_actions):
+        raise InputError(
+            f"{what} are of shape {shape}, and the task has {num_states} states and {num_actions} actions"
+        )
+
+
+def check_among(what: str, probabilities: Any, available: Any) -> None:
+    """Raises InputError where probabilities [..., S, A] are not 0 of an action that is not `available` [S, A].
+
+    Traced ones are let through.
+    """
+    pi, there = concrete(probabilities), concrete(available)
+    if pi is not None and there is not None and (at := first((pi > 0) & ~there)):
+        *_, s, a = at
+        raise InputError(
+            f"{what}: state {s} does not have action {a}, so its probability must be 0, not {pi[at]}"
+        )
+
+
+class _Anywhere:
+    """What policies share that fit every task and, unless they say so, count nothing.
+
+    Their `str` is what is typed for them. Unless they say so, that an action is not available is plain to
+    them from its value.
+    """
+
+    @property
+    def by_visit(self) -> bool:
+        return False
+
+    def check(self, num_states: int, num_actions: int) -> None:
+        pass
+
+    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+        return self
+
+    def __str__(self) -> str:
+        name = next((name for name, cls in POLICIES.items() if cls is type(self)), None)
+        if name is None:
+            return repr(self)
+        if (field := _number_of(name)) is None:
+            return name
+        number = schedules.typed(getattr(self, field.name))
+        return repr(self) if number is None else f"{name}:{number}"
+
+
+@pytree
+class Greedy(_Anywhere):
+    """A maximal action; ties split equally."""
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return greedy(q)
+
+
+@pytree
+class EpsilonGreedy(_Anywhere):
+    """With probability epsilon any action, else a maximal one (book, section 2.2).
+
+    Attributes:
+        epsilon: probability of exploring, in [0, 1]; a number or a schedule.
+        available: the actions to choose from in each state, bool [S, A]; None for all that there are. The
+            values of the others are UNAVAILABLE, so that no target takes them for the best either. (What an
+            environment says about its actions need not be said again.)
+    """
+
+    epsilon: Rate = 0.1
+    available: Any = None
+
+    def __post_init__(self):
+        check_rate(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
+        if self.available is None or (there := as_array(self.available)) is None:
+            return
+        if there.ndim != 2:
+            raise InputError(f"EpsilonGreedy: available must be booleans [S, A], not of shape {there.shape}")
+        check_available("EpsilonGreedy: available", there, *there.shape)
+        object.__setattr__(self, "available", there)  # rows of a list would be leaves by themselves
+
+    @property
+    def by_visit(self) -> bool:
+        return schedules.goes_by_visit(self.epsilon)
+
+    def __str__(self) -> str:
+        there = "" if self.available is None else f", available {_brief(self.available)}"
+        return super().__str__() + there
+
+    def check(self, num_states: int, num_actions: int) -> None:
+        if self.available is not None:
+            _check_table("EpsilonGreedy: available", self.available, num_states, num_actions)
+
+    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+        if self.available is not None:
+            _check_table("EpsilonGreedy: available", self.available, *np.shape(available))
+            available = (jnp.asarray(self.available) > 0) & available
+        return dataclasses.replace(self, available=available)
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        epsilon = schedules.exploration(self.epsilon, clock, s)
+        if self.available is None:
+            return epsilon_greedy(q, epsilon)
+        # A hyperparameter is a float in a sweep, whatever it was.
+        there = tables.row(jnp.asarray(self.available, float), s)
+        best = greedy(jnp.where(there > 0, q, -jnp.inf))
+        return epsilon * there / _reduce(jnp.add, there) + (1 - epsilon) * best
+
+
+@pytree
+class Softmax(_Anywhere):
+    """Probabilities proportional to exp(Q(s, a) / temperature) (book, section 13.1).
+
+    Attributes:
+        temperature: > 0; near 0 it is greedy, large it is random; a number or a schedule.
+    """
+
+    temperature: Rate = 1.0
+
+    def __post_init__(self):
+        check_rate(self, "temperature", lambda x: x > 0, "greater than 0")
+
+    @property
+    def by_visit(self) -> bool:
+        return schedules.goes_by_visit(self.temperature)
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return softmax(q, schedules.of_state(self.temperature, clock, s))
+
+
+@pytree
+class UCB(_Anywhere):
+    """The largest upper confidence bound, Q(s, a) + c sqrt(ln t / N(s, a)) (book, equation 2.10).
+
+    t = N(s) + 1 counts the choices made in s, this one included. An action that was never taken comes first.
+
+    Attributes:
+        c: width of the bound, >= 0; in units of the action values.
+    """
+
+    c: float = 2.0
+
+    def __post_init__(self):
+        check_number(self, "c", lambda x: x >= 0, "at least 0")
+
+    @property
+    def by_visit(self) -> bool:
+        return True
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        assert clock.visits is not None
+        visits = tables.row(clock.visits, s)
+        n = _reduce(jnp.add, visits).astype(q.dtype)
+        bonus = jnp.sqrt(jnp.log(n + 1) / jnp.maximum(visits, 1).astype(q.dtype))
+        new = (visits == 0) & (q > UNAVAILABLE)
+        return greedy(jnp.where(new, jnp.inf, q + self.c * bonus))
+
+
+@pytree
+class Table:
+    """A policy that is given as a table, whatever Q is.
+
+    Attributes:
+        probabilities: pi(a | s), float [S, A]; every row sums to 1, those of terminal states too.
+    """
+
+    probabilities: Any
+
+    def __post_init__(self):
+        if (pi := as_array(self.probabilities)) is None:
+            return
+        if pi.ndim != 2 or pi.dtype.kind not in "biuf":
+            raise InputError(
+                "Table: probabilities must be numbers [S, A], in rows of equal length, not "
+                f"{shown(self.probabilities)}"
+            )
+        if (s := first(~is_distribution(pi))) is not None:
+            raise InputError(
+                f"Table: the probabilities in state {s[0]} are not a distribution: {shown(pi[s])}"
+            )
+        object.__setattr__(self, "probabilities", pi)  # rows of a list would be leaves by themselves
+
+    @property
+    def by_visit(self) -> bool:
+        return False
+
+    def __str__(self) -> str:
+        return f"table {_brief(self.probabilities)}"
+
+    def check(self, num_states: int, num_actions: int) -> None:
+        _check_table("Table: probabilities", self.probabilities, num_states, num_actions)
+
+    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+        self.check(*np.shape(available))
+        check_among("Table: probabilities", self.probabilities, available)
+        return self
+
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return tables.row(jnp.asarray(self.probabilities, float), s)
+
+
+def uniform(available: Bool[Array, "S A"]) -> Table:
+    """The policy that takes all actions of a state that are available with equal probability."""
+    there = jnp.asarray(available, float)
+    return Table(there / there.sum(1, keepdims=True))
+
+
+POLICIES: dict[str, type] = {
+    "greedy": Greedy,
+    "epsilon-greedy": EpsilonGreedy,
+    "softmax": Softmax,
+    "ucb": UCB,
+}
+
+
+def parse(text: str) -> Policy:
+    """A policy from what is typed: its name, and its number or schedule where it has one.
+
+    So "greedy", "ucb:2", "softmax:0.5", "epsilon-greedy:harmonic:100:visit". The number may be left off.
+
+    Raises:
+        InputError: `text` is none of these; the message says what would be right.
+    """
+    if not isinstance(text, str):
+        raise InputError(f"a policy is written as a text, such as 'softmax:0.5', not {shown(text)}")
+    name, colon, number = text.partition(":")
+    if name not in POLICIES:
+        raise InputError(f"there is no policy {shown(text)}; {nearest(name, POLICIES)}")
+    if not colon:
+        return POLICIES[name]()
+    field = _number_of(name)
+    if field is None:
+        raise InputError(f"{shown(text)} is not of the form {form(name)}")
+    takes_schedule = field.type == Rate
+    if takes_schedule and schedules.is_named(number):
+        return POLICIES[name](schedules.parse(number))
+    try:
+        value = float(number)
+    except ValueError:
+        what = "a number or a schedule" if takes_schedule else "a number"
+        raise InputError(
+            f"{shown(text)} is not of the form {form(name)}, where {field.name.upper()} is {what}"
+        ) from None
+    return POLICIES[name](value)
+
+
+def form(name: str) -> str:
+    """How the policy `name` is typed: "softmax[:TEMPERATURE]"."""
+    field = _number_of(name)
+    return f"{name}[:{field.name.upper()}]" if field else name
+
+
+def _brief(table: Any) -> str:
+    """The size of a table and a checksum: tables that are not equal do not look so."""
+    there = concrete(table)
+    if there is None:
+        return "traced"
+    size = "x".join(map(str, there.shape))
+    return f"{size}:{zlib.crc32(there.astype(np.float64).tobytes()):08x}"
+
+
+def _number_of(name: str) -> dataclasses.Field | None:
+    """The field that is typed with the policy `name`: the first, if it has any."""
+    return next(iter(dataclasses.fields(POLICIES[name])), None)
+
+
+# --- what off-policy learning assumes ----------------------------------------------------------------
+
+
+def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
+    """Raises InputError where `behaviour` leaves out an action that `target` can take.
+
+    This is the assumption of coverage: pi(a | s) > 0 implies b(a | s) > 0 (book, section 5.5). It is judged
+    for whatever Q may become, and as far as the numbers given decide it: softmax and epsilon-greedy with
+    epsilon > 0 take every action, greedy and UCB leave some out (a greedy behaviour none that a greedy target
+    takes), tables go entry by entry, rows of terminal states included. Other policies, schedules and traced
+    numbers are let through.
+
+    Args:
+        what: who asks, to begin the message.
+        target: pi, which is learned about.
+        behaviour: b, which acts.
+    """
+    if isinstance(behaviour, EpsilonGreedy) and not isinstance(target, Table | EpsilonGreedy):
+        behaviour = EpsilonGreedy(behaviour.epsilon)  # to all others what is not available is plain from Q
+    out = _left_out(behaviour)
+    if out is None or (_is_greedy(behaviour) and _is_greedy(target)):
+        return
+    can = np.array(True)
+    if isinstance(target, Table):
+        if (pi := concrete(target.probabilities)) is None:
+            return
+        can = pi > 0
+    if isinstance(target, EpsilonGreedy):
+        if (there := _there(target)) is None:
+            return
+        can = there
+    if can.ndim and out.ndim and can.shape != out.shape:
+        raise InputError(f"{what}: target is a table {can.shape}, and behaviour one {out.shape}")
+    if at := first(can & out):
+        raise InputError(
+            f"{what}: behaviour leaves out action {at[1]} in state {at[0]}, which target can take; "
+            "give it a positive probability"
+        )
+    if at is not None:
+        raise InputError(
+            f"{what}: behaviour leaves out actions that target can take; "
+            "let it take all of them, as EpsilonGreedy(0.1) does"
+        )
+
+
+def _left_out(policy: Policy) -> np.ndarray | None:
+    """Where a policy has, or for some Q can have, probability 0: bool [S, A], or [] where it says nothing
+
+    about single entries. None where the numbers given do not decide it.
+    """
+    match policy:
+        case Table():
+            pi = concrete(policy.probabilities)
+            return None if pi is None else pi == 0
+        case EpsilonGreedy() if isinstance(policy.epsilon, schedules.Schedule):
+            return None
+        case EpsilonGreedy():
+            epsilon, there = concrete(policy.epsilon), _there(policy)
+            return None if epsilon is None or there is None else ~there | (epsilon == 0).any()
+        case Softmax():
+            return np.array(False)
+        case Greedy() | UCB():
+            return np.array(True)
+    return None
+
+
+def _there(policy: EpsilonGreedy) -> np.ndarray | None:
+    """The actions that there are, bool [S, A], or [] where there are all; None where that is traced."""
+    there = np.array(True) if policy.available is None else concrete(policy.available)
+    return None if there is None else there > 0
+
+
+def _is_greedy(policy: Policy) -> bool:
+    """Whether it is the greedy policy, by this name or as epsilon-greedy that never explores."""
+    if isinstance(policy, EpsilonGreedy) and not isinstance(policy.epsilon, schedules.Schedule):
+        epsilon = concrete(policy.epsilon)
+        return epsilon is not None and bool((epsilon == 0).all())
+    return isinstance(policy, Greedy)

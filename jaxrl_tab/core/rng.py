@@ -1,0 +1,178 @@
+"""Random numbers for the loop: one word a decision.
+
+Splitting a key in every step costs more than the step. Instead the word of a decision is Threefry-2x32 of
+(run key, step, decision) and of nothing else: no word depends on how steps or runs are grouped, none is used
+twice, and under `vmap` the lanes of a block draw theirs together, in vector operations. A call gives two
+words: they serve the same decision in two steps that follow each other.
+
+Each word is then handed on as a JAX **key** of its own kind, so environments and methods take a `key` and
+call `jax.random` on it as usual. Asked for one 32-bit draw, such a key gives its word itself, for nothing.
+Asked for more (several draws, a split, a fold), it seeds Threefry with the word. A decision therefore
+carries 32 bits of entropy, independent of all other decisions.
+"""
+
+import math
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.extend as jex
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Int, Key, UInt32
+
+from jaxrl_tab.core.types import InputError, shown
+
+Stream: TypeAlias = tuple[UInt32[Array, ""], UInt32[Array, ""]]
+
+# Second halves of the Threefry keys that a word seeds, so that draws, splits and folds never share a stream.
+_BITS, _SPLIT, _FOLD = 0x9E3779B9, 0xBB67AE85, 0x3C6EF372
+
+
+@jax.jit  # traced once for all its callers, and inlined by the compiler
+def threefry(key: tuple[Array, Array], count0: Array, count1: Array) -> tuple[Array, Array]:
+    """Threefry-2x32 with 20 rounds (Salmon et al. 2011), uint32 throughout; shapes broadcast.
+
+    The generator behind `jax.random`, written out: there it is a loop with a rule about shapes, here the
+    compiler sees one expression of vector operations.
+    """
+    k0, k1 = key
+    keys = (k0, k1, k0 ^ k1 ^ jnp.uint32(0x1BD11BDA))
+    x0, x1 = count0 + k0, count1 + k1
+    for group in range(5):
+        for rotation in ((13, 15, 26, 6), (17, 29, 16, 24))[group % 2]:
+            x0 = x0 + x1
+            x1 = (x1 << jnp.uint32(rotation) | x1 >> jnp.uint32(32 - rotation)) ^ x0
+        x0 = x0 + keys[(group + 1) % 3]
+        x1 = x1 + keys[(group + 2) % 3] + jnp.uint32(group + 1)
+    return x0, x1
+
+
+# --- a word as a key ---------------------------------------------------------------------------------
+
+
+def _hash(word: Array, purpose: int, size: int) -> Array:
+    """`size` words from one, uint32 [size]."""
+    count = jnp.arange((size + 1) // 2, dtype=jnp.uint32)
+    return jnp.concatenate(threefry((word, jnp.uint32(purpose)), count, jnp.zeros_like(count)))[:size]
+
+
+def _seed(seed: Array) -> Array:
+    return seed.astype(jnp.uint32)[None]
+
+
+def _random_bits(key: Array, bit_width: int, shape: tuple[int, ...]) -> Array:
+    (word,) = key
+    if bit_width == 32 and math.prod(shape) == 1:
+        return word.reshape(shape)
+    size = math.prod(shape)
+    if bit_width == 64:
+        high, low = jnp.split(_hash(word, _BITS, 2 * size), 2)
+        return (high.astype(jnp.uint64) << 32 | low).reshape(shape)
+    bits = _hash(word, _BITS, size).reshape(shape)
+    return bits if bit_width == 32 else bits.astype({8: jnp.uint8, 16: jnp.uint16}[bit_width])
+
+
+def _split(key: Array, shape: tuple[int, ...]) -> Array:
+    size = math.prod(shape)
+    return _hash(key[0], _SPLIT, size).reshape(*shape, 1)
+
+
+def _fold_in(key: Array, data: Any) -> Array:
+    word, _ = threefry((key[0], jnp.uint32(_FOLD)), data.astype(jnp.uint32), jnp.uint32(0))
+    return word[None]
+
+
+_word_impl = jex.random.define_prng_impl(
+    key_shape=(1,),
+    seed=_seed,
+    split=_split,
+    random_bits=_random_bits,
+    fold_in=_fold_in,
+    name="jaxrl_tab_word",
+    tag="word",
+)
+
+
+def key(seed: int) -> Key[Array, ""]:
+    """`jax.random.key(seed)` as JAX has it by default: of Threefry, whatever generator and offset are chosen."""
+    return jax.random.wrap_key_data(jnp.array([0, seed], jnp.uint32), impl="threefry2x32")
+
+
+def as_key(word: UInt32[Array, "*n"]) -> Key[Array, "*n"]:
+    """Random words as keys: one draw of 32 bits from each returns the word itself."""
+    return jax.random.wrap_key_data(word[..., None], impl=_word_impl)
+
+
+def check_key(key: Any) -> None:
+    """Raises InputError unless `key` is one JAX key, of the new kind (`key`) or the old (`PRNGKey`)."""
+    try:
+        *batch, _ = jax.random.key_data(key).shape
+    except (TypeError, ValueError):
+        raise InputError(f"key must be a JAX key such as jax.random.key(0), not {shown(key)}") from None
+    if batch:
+        raise InputError(
+            f"key must be one key, not a batch of shape {tuple(batch)}: jax.vmap goes over its keys"
+        )
+
+
+def stream(key: Key[Array, ""]) -> Stream:
+    """The two words that name a run's random stream, from a JAX key of any kind.
+
+    (Threefry has two ways to draw several words; it is always the newer one, whatever JAX is set to.)
+    """
+    with jax.threefry_partitionable(True):
+        word0, word1 = jax.random.bits(key, (2,), jnp.uint32)
+    return word0, word1
+
+
+def word(stream: Stream, step: Int[Array, ""], decision: int) -> UInt32[Array, ""]:
+    """The word of a decision in a step, uint32 []. Decisions are numbered by whoever makes them."""
+    step = step.astype(jnp.uint32)
+    return jnp.where(step & 1 == 1, *reversed(_call(stream, step >> 1, decision)))
+
+
+class Words(NamedTuple):
+    """The words of one decision in a chunk of steps; see `words`.
+
+    Attributes:
+        begins_odd: whether the number of the first step is odd, bool [].
+        even, odd: the words of the steps with even and with odd numbers, uint32 [calls].
+    """
+
+    begins_odd: Bool[Array, ""]
+    even: UInt32[Array, " calls"]
+    odd: UInt32[Array, " calls"]
+
+    def at(self, i: Int[Array, ""]) -> UInt32[Array, ""]:
+        """The word of the i-th step of the chunk."""
+        read = partial(lax.dynamic_index_in_dim, keepdims=False, allow_negative_indices=False)
+        is_odd = (i & 1 == 1) ^ self.begins_odd
+        return jnp.where(is_odd, read(self.odd, i >> 1), read(self.even, (i + 1) >> 1))
+
+
+def words(stream: Stream, first: Int[Array, ""], steps: int, decision: int) -> Words:
+    """The words of `decision` in the steps `first`, ..., `first + steps - 1`, as `word` gives them.
+
+    They are worked out call by call, in a loop, so that under `vmap` the lanes lie side by side in memory.
+    Both words of a call leave the loop as the halves of one complex number: of two results XLA would compute
+    each by itself, and so do all the work twice.
+    """
+    first = first.astype(jnp.uint32)
+    as_real, as_word = (partial(lax.bitcast_convert_type, new_dtype=t) for t in (jnp.float32, jnp.uint32))
+
+    def call(_, i):
+        return None, lax.complex(*map(as_real, _call(stream, (first >> 1) + i, decision)))
+
+    _, both = lax.scan(call, None, jnp.arange(steps // 2 + 1, dtype=jnp.uint32))
+    return Words(first & 1 == 1, as_word(lax.real(both)), as_word(lax.imag(both)))
+
+
+def bytes_of_words(steps: int) -> int:
+    """The bytes that `words` takes for so many steps: each word alone, and as half of a complex number."""
+    return 16 * (steps // 2 + 1)
+
+
+def _call(stream: Stream, call: Array, decision: int) -> tuple[Array, Array]:
+    """The words of a decision in two steps that follow each other, an even one and an odd one."""
+    return threefry(stream, call, jnp.uint32(decision))

@@ -1,0 +1,532 @@
+"""Numbers that change with experience: step sizes and exploration rates.
+
+Wherever a method takes `alpha` or `epsilon` it takes a number or a schedule. A schedule has a **clock**:
+
+- `"step"`: n is the number of this step, 1 for the first;
+- `"episode"`: n is the number of this episode, 1 for the first;
+- `"visit"`: for a step size, n = N(s, a), the visits of the pair so far, this one included; for an
+  exploration rate, n = N(s) + 1 where N(s) counts the earlier visits of the state.
+
+The families `Power`, `Harmonic`, `Linear` and `Exponential` are written as they are typed on the command
+line (`str`, `parse`), and `is_glie` and `is_robbins_monro` tell whether they meet the conditions under which
+control converges. Any other function is a schedule too (`Optax`), but nothing can be told about its limit.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrl_tab.core import tables
+from jaxrl_tab.core.types import InputError, as_array, build, concrete, nearest, pytree, shown, static
+
+ClockName: TypeAlias = Literal["step", "episode", "visit"]
+CLOCKS = ("step", "episode", "visit")
+
+
+@runtime_checkable
+class Schedule(Protocol):
+    """A pytree with a `clock` and a value for each count n = 1, 2, ..."""
+
+    @property
+    def clock(self) -> ClockName: ...
+
+    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]: ...
+
+
+Rate: TypeAlias = "float | Float[Array, ''] | Schedule"
+
+
+def _check_clock(clock: str) -> None:
+    if not isinstance(clock, str) or clock not in CLOCKS:
+        raise InputError(f"a schedule's clock is 'step', 'episode' or 'visit', not {shown(clock)}")
+
+
+# --- the named families ------------------------------------------------------------------------------
+
+
+class Tail(NamedTuple):
+    """How a schedule ends.
+
+    Attributes:
+        order: the p for which its values fall like 1/n^p: 0 where they stay above 0, infinity where they are
+            0 from some n on or fall faster than every power.
+        words: the same for people, to follow the name of the quantity.
+    """
+
+    order: float
+    words: str
+
+
+def _tail_at(level: float, otherwise: str) -> Tail:
+    """The tail of what settles at `level`; `otherwise` says what it does where that is 0."""
+    return Tail(0.0, f"stays at {level:g}") if level > 0 else Tail(np.inf, otherwise)
+
+
+class Family:
+    """A schedule that a few numbers say completely. Its `str` is what is typed for it: harmonic:100:visit."""
+
+    clock: ClockName
+
+    def tail(self) -> Tail:
+        """Raises InputError where its numbers are not plain ones: a batch, or traced."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        fields = _numbers(type(self))
+        digits = [text for field in fields if (text := typed(getattr(self, field)))]
+        if len(digits) < len(fields):
+            return repr(self)  # a batch, or traced: nobody typed it
+        (name,) = (name for name, cls in FAMILIES.items() if cls is type(self))
+        long = ":".join([name, *digits, self.clock])
+        return next((short for short, other in SHORT.items() if other == long), long)
+
+    def _plain(self, name: str) -> float:
+        value = concrete(getattr(self, name))
+        if value is None or value.ndim:
+            raise InputError(f"{type(self).__name__}: {name} must be one plain number to tell this")
+        return float(value)
+
+
+@pytree
+class Power(Family):
+    """scale / n**power: harmonic for power 1, the book's 1/n (section 2.5)."""
+
+    power: float = 1.0
+    scale: float = 1.0
+    clock: ClockName = static(default="episode")
+
+    def __post_init__(self):
+        _check_clock(self.clock)
+        for name in ("power", "scale"):
+            check_number(self, name, lambda x: x > 0, "a positive number")
+
+    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
+        return self.scale * jnp.asarray(n, float) ** -jnp.asarray(self.power, float)
+
+    def tail(self) -> Tail:
+        power = self._plain("power")
+        return Tail(power, "falls like 1/n" if power == 1 else f"falls like 1/n^{power:g}")
+
+
+@pytree
+class Harmonic(Family):
+    """n0 / (n0 + n - 1): 1 at first, 1/2 after n0 counts, and like n0/n in the end; 1/n for n0 = 1.
+
+    As an exploration rate by visit it is N0 / (N0 + N(s)), where N(s) counts the earlier visits of the state
+    (Silver, assignment Easy21, with N0 = 100).
+    """
+
+    n0: float = 100.0
+    clock: ClockName = static(default="visit")
+
+    def __post_init__(self):
+        _check_clock(self.clock)
+        check_number(self, "n0", lambda x: x > 0, "a positive number")
+
+    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
+        return self.n0 / (self.n0 + jnp.asarray(n - 1, float))
+
+    def tail(self) -> Tail:
+        return Tail(1.0, "falls like 1/n")
+
+
+@pytree
+class Linear(Family):
+    """From `start` at n = 1 in a straight line to `end` at n = steps + 1, and `end` from then on."""
+
+    start: float
+    end: float
+    steps: float
+    clock: ClockName = static(default="episode")
+
+    def __post_init__(self):
+        _check_clock(self.clock)
+        for name in ("start", "end"):
+            check_number(self, name, lambda x: x >= 0, "a number of at least 0")
+        check_number(self, "steps", lambda x: x >= 1, "a number of at least 1")
+
+    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
+        done = jnp.minimum(jnp.asarray(n - 1, float) / self.steps, 1)
+        return (1 - done) * self.start + done * self.end
+
+    def tail(self) -> Tail:
+        return _tail_at(self._plain("end"), f"is 0 after n = {self._plain('steps'):g}")
+
+
+@pytree
+class Exponential(Family):
+    """start rate**(n - 1), but never below `end`."""
+
+    start: float
+    rate: float
+    end: float = 0.0
+    clock: ClockName = static(default="episode")
+
+    def __post_init__(self):
+        _check_clock(self.clock)
+        check_number(self, "start", lambda x: x > 0, "a positive number")
+        check_number(self, "rate", lambda x: (x > 0) & (x < 1), "a number between 0 and 1, both excluded")
+        check_number(self, "end", lambda x: x >= 0, "a number of at least 0")
+
+    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
+        decayed = self.start * jnp.asarray(self.rate, float) ** jnp.asarray(n - 1, float)
+        return jnp.maximum(decayed, self.end)
+
+    def tail(self) -> Tail:
+        return _tail_at(self._plain("end"), f"falls like {self._plain('rate'):g}^n")
+
+
+FAMILIES: dict[str, type[Family]] = {
+    "power": Power,
+    "harmonic": Harmonic,
+    "linear": Linear,
+    "exponential": Exponential,
+}
+SHORT = {"glie": "harmonic:1:episode", "sample-average": "harmonic:1:visit"}
+
+
+def glie() -> Harmonic:
+    """epsilon_k = 1/k in episode k: greedy in the limit with infinite exploration (Silver, lecture 5)."""
+    return Harmonic(1.0, clock="episode")
+
+
+def sample_average() -> Harmonic:
+    """alpha = 1/N(s, a): each entry is the mean of its targets (book, section 2.4)."""
+    return Harmonic(1.0, clock="visit")
+
+
+def is_named(text: str) -> bool:
+    """Whether `text` is meant to be a schedule: it has numbers with colons, or a schedule's name."""
+    return ":" in text or text in SHORT or text in FAMILIES
+
+
+def parse(text: str) -> Family:
+    """A schedule from what is typed: "glie", "sample-average", or a family, its numbers and its clock.
+
+    So "harmonic:100:visit", "power:0.8:episode", "linear:1:0.05:500:step". Numbers that have a default may be
+    left off at the end; the clock may not.
+
+    Raises:
+        InputError: `text` is none of these; the message says what would be right.
+    """
+    if not isinstance(text, str):
+        raise InputError(f"a schedule is written as a text, such as 'glie', not {shown(text)}")
+    name, *numbers = SHORT.get(text, text).split(":")
+    if name not in FAMILIES:
+        raise InputError(f"there is no schedule {shown(text)}; {nearest(name, [*SHORT, *FAMILIES])}")
+    fields, clock = _numbers(FAMILIES[name]), numbers.pop() if numbers else None
+    try:
+        given = dict(zip(fields, map(float, numbers), strict=False))
+    except ValueError:
+        given = {}
+    needed = list(fields.values()).count(dataclasses.MISSING)
+    if clock not in CLOCKS or len(given) < max(len(numbers), needed):
+        raise InputError(
+            f"{shown(text)} is not of the form {form(name)}, where CLOCK is one of {', '.join(CLOCKS)}"
+        )
+    return build(FAMILIES[name], name, {**given, "clock": clock})
+
+
+def typed(rate: Rate) -> str | None:
+    """A number or a schedule as it is typed, "0.1"; None where it is a batch of numbers, or traced."""
+    if isinstance(rate, Schedule):
+        return str(rate)
+    number = concrete(rate)
+    if number is None or number.ndim:
+        return None
+    return np.format_float_positional(number.flat[0], trim="-")
+
+
+def form(name: str) -> str:
+    """How a schedule of the family `name` is typed: "power[:POWER[:SCALE]]:CLOCK"."""
+    numbers = _numbers(FAMILIES[name])
+    needed = [f":{n.upper()}" for n, default in numbers.items() if default is dataclasses.MISSING]
+    spare = [f"[:{n.upper()}" for n, default in numbers.items() if default is not dataclasses.MISSING]
+    return "".join([name, *needed, *spare, "]" * len(spare), ":CLOCK"])
+
+
+def _numbers(cls: type[Family]) -> dict[str, Any]:
+    """The numbers of a family, in order, each with its default."""
+    fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
+    return {f.name: f.default for f in fields if f.name != "clock"}
+
+
+# --- any function ------------------------------------------------------------------------------------
+
+
+@pytree
+class Optax:
+    """Any optax schedule, or any function of a count that starts at 0 and is written in jax.numpy."""
+
+    schedule: Callable[[Any], Any] = static()
+    clock: ClockName = static(default="step")
+
+    def __post_init__(self):
+        _check_clock(self.clock)
+        if not callable(self.schedule):
+            raise InputError(f"Optax: schedule must be a function of a count, not {shown(self.schedule)}")
+
+    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
+        with jax.numpy_dtype_promotion("standard"):  # the function is somebody else's
+            return jnp.asarray(self.schedule(n - 1), float)
+
+
+def check_rate(obj, name: str, ok, wanted: str) -> None:
+    """Raises InputError unless field `name` of `obj` is a schedule, a tracer, or numbers that are `ok`."""
+    value = getattr(obj, name)
+    if isinstance(value, type):
+        raise InputError(f"{type(obj).__name__}: {name} must be a number or a schedule, not a class")
+    if callable(value) and not isinstance(value, Schedule):
+        raise InputError(
+            f"{type(obj).__name__}: {name} is a function; wrap it: schedules.Optax(f, clock='step')"
+        )
+    if not isinstance(value, Schedule):
+        check_number(obj, name, ok, wanted, "a number or a schedule")
+
+
+def check_number(obj, name: str, ok, wanted: str, kinds: str = "a number") -> None:
+    """Raises InputError unless field `name` of `obj` is a tracer, or a number or an array of them.
+
+    All must be `ok`, which is `wanted` in words, and still be it in the precision in which JAX computes.
+    """
+    value, field = getattr(obj, name), f"{type(obj).__name__}: {name}"
+    number = np.empty(0, object) if isinstance(value, list | tuple) else as_array(value)
+    if number is None:
+        return
+    if number.dtype.kind not in "fiu":
+        raise InputError(f"{field} must be {kinds}, not {shown(value)}{_instead(value)}")
+    if not bool(ok(number).all()) or not np.isfinite(number).all():
+        raise InputError(f"{field} must be {wanted}, not {shown(value)}")
+    dtype = jax.dtypes.canonicalize_dtype(float)
+    with np.errstate(over="ignore", under="ignore"):
+        rounded = number.astype(dtype)
+    limits = np.finfo(dtype)
+    if not np.isfinite(rounded).all() or ((number != 0) & (abs(rounded) < limits.tiny)).any():
+        raise InputError(
+            f"{field} is {shown(value)}, and {dtype} holds 0 and sizes from {limits.tiny:.2g} to {limits.max:.2g}"
+        )
+    if not bool(ok(rounded).all()):
+        raise InputError(f"{field} must be {wanted}, and {shown(value)} is not when rounded to {dtype}")
+
+
+def _instead(value: Any) -> str:
+    """What somebody may have meant who gave `value` for a number."""
+    if isinstance(value, list | tuple):
+        return ": sweep(...) tries the values of a list, and jax.vmap takes an array"
+    return ": a text is read by schedules.parse, or on the command line" if isinstance(value, str) else ""
+
+
+def check_single(what: str, obj: Any) -> None:
+    """Raises InputError where a number of `obj`, or of a schedule or a policy in it, is an array of several.
+
+    But initial values of Q may be a table [S, A].
+    """
+    for field in dataclasses.fields(obj):
+        value = getattr(obj, field.name)
+        if field.metadata.get("static"):
+            continue
+        if dataclasses.is_dataclass(value):
+            check_single(f"{what}: {field.name}", value)
+        elif (
+            field.type in (float, Rate)
+            and (shape := np.shape(value))
+            and (field.name, len(shape)) != ("q0", 2)
+        ):
+            raise InputError(
+                f"{what}: {field.name} is an array of shape {shape}: one run takes one number; sweep(...) "
+                "tries all of a list, and jax.vmap runs all of an array"
+            )
+
+
+# --- what schedules count ----------------------------------------------------------------------------
+
+
+class Clock(NamedTuple):
+    """What has been experienced so far.
+
+    Attributes:
+        step: steps begun, int32 [].
+        episode: episodes finished, int32 [].
+        visits: N(s, a), int32 [S, A]; None where no schedule asks for it, for it costs a write per step.
+    """
+
+    step: Int[Array, ""]
+    episode: Int[Array, ""]
+    visits: Int[Array, "S A"] | None
+
+
+def start(num_states: int, num_actions: int, by_visit: bool) -> Clock:
+    """The clock at zero, with a table of visits where something goes by them."""
+    visits = jnp.zeros((num_states, num_actions), jnp.int32) if by_visit else None
+    return Clock(jnp.int32(0), jnp.int32(0), visits)
+
+
+def goes_by_visit(rate: Rate) -> bool:
+    """Whether `rate` needs the table of visits."""
+    return isinstance(rate, Schedule) and rate.clock == "visit"
+
+
+def begin_step(clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) -> Clock:
+    """Counts one step and one visit of (s, a)."""
+    visits = None if clock.visits is None else tables.add(clock.visits, s, a, jnp.int32(1))
+    return clock._replace(step=clock.step + 1, visits=visits)
+
+
+def end_step(clock: Clock, last: Bool[Array, ""]) -> Clock:
+    """Counts an episode where it is over."""
+    return clock._replace(episode=clock.episode + last.astype(jnp.int32))
+
+
+def step_size(rate: Rate, clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) -> Float[Array, ""] | float:
+    """alpha for the update of (s, a) in the step that has begun."""
+    if not goes_by_visit(rate):
+        return at_visit(rate, clock, None)
+    assert clock.visits is not None
+    return at_visit(rate, clock, tables.entry(clock.visits, s, a))
+
+
+def at_visit(rate: Rate, clock: Clock, n: Int[Array, ""] | None) -> Float[Array, ""] | float:
+    """alpha for the update of a pair in its n-th visit; n is looked at only where the rate goes by visits."""
+    if not isinstance(rate, Schedule):
+        return rate
+    if rate.clock == "visit":
+        assert n is not None
+        return rate(n)
+    return rate(clock.step if rate.clock == "step" else clock.episode + 1)
+
+
+def of_state(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
+    """What `rate` is for the choice of the next action, in state s."""
+    if not isinstance(rate, Schedule):
+        return rate
+    if rate.clock == "visit":
+        assert clock.visits is not None
+        return rate(tables.row(clock.visits, s).sum() + 1)
+    return rate(1 + (clock.step if rate.clock == "step" else clock.episode))
+
+
+def exploration(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
+    """epsilon for the choice of the next action, in state s; what a schedule gives is clipped to [0, 1]."""
+    return jnp.clip(of_state(rate, clock, s), 0, 1) if isinstance(rate, Schedule) else rate
+
+
+# --- the two conditions under which control converges ------------------------------------------------
+
+
+class Verdict(NamedTuple):
+    """Whether a condition holds; true or false itself.
+
+    Attributes:
+        holds: the answer.
+        why: the reason, and what is assumed.
+    """
+
+    holds: bool
+    why: str
+
+    def __bool__(self) -> bool:
+        return self.holds
+
+
+def is_glie(epsilon: Rate) -> Verdict:
+    """Whether epsilon-greedy with this epsilon is greedy in the limit with infinite exploration (GLIE).
+
+    Greedy in the limit: epsilon goes to 0. Infinite exploration: every action is tried infinitely often in
+    every state that is visited infinitely often. A visit tries each action with probability epsilon / A or
+    more, whatever came before, so this holds where the sum of epsilon **over the visits of the state** is
+    infinite; where it is finite exploration stops (Singh, Jaakkola, Littman and Szepesvari 2000, appendix B).
+    Of values that fall like 1/n^p the sum is infinite for p <= 1.
+
+    - By visit, n counts the visits of the state itself, so the sum is the one that is needed. Where every
+      state can be reached from every other, all pairs (s, a) are then tried infinitely often.
+    - By step or by episode, the sum runs over those n alone at which the state is visited. It is infinite if
+      the state is visited at a positive rate, whatever is learned. **That is assumed** here, as it is where
+      the lecture calls epsilon_k = 1/k in episode k GLIE. It fails in states that only exploring leads to: a
+      pair that is two exploring steps off the greedy path needs both in one episode. With two actions in each
+      state that has probability 1/(2k)^2 in episode k, so as long as the greedy actions stay what they are
+      the pair is never tried at all with probability (1 - 1/4) (1 - 1/16) (1 - 1/36) ... = 2/pi.
+
+    The condition does not say how fast; neither does the theorem that rests on it.
+
+    Args:
+        epsilon: a number in [0, 1], or a schedule of a named family.
+
+    Raises:
+        InputError: it is an arbitrary function, of which nobody can tell; or no exploration rate.
+    """
+    order, words = _tail("is_glie", epsilon, lambda x: 0 <= x <= 1, "epsilon must be between 0 and 1")
+    if order == 0:
+        return Verdict(False, f"epsilon {words}: it explores for ever, but it never becomes greedy")
+    if order > 1:
+        return Verdict(False, f"epsilon {words}, so its sum is finite: from some time on it never explores")
+    assert isinstance(epsilon, Family)  # numbers are judged by now
+    everywhere = (
+        "every state that is visited for ever"
+        if epsilon.clock == "visit"
+        else f"every state, {_assumption(epsilon)}"
+    )
+    why = f"epsilon {words}, to 0, and its sum is infinite: it becomes greedy, and tries all actions for ever"
+    return Verdict(True, f"{why} in {everywhere}")
+
+
+def is_robbins_monro(alpha: Rate) -> Verdict:
+    """Whether this step size meets the conditions of Robbins and Monro (1951; book, equation 2.7).
+
+    For every pair (s, a), **over the visits of the pair**: sum of alpha = infinity, to get away from any
+    initial value, and sum of alpha^2 < infinity, for the noise to die down. Of values that fall like 1/n^p
+    both hold for 1/2 < p <= 1.
+
+    - By visit, n counts the visits of the pair itself, so these are the sums that are needed.
+    - By step or by episode the sums run over those n alone at which the pair is visited. The sum of squares
+      stays finite (an episode has no more steps than the time limit); the sum of alpha is infinite if the
+      pair is visited at a positive rate. **That is assumed** here. It fails where exploration fades: with
+      alpha = epsilon = 1/t at step t, a pair off the greedy path is visited at step t with a probability of
+      the order of 1/t, and its step sizes add up like 1/t^2.
+
+    Args:
+        alpha: a number of at least 0, or a schedule of a named family.
+
+    Raises:
+        InputError: it is an arbitrary function, of which nobody can tell; or no step size.
+    """
+    order, words = _tail(
+        "is_robbins_monro", alpha, lambda x: 0 <= x < np.inf, "alpha must be a number of at least 0"
+    )
+    if order <= 0.5:
+        return Verdict(False, f"alpha {words}, so the sum of its squares is infinite: noise never dies down")
+    if order > 1:
+        return Verdict(False, f"alpha {words}, so its sum is finite: it may stop short of its goal")
+    assert isinstance(alpha, Family)  # numbers are judged by now
+    pairs = "that is visited for ever" if alpha.clock == "visit" else _assumption(alpha)
+    why = f"alpha {words}, so its sum is infinite and that of its squares is finite"
+    return Verdict(True, f"{why}, for every pair (s, a) {pairs}")
+
+
+def _assumption(rate: Family) -> str:
+    """What is assumed of a rate that does not go by visits."""
+    return (
+        f"assuming that each is visited at a positive rate per {rate.clock} whatever is learned "
+        "(clock='visit' needs no such assumption)"
+    )
+
+
+def _tail(asker: str, rate: Any, fits: Callable[[float], bool], wanted: str) -> Tail:
+    """The tail of a number that `fits`, or of a schedule of a named family."""
+    if isinstance(rate, Family):
+        return rate.tail()
+    if callable(rate):
+        kind = "a class" if isinstance(rate, type) else f"an arbitrary function ({type(rate).__name__})"
+        known = ", ".join(cls.__name__ for cls in FAMILIES.values())
+        raise InputError(
+            f"{asker} cannot tell of {kind}: no number of its values decides about a limit; "
+            f"give a number or a schedule of the families {known}"
+        )
+    number = as_array(rate)
+    if number is None or number.ndim or number.dtype.kind not in "fiu" or not fits(float(number)):
+        raise InputError(f"{asker}: {wanted}, or a schedule, not {shown(rate)}")
+    return _tail_at(float(number), "is 0")

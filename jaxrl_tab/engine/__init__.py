@@ -1,0 +1,1 @@
+"""The loop and its compiler: one run, many runs in one program, sweeps and their results."""

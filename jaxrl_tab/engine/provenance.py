@@ -1,0 +1,167 @@
+"""What the bits of a result depend on beside the experiment: settings of JAX, versions, sources, the processor.
+
+Two processes give the same numbers only where all of this is the same. `using` makes the settings so; what no
+running process can change is compared by `differences`.
+"""
+
+import contextlib
+import enum
+import hashlib
+import json
+import os
+import platform
+import re
+import subprocess
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from jaxrl_tab.core.types import InputError
+
+PACKAGE = Path(__file__).parent.parent
+SETTINGS = (
+    "jax_enable_x64",
+    "jax_default_prng_impl",
+    "jax_random_seed_offset",
+    "jax_threefry_partitionable",
+    "jax_high_dynamic_range_gumbel",
+    "jax_default_matmul_precision",
+    "jax_numpy_dtype_promotion",
+    "jax_optimization_level",
+    "jax_disable_most_optimizations",
+)
+# It says how many devices the CPU is, and no number depends on that.
+_DEVICE_COUNT = "--xla_force_host_platform_device_count"
+# Of all that a processor can do, what XLA's arithmetic may be compiled to: on x86, and on ARM.
+_ARITHMETIC = re.compile(r"s?sse\w+|avx\w*|fma\w*|f16c|amx\w*|fp\w*hp|asimd\w*|sve\w*|sme2?|bf16|i8mm")
+# What XLA leaves out of it where it is told to: by this, processors of several generations are made alike.
+_MOST = re.compile(r"--xla_cpu_max_isa=(\w+)")
+_ABOVE = {
+    "SSE4_2": r"avx\w*|fma\w*|f16c|amx\w*",
+    "AVX": r"avx\w+|fma\w*|amx\w*",
+    "AVX2": r"avx(?!2$)\w+|amx\w*",
+}
+
+
+def settings() -> dict[str, Any]:
+    """The settings of JAX that change numbers, as they are in this thread: name -> plain value."""
+    found = jax.config.values
+    values = {name: found[name] for name in SETTINGS if name in found}
+    return {name: x.value if isinstance(x, enum.Enum) else x for name, x in values.items()}
+
+
+@contextlib.contextmanager
+def using(chosen: Mapping[str, Any]) -> Iterator[None]:
+    """Gives JAX these settings within the block, and its own back afterwards.
+
+    Raises:
+        InputError: JAX does not take one of them, or a block such as `jax.enable_x64` is stronger.
+    """
+    with ThreadPoolExecutor(1) as elsewhere:  # not as they are within a block such as `jax.enable_x64`
+        before = elsewhere.submit(lambda: jax.config.values).result()
+    try:
+        for name, value in chosen.items():
+            try:
+                jax.config.update(name, value)
+            except (ValueError, TypeError) as error:
+                raise InputError(f"JAX cannot be given {name} = {value!r}: {error}") from None
+            if settings().get(name, value) != value:
+                raise InputError(
+                    f"{name} must be {value!r}, and is set otherwise by a block of JAX around this"
+                )
+        yield
+    finally:
+        for name in chosen:
+            jax.config.update(name, before[name])
+
+
+def installed() -> dict[str, Any]:
+    """The versions of the packages that compute, and the digest of this one's sources."""
+    names = ("jaxrl_tab", "jax", "jaxlib", "numpy")
+    return {name: metadata.version(name) for name in names} | {"digest of jaxrl_tab's sources": sources()}
+
+
+def surroundings() -> dict[str, Any]:
+    """All that numbers depend on beside the experiment: name -> plain value. It starts JAX's backend."""
+    device = jax.local_devices()[0]
+    flags = [x for x in os.environ.get("XLA_FLAGS", "").split() if not x.startswith(_DEVICE_COUNT)]
+    return {
+        **installed(),
+        **settings(),
+        "XLA_FLAGS": " ".join(flags),
+        "device": f"{device.platform} {device.device_kind}",
+        "instruction set": instructions() if device.platform == "cpu" else "",
+    }
+
+
+def digest(surroundings: Mapping[str, Any]) -> str:
+    """A name for surroundings: the same for the same."""
+    return hashlib.sha256(json.dumps(surroundings, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What of `now` was otherwise, a line for each. `was` may be what an earlier version recorded."""
+    return [_change(name, was.get(name), value) for name, value in now.items() if was.get(name) != value]
+
+
+def _change(name: str, before: Any, after: Any) -> str:
+    if not isinstance(before, str):
+        return f"{name} was {'not recorded' if before is None else before}, and is {after}"
+    # Of what has many words, those that are not the same.
+    gone, new = (
+        " ".join(x for x in a.split() if x not in b.split()) for a, b in ((before, after), (after, before))
+    )
+    if not gone:
+        return f"{name} was without {new}, and is with it"
+    return f"{name} was {gone}, and is {new}" if new else f"{name} was with {gone}, and is without"
+
+
+@cache
+def sources() -> str:
+    """The digest of this package's sources, as they were when it was first asked for."""
+    found = hashlib.sha256()
+    for file in sorted(PACKAGE.rglob("*.py")):
+        data = file.read_bytes()
+        found.update(f"{file.relative_to(PACKAGE).as_posix()} {len(data)}\n".encode() + data)
+    return found.hexdigest()[:16]
+
+
+@cache
+def cpu(line: str) -> str:
+    """What Linux tells of the CPU in a line of this name, a regular expression; nothing where it does not."""
+    with contextlib.suppress(OSError):
+        told = Path("/proc/cpuinfo").read_text()
+        if found := re.search(rf"^(?:{line})[ \t]*:(.*)", told, re.MULTILINE):
+            return found[1].strip()
+    return ""
+
+
+def features() -> list[str]:
+    """All that the CPU says it can do."""
+    return cpu("flags|Features").split()
+
+
+def instructions() -> str:
+    """The kind of the CPU, and what of its instructions the numbers may depend on."""
+    most = _MOST.search(os.environ.get("XLA_FLAGS", ""))
+    above = _ABOVE.get(most[1].upper(), "") if most else ""
+    used = (x for x in features() if _ARITHMETIC.fullmatch(x) and not re.fullmatch(above, x))
+    return " ".join([platform.machine(), *sorted(used)])
+
+
+@cache
+def git_commit() -> str | None:
+    """The commit that this package's sources are of, with "-dirty" where something was changed; else None."""
+    git = ["git", "-C", str(PACKAGE)]
+    describe = [*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:  # in somebody else's repository, as in an environment below it, these files are not git's
+        for command in ([*git, "ls-files", "--error-unmatch", "__init__.py"], describe):
+            said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return said

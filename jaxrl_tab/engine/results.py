@@ -1,0 +1,223 @@
+"""What a sweep gives: every number of every seed, with named axes."""
+
+import dataclasses
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from jaxrl_tab.core import memory
+from jaxrl_tab.core.policies import UNAVAILABLE, Policy
+from jaxrl_tab.core.schedules import Schedule, typed
+from jaxrl_tab.core.types import Environment
+from jaxrl_tab.engine.axes import DRAW
+from jaxrl_tab.engine.train import Log
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+CHUNK = 2**20  # bytes of the pieces in which a file holds a large variable
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepResult:
+    """The raw data of a sweep of one method: nothing is averaged.
+
+    Attributes:
+        environment, algorithm: names in the registries (of the class, where it is not registered).
+        env: the environment.
+        grid: swept hyperparameters in the order of the axes, each with its values. Those that were drawn at
+            random go together: they are the axis `draw`, each value a dict of them.
+        fixed: the other hyperparameters.
+        log: what happened, NumPy [*grid, seeds, rows] each; see `train.Log`.
+        q: the final tables, float [*grid, seeds, S, A].
+        optimal_value: v* from the start distribution, for prediction v_pi; float64 [gammas] where gamma is
+            swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over
+            problems. NaN where the environment does not say, or there is no finite v*, or no single such
+            number.
+        root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), first_seed + i)`.
+        num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
+        seconds, compile_seconds: time spent running the compiled program, and compiling it.
+        first_seed: see `root_seed`.
+        largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `sweep.Part`.
+        fresh: whether the root is instead the one that is kept for fresh seeds; see `sweep.Part`.
+    """
+
+    environment: str
+    algorithm: str
+    env: Environment
+    grid: dict[str, tuple]
+    fixed: dict[str, Any]
+    log: Log
+    q: np.ndarray
+    optimal_value: np.ndarray
+    root_seed: int
+    num_steps: int | None
+    num_episodes: int | None
+    log_every: int
+    seconds: float
+    compile_seconds: float
+    first_seed: int = 0
+    largest_value: Any = np.inf
+    fresh: bool = False
+
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
+        seeds = self.log.steps.shape[-2]
+        return f"<SweepResult of {self.algorithm} in {self.environment}: {axes}, {seeds} seeds>"
+
+    @property
+    def steps_per_second(self) -> float:
+        """Environment steps with their updates, per second, compilation apart."""
+        return float(self.log.steps.sum(dtype=np.int64)) / self.seconds
+
+    @property
+    def diverged(self) -> np.ndarray:
+        """Which runs diverged, bool [*grid, seeds]: see `is_diverged` and `largest_value`."""
+        bound = np.asarray(self.largest_value)[..., None]
+        return is_diverged(self.q, self.log.returns, self.log.rewards, largest=bound)
+
+    def to_xarray(self) -> "xr.Dataset":
+        """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
+
+        The fields of the log are its variables, with what was recorded, `q` [*grid, seed, state, action], and
+        `diverged` [*grid, seed]; what is the same for all runs is in `attrs`. Hyperparameters that were drawn
+        at random are coordinates along a dimension `draw`: alpha(draw).
+        """
+        import xarray as xr
+
+        axes = (*self.grid, "seed")
+        variables: dict[str, Any] = {
+            name: ((*axes, "row"), x)
+            for name, x in self.log._asdict().items()
+            if x is not None and name != "recorded"
+        }
+        for name, x in (self.log.recorded or {}).items():
+            more = [f"{name}_{i}" for i in range(x.ndim - len(axes) - 1)]
+            variables[name] = ((*axes, "row", *more), x)
+        variables["q"] = ((*axes, "state", "action"), self.q)
+        variables["diverged"] = (axes, self.diverged)
+        if self.optimal_value.ndim:
+            variables["optimum"] = (("gamma" if "gamma" in self.grid else DRAW,), self.optimal_value)
+        coords: dict[str, Any] = {name: labels(x) for name, x in self.grid.items() if name != DRAW}
+        if draws := self.grid.get(DRAW):
+            coords[DRAW] = np.arange(len(draws))
+            coords |= {name: (DRAW, labels(trial[name] for trial in draws)) for name in draws[0]}
+        coords["seed"] = self.first_seed + np.arange(self.q.shape[len(self.grid)])
+        coords["row"] = np.arange(self.log.steps.shape[-1])
+        budget = {"num_steps": self.num_steps, "num_episodes": self.num_episodes}
+        attrs = {
+            "environment": self.environment,
+            "environment_parameters": json.dumps(describe(self.env)),
+            "algorithm": self.algorithm,
+            "fixed": json.dumps({name: label(v) for name, v in self.fixed.items() if v is not None}),
+            **{name: value for name, value in budget.items() if value is not None},
+            "log_every": self.log_every,
+            "root_seed": self.root_seed,
+            **({"fresh_seeds": 1} if self.fresh else {}),
+            "optimal_value": float(self.optimal_value) if self.optimal_value.ndim == 0 else float("nan"),
+            "seconds": self.seconds,
+            "compile_seconds": self.compile_seconds,
+            "steps_per_second": self.steps_per_second,
+        }
+        return xr.Dataset(variables, coords, attrs)
+
+    def to_pandas(self, per: Literal["row", "seed"] = "row") -> "pd.DataFrame":
+        """The result as a table in long form: a row for each row of the log of each run, or for each run.
+
+        See `export.to_pandas`; its `to_csv` and `to_parquet` write it.
+        """
+        from jaxrl_tab.stats import export
+
+        return export.to_pandas(self.to_xarray(), per)
+
+
+def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
+    """Which runs diverged, bool [...], by their table [..., S, A] and sums of their log [..., rows].
+
+    There is a NaN or an infinity in one of these; or an entry of the table is larger in size than `largest` [...].
+    """
+    found = np.zeros(q.shape[:-2], bool)
+    flat, beyond = found.reshape(-1), np.broadcast_to(largest, found.shape).reshape(-1)
+    nowhere = np.array(UNAVAILABLE, q.dtype)
+    for x in (q, *sums):
+        runs = x.reshape(found.size, -1)
+        for block in memory.blocks(found.size, runs[:1].nbytes):
+            for extreme in (runs[block].min(-1), runs[block].max(-1)):  # where there is a NaN, both are NaN
+                flat[block] |= ~np.isfinite(extreme)
+            if x is q:
+                size = np.max(abs(runs[block]), -1, initial=0, where=runs[block] != nowhere)
+                flat[block] |= size > beyond[block]
+    return found
+
+
+def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> None:
+    """Adds a dataset to a netCDF file, as a group. Where there is no file it is made, with attributes."""
+    import xarray as xr
+
+    if not file.exists():
+        xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
+    large = [name for name, x in ds.items() if x.nbytes > memory.BLOCK and name != "diverged"]
+    rest = ds.drop_vars(large)
+    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in rest.items() if x.ndim}
+    rest.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
+    for name in large:
+        _save_large(ds[name], file, group)
+
+
+def _save_large(x: "xr.DataArray", file: Path, group: str) -> None:
+    """Adds a variable [*hyperparameters, seed, ...] of numbers to a group, some seeds at a time."""
+    import h5netcdf
+
+    before, seeds = x.dims.index("seed"), x.sizes["seed"]
+    each = max(1, x.nbytes // (x.size // int(np.prod(x.shape[before + 1 :], dtype=int))))
+    with h5netcdf.File(file, "a") as whole:
+        to = whole[group]
+        for dim, size in x.sizes.items():
+            if dim not in to.dimensions:
+                to.dimensions[dim] = size
+        chunks = (*(1,) * before, min(seeds, max(1, CHUNK // each)), *x.shape[before + 1 :])
+        missing = np.nan if x.dtype.kind == "f" else None
+        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "chunks": chunks}
+        variable = to.create_variable(x.name, x.dims, x.dtype, fillvalue=missing, **packed)
+        if drawn := [str(name) for name in x.coords if name not in x.dims]:
+            variable.attrs["coordinates"] = " ".join(drawn)
+        for setting in np.ndindex(x.shape[:before]):
+            for block in memory.blocks(seeds, each):
+                variable[*setting, block] = x.values[*setting, block]
+
+
+def label(value: Any) -> Any:
+    """A hyperparameter as a coordinate: a number as it is, a schedule or a policy as it is typed."""
+    return str(value) if isinstance(value, Schedule | Policy) else value
+
+
+def labels(values: Iterable[Any]) -> list[Any]:
+    """The coordinates of an axis. Where any is a schedule or a policy all are as typed: text like "0.1"."""
+    found = [label(value) for value in values]
+    if any(isinstance(x, str) for x in found):
+        return [typed(x) if isinstance(x, float) else str(x) for x in found]
+    return found
+
+
+def parameters(obj: Any) -> dict[str, Any]:
+    """The fields of a frozen dataclass with their values."""
+    return {f.name: getattr(obj, f.name) for f in dataclasses.fields(obj)}
+
+
+def describe(obj: Any) -> dict[str, Any]:
+    """The fields of a frozen dataclass in types that JSON knows; a large array by its shape."""
+
+    def plain(value):
+        if isinstance(value, (str, bool, int, float, type(None))):
+            return value
+        array = np.asarray(value)
+        if array.dtype.kind not in "biuf":
+            return repr(value)
+        return array.tolist() if array.size <= 64 else f"{array.dtype}{list(array.shape)}"
+
+    fields = parameters(obj) if dataclasses.is_dataclass(obj) else {}
+    return {name: plain(value) for name, value in fields.items()}

@@ -1,0 +1,1 @@
+"""Experiments: described in a file, computed by an executor, kept in a folder."""

@@ -1,0 +1,131 @@
+"""What an executor is, and what it needs: work that travels, with the settings of the process that sent it.
+
+Work is a function of a task's number and of nothing else. So it may be done anywhere, again, in any order,
+and what comes of it is the same to the last bit, as long as JAX is set up there as it is here, in the same
+versions and on the same kind of processor. `Job` makes the settings so, and refuses where the rest is not.
+"""
+
+import importlib.util
+import os
+import platform
+import traceback
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import numpy as np
+
+from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.engine import batch, provenance
+
+Arrays = Mapping[str, np.ndarray]
+Work = Callable[[int], Arrays]
+
+
+class Executor(Protocol):
+    """Does the tasks of a piece of work, somewhere."""
+
+    def run(self, work: Work, tasks: Sequence[int]) -> Generator[tuple[int, Arrays]]:
+        """Gives (task, work(task)) as they finish, in any order, and keeps none of them.
+
+        Nothing is begun before the first is asked for. What is under way is given up where the iterator is
+        closed (`contextlib.closing`), as by Ctrl-C.
+
+        Args:
+            work: what to do, from a task's number to arrays by name. It can be pickled, and done twice.
+            tasks: the numbers, each once.
+
+        Raises:
+            RunError: `work` raised something in another process, or that process died too often; the message
+                names the task. In this process what `work` raises goes through as it is.
+            InputError: another process would compute other numbers; the message says why.
+        """
+        ...
+
+
+class Failed(NamedTuple):
+    """What a worker gives back where `work` raised something.
+
+    Attributes:
+        line: the error.
+        trace: whence it came; empty where work was refused, before it began.
+    """
+
+    line: str
+    trace: str
+
+
+class Job(NamedTuple):
+    """Work on its way to other processes.
+
+    Attributes:
+        work: as in `Executor.run`.
+        cores: so many cores are JAX devices there; all that it may use, where None.
+        settings: JAX's, of the process that sends it.
+        surroundings: of that process, see `provenance`.
+    """
+
+    work: Work
+    cores: int | None
+    settings: dict[str, Any]
+    surroundings: dict[str, Any]
+
+    @staticmethod
+    def of(work: Work, cores: int | None = None) -> "Job":
+        settings = provenance.settings() | {"jax_platforms": jax.default_backend()}
+        return Job(work, cores, settings, provenance.surroundings())
+
+    def __call__(self, task: int) -> Arrays | Failed:
+        """What `work` gives. Its errors are values: another process may be unable to load what was raised."""
+        try:
+            self._set_up()
+        except InputError as refused:
+            return Failed(str(refused), "")
+        try:
+            return {name: np.asarray(array) for name, array in self.work(task).items()}
+        except Exception as error:
+            named = "" if isinstance(error, InputError | RunError) else f"{type(error).__name__}: "
+            return Failed(f"{named}{error}", traceback.format_exc())
+
+    def _set_up(self) -> None:
+        self._compare(provenance.installed())  # first, for another JAX may have other settings
+        for name, value in self.settings.items():
+            jax.config.update(name, value)
+        if self.cores is None:
+            batch.use_all_cores()
+        else:
+            with suppress(RuntimeError):  # JAX has started, for an earlier task
+                jax.config.update("jax_num_cpu_devices", self.cores)
+        self._compare(provenance.surroundings())
+
+    def _compare(self, here: Mapping[str, Any]) -> None:
+        """Raises InputError where this process would compute other numbers than the one that sent the work."""
+        if changed := provenance.differences(self.surroundings, here):
+            raise InputError(
+                f"{platform.node()} would not compute as the machine where this was started: "
+                f"{'; '.join(changed)} there; install and set the same on all machines"
+            )
+
+
+def given(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
+    """What `Executor.run` gives of a task that a worker has finished; raises what it raised."""
+    if isinstance(result, Failed):
+        if not result.trace:
+            raise InputError(result.line)
+        error = RunError(f"shard {task} failed: {result.line}")
+        error.add_note(result.trace)
+        raise error
+    return task, result
+
+
+def environment() -> dict[str, str]:
+    """The variables that say how XLA and JAX work, for processes that do not inherit them."""
+    return {
+        name: value for name, value in os.environ.items() if name.startswith(("JAX_", "JAXRL_TAB_", "XLA_"))
+    }
+
+
+def need(package: str, extra: str) -> None:
+    if importlib.util.find_spec(package) is None:
+        raise InputError(f"{package} is not installed: pip install 'jaxrl-tab[{extra}]'")

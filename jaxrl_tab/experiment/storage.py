@@ -1,0 +1,479 @@
+"""Shards on disk and their manifest: what has a name is whole, and what is damaged is found.
+
+A shard is a file of arrays. Every file is written under another name in the same folder, brought to the disk,
+and only then renamed, so that a process can be killed at any moment. The manifest has the sha256 of each
+file, and its own.
+
+Nothing that is read is trusted: folders are damaged by disks, and sent by others. A manifest whose entries
+are not such as are written here is no manifest, and only files that lie in the folder itself are looked at.
+"""
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import re
+import shutil
+import stat
+import unicodedata
+import zipfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxrl_tab.core.types import InputError, RunError, is_whole, one_line, reason
+
+MANIFEST, SHARDS, PICTURES, ASIDE, LOCK = "manifest.json", "shards", "pictures", "set-aside", ".lock"
+UNFINISHED = ".unfinished"  # the end of the name of what is being written, which begins with a dot
+ABOUT = "about"  # in a shard: which it is, of which experiment, and more facts
+RESERVED = r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)"  # names that are devices to Windows
+
+
+def file_names(labels: Iterable[str]) -> dict[str, str]:
+    """The name of the file or folder of each label: short, valid on any system, and of no two the same.
+
+    It is the label where that will do; else what will do of it, with some digits of its checksum.
+    """
+    found = {}
+    for label in labels:
+        plain = unicodedata.normalize("NFKD", label).encode("ascii", "ignore").decode()
+        plain = re.sub(r"[^\w=,.+-]+", "_", plain).lstrip(".-")[:60].rstrip(".")
+        found[label] = f"_{plain}" if not plain or re.match(RESERVED, plain, re.IGNORECASE) else plain
+    often = Counter(name.lower() for name in found.values())
+    digits = {
+        label: hashlib.sha256(label.encode("utf-8", "surrogatepass")).hexdigest()[:8] for label in found
+    }
+    return {
+        label: name
+        if name == label and often[name.lower()] == 1 and not re.search(r"-[0-9a-f]{8}$", name, re.IGNORECASE)
+        else f"{name}-{digits[label]}"
+        for label, name in found.items()
+    }
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[Path]:
+    """Where to write what shall be the file `path`, which it becomes when all is written and on the disk.
+
+    Raises:
+        RunError: it cannot be written, as where the disk is full; nothing of it is left.
+    """
+    unfinished = _unfinished(path)
+    with said(path):
+        unfinished.unlink(missing_ok=True)  # a link would be followed
+        try:
+            yield unfinished
+            with unfinished.open("rb+") as file:
+                os.fsync(file.fileno())
+            unfinished.replace(path)
+            _sync(path.parent)
+        finally:
+            unfinished.unlink(missing_ok=True)
+
+
+def write(path: Path, data: Any) -> None:
+    """Writes text, or bytes, as a whole; see `writing`."""
+    with writing(path) as unfinished:
+        unfinished.write_bytes(data.encode() if isinstance(data, str) else data)
+
+
+def write_json(path: Path, data: Any) -> None:
+    write(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n")
+
+
+@contextlib.contextmanager
+def said(path: Path, done: str = "written") -> Iterator[None]:
+    """An error of the system while something is `done` to `path` is a RunError of one line."""
+    try:
+        yield
+    except OSError as error:
+        raise RunError(f"{one_line(str(path))} could not be {done}: {reason(error)}") from None
+
+
+def read_json(file: Path) -> Any:
+    """What is in the file; None where it is missing, or no file, or damaged.
+
+    Raises:
+        RunError: it cannot be read.
+    """
+    if not is_file(file):
+        return None
+    with said(file, "read"):
+        data = file.read_bytes()
+    try:
+        found = json.loads(data.decode())
+        json.dumps(found, ensure_ascii=False).encode()  # halves of characters cannot be written again
+        return found
+    except (ValueError, RecursionError):
+        return None
+
+
+def is_file(path: Path) -> bool:
+    """Whether it is a file, and no link to one: links lead out of the folder."""
+    with contextlib.suppress(OSError):
+        return stat.S_ISREG(path.lstat().st_mode)
+    return False
+
+
+def set_aside(file: Path, folder: Path, then: str, what: str = "is damaged") -> str:
+    """Moves what is damaged, in a folder, out of the way; a line that says so, and what it is `then`."""
+    with said(folder):
+        aside = _own_folder(folder / ASIDE)
+        there = {int(name) for path in aside.iterdir() if (name := path.name.partition("-")[0]).isdecimal()}
+        goal = aside / f"{max(there, default=-1) + 1}-{file.name}"
+        file.rename(goal)
+    return f"{file.relative_to(folder)} {what}: it is now {goal.relative_to(folder)}, and is {then}"
+
+
+@contextlib.contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Where to write the first files of the folder `path`, which appears when they are all there.
+
+    Raises:
+        InputError: there is something already, or it cannot be made.
+    """
+    try:
+        if path.exists() or path.is_symlink():
+            raise InputError(_exists(path))
+        unfinished = _unfinished(path.with_name(f"{path.name}-{os.getpid()}"))  # "." has no name
+        unfinished.mkdir(parents=True)
+    except (OSError, ValueError) as error:  # a name that holds NUL
+        raise InputError(f"{one_line(str(path))} cannot be made: {reason(error)}") from None
+    try:
+        with said(path):
+            yield unfinished
+            _sync(unfinished)
+            try:
+                unfinished.rename(path)
+            except OSError:
+                if not path.exists():
+                    raise
+                raise InputError(_exists(path)) from None  # somebody was quicker
+            _sync(path.parent)
+    except BaseException:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
+
+
+@contextlib.contextmanager
+def lock(folder: Path) -> Iterator[None]:
+    """Keeps other processes out of a folder: until the end of the block, or of this process.
+
+    Raises:
+        InputError: another process is in it, or it cannot be written.
+    """
+    try:
+        flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+        file = os.fdopen(os.open(folder / LOCK, flags, 0o666), "rb+", buffering=0)
+    except OSError as error:
+        raise InputError(f"{one_line(str(folder))} cannot be written: {reason(error)}") from None
+    with file:
+        with contextlib.suppress(ImportError):  # Windows has no such locks
+            import fcntl
+
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(f"another process is at work in {one_line(str(folder))}") from None
+        yield
+
+
+class Facts(NamedTuple):
+    """What the manifest says of a shard.
+
+    Attributes:
+        sha256: of the file, in hexadecimal digits.
+        diverged: how many of its runs diverged.
+        setting: the number of the setting that was chosen, where its runs are on fresh seeds.
+        surroundings: the name of what it was computed with, see `provenance`; an earlier version did not say.
+    """
+
+    sha256: str
+    diverged: int
+    setting: int | None
+    surroundings: str | None = None
+
+
+class Store:
+    """The shards of an experiment in a folder that is locked, and the files made of them.
+
+    To open it is to take stock: what was being written is removed, and what is damaged is set aside.
+
+    Attributes:
+        path: the folder.
+        fingerprint: of the experiment.
+        shards: facts about each shard that is there, by its number.
+        found: what was damaged or missing, a line each.
+
+    Raises:
+        InputError: a folder in it is a link.
+        RunError: something in it cannot be read or written.
+    """
+
+    def __init__(self, path: Path, fingerprint: str):
+        self.path, self.fingerprint = path, fingerprint
+        self.found: list[str] = []
+        if is_file(path / SHARDS):
+            self.found.append(set_aside(path / SHARDS, path, "made again", "is no folder"))
+        _own_folder(path / SHARDS)
+        with said(path):
+            for folder in [path, *_folders(path / PICTURES), path / SHARDS]:
+                for left in list(folder.glob(f".*{UNFINISHED}")):
+                    shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
+        self._manifest = self._read_manifest()
+        known = self._manifest["shards"].items()
+        self.shards = {int(Path(name).stem): Facts(**facts) for name, facts in known}
+        self._take_stock()
+        self._write_manifest()
+
+    @staticmethod
+    def begin(path: Path, fingerprint: str) -> None:
+        """Writes the manifest of a folder that has no shards yet."""
+        _write_manifest(path, _empty(fingerprint))
+
+    def write(
+        self,
+        number: int,
+        arrays: Mapping[str, np.ndarray],
+        diverged: int = 0,
+        setting: int | None = None,
+        surroundings: str | None = None,
+    ) -> None:
+        """Keeps a shard, with what is to be known of it: see `Facts`.
+
+        Raises:
+            RunError: it cannot be written, as where the disk is full; nothing of it is left.
+        """
+        facts = {"diverged": diverged, "setting": setting, "surroundings": surroundings}
+        about = np.array(json.dumps(self._about(number) | facts))
+        with writing(self.path / SHARDS / _name(number)) as unfinished:
+            with unfinished.open("wb") as file:
+                np.savez(file, **arrays, **{ABOUT: about})  # pyright: ignore[reportArgumentType]
+            sha256 = _sha256(unfinished)
+        self.shards[number] = Facts(sha256, **facts)
+        self._write_manifest()
+
+    def read(self, number: int) -> dict[str, np.ndarray]:
+        """The arrays of a shard that is there."""
+        file = self.path / SHARDS / _name(number)
+        with said(file, "read"):
+            arrays = _load(file)
+        if arrays is None:
+            raise RunError(f"{file} was damaged while it was in use")
+        return {name: array for name, array in arrays.items() if name != ABOUT}
+
+    def keep_if(self, number: int, shapes: Mapping[str, tuple[Any, Any]]) -> bool:
+        """Whether a shard is there and holds just these arrays, (shape, dtype) each; else it is set aside."""
+        if number not in self.shards:
+            return False
+        file = self.path / SHARDS / _name(number)
+        with said(file, "read"):
+            found = _load(file, _shape) or {}
+        if {name: x for name, x in found.items() if name != ABOUT} == shapes:
+            return True
+        self.found.append(set_aside(file, self.path, "computed again"))
+        del self.shards[number]
+        return False
+
+    @property
+    def files(self) -> list[str]:
+        """The files made of the shards; none unless all are there and whole."""
+        return list(self._manifest["files"])
+
+    def keep_files(self, files: Iterable[str]) -> None:
+        """Notes that these files are finished."""
+        with said(self.path, "read"):
+            self._manifest["files"] = {file: _sha256(self.path / file) for file in files}
+        self._write_manifest()
+
+    def _read_manifest(self) -> dict[str, Any]:
+        file = self.path / MANIFEST
+        if not os.path.lexists(file):
+            self.found.append(f"{MANIFEST} is missing: it is made again, of the shards")
+        elif (manifest := read_manifest(self.path)) is None:
+            self.found.append(set_aside(file, self.path, "made again, of the shards"))
+        elif manifest["fingerprint"] != self.fingerprint:
+            what = "is of another experiment"
+            self.found.append(set_aside(file, self.path, "made again, of the shards", what))
+        else:
+            return manifest
+        return _empty(self.fingerprint)
+
+    def _take_stock(self) -> None:
+        folder = self.path / SHARDS
+        for number, facts in list(self.shards.items()):
+            if not self._is_whole(folder / _name(number), facts.sha256, "computed again"):
+                del self.shards[number]
+        for file in sorted(folder.glob("*.npz")):
+            number = _number(file.name)
+            if number is not None and number not in self.shards:  # it was killed between shard and manifest
+                if (facts := self._facts_in(file, number)) is None:
+                    self.found.append(set_aside(file, self.path, "computed again"))
+                else:
+                    self.shards[number] = facts
+        whole = [self._is_whole(self.path / n, x, "made again") for n, x in self._manifest["files"].items()]
+        if not all(whole):
+            self._manifest["files"] = {}
+
+    def _is_whole(self, file: Path, sha256: str, then: str) -> bool:
+        if not os.path.lexists(file):
+            self.found.append(f"{file.relative_to(self.path)} is missing: it is {then}")
+            return False
+        with said(file, "read"):
+            if is_file(file) and _sha256(file) == sha256:
+                return True
+        self.found.append(set_aside(file, self.path, then))
+        return False
+
+    def _facts_in(self, file: Path, number: int) -> Facts | None:
+        """What a shard says about itself; None where it is damaged, or of another experiment."""
+        with said(file, "read"):
+            arrays = _load(file) if is_file(file) else None
+            sha256 = _sha256(file) if arrays else ""
+        try:
+            about = json.loads(str((arrays or {})[ABOUT]))
+            facts = {"sha256": sha256, **{key: about.pop(key) for key in Facts._fields if key in about}}
+        except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
+            return None
+        return Facts(**facts) if about == self._about(number) and _are_facts(facts) else None
+
+    def _about(self, number: int) -> dict[str, Any]:
+        return {"experiment": self.fingerprint, "shard": number}
+
+    def _write_manifest(self) -> None:
+        shards = {_name(number): facts._asdict() for number, facts in sorted(self.shards.items())}
+        self._manifest["shards"] = shards
+        _write_manifest(self.path, self._manifest)
+
+
+def read_manifest(folder: Path) -> dict[str, Any] | None:
+    """What is in the manifest; None where it is damaged or missing."""
+    manifest = read_json(folder / MANIFEST)
+    if not isinstance(manifest, dict) or manifest.keys() != {"fingerprint", "shards", "files", "sha256"}:
+        return None
+    if manifest.pop("sha256") != _checksum(manifest):
+        return None
+    shards, files = manifest["shards"], manifest["files"]
+    if not isinstance(shards, dict) or not isinstance(files, dict):
+        return None
+    if not all(_number(name) is not None and _are_facts(facts) for name, facts in shards.items()):
+        return None
+    return manifest if all(_is_made_here(f) and _is_sha256(x) for f, x in files.items()) else None
+
+
+def _are_facts(facts: Any) -> bool:
+    return (
+        isinstance(facts, dict)
+        and facts.keys() | Facts._field_defaults.keys() == set(Facts._fields)
+        and _is_sha256(facts["sha256"])
+        and is_whole(facts["diverged"], least=0)
+        and (facts["setting"] is None or is_whole(facts["setting"], least=0))
+        and isinstance(facts.get("surroundings"), str | None)
+    )
+
+
+def _is_sha256(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value) is not None
+
+
+def _is_made_here(file: str) -> bool:
+    """Whether it may be a file that is made of the shards, such as "results.nc" or "pictures/walk/path.png"."""
+    name = r"\w[\w=,.+-]*"
+    return bool(re.fullmatch(rf"({PICTURES}/{name}/)?{name}\.(nc|csv|html|png|svg|pdf)", file, re.ASCII))
+
+
+def _write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
+    write_json(folder / MANIFEST, manifest | {"sha256": _checksum(manifest)})
+
+
+def _checksum(data: Any) -> str:
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
+def _empty(fingerprint: str) -> dict[str, Any]:
+    return {"fingerprint": fingerprint, "shards": {}, "files": {}}
+
+
+def _own_folder(path: Path) -> Path:
+    """A folder in the folder, made if need be. Raises InputError where it is a link: that leads out of it."""
+    if path.is_symlink():
+        raise InputError(f"{one_line(str(path))} is a link: put the folder that it leads to in its place")
+    with said(path):
+        path.mkdir(exist_ok=True)
+    return path
+
+
+def _folders(path: Path) -> list[Path]:
+    """The folder of pictures, if there is any, and those in it."""
+    if not path.exists():
+        return []
+    return [_own_folder(path), *(_own_folder(x) for x in path.iterdir() if x.is_dir())]
+
+
+def _unfinished(path: Path) -> Path:
+    """What is written of `path` before it is finished. No label gives such a name: see `file_names`."""
+    return path.with_name(f".{path.name}{UNFINISHED}")
+
+
+def _name(number: int) -> str:
+    return f"{number:06d}.npz"
+
+
+def _number(name: str) -> int | None:
+    """The number of the shard that has this file; None where it is no shard."""
+    if re.fullmatch(r"\d{6,9}\.npz", name, re.ASCII) and _name(number := int(name[:-4])) == name:
+        return number
+    return None
+
+
+def _load(file: Path, of: Any = np.lib.format.read_array) -> dict[str, Any] | None:
+    """All arrays in a shard, or what `of` reads of each; None where it is damaged.
+
+    The checksums in the file are looked at, too.
+    """
+    with file.open("rb") as opened:
+        try:
+            with zipfile.ZipFile(opened) as whole:
+                members = whole.infolist()
+                if any(x.compress_type or x.file_size != x.compress_size for x in members):
+                    return None  # as it is written, nothing is packed: it could be of any size
+                found = {}
+                for member in members:
+                    with whole.open(member) as array:
+                        found[member.filename.removesuffix(".npy")] = of(array)
+                return found
+        except Exception as error:  # there is no end to what a flipped bit makes zipfile and NumPy raise
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:  # which says: no such place in it
+                raise
+            return None
+
+
+def _shape(array: Any) -> tuple[Any, Any]:
+    """(shape, dtype) of an array in a file."""
+    np.lib.format.read_magic(array)
+    shape, _, dtype = np.lib.format.read_array_header_1_0(array)
+    return shape, dtype
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _sync(folder: Path) -> None:
+    """Brings the names in a folder to the disk."""
+    if os.name == "nt":  # which opens no folders
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _exists(path: Path) -> str:
+    return f"{one_line(str(path))} exists already; name a new folder"

@@ -1,0 +1,136 @@
+"""Results as plain tables, for other programs: pandas, CSV, Parquet.
+
+    from jaxrl_tab import export
+
+    datasets = export.load("runs/windy/results.nc")  # or {"sarsa": result.to_xarray()}
+    export.to_pandas(datasets, per="seed")
+    export.save(datasets, "windy.parquet")
+
+A table is in long form: a row for each row of the log of each seed of each setting, or for each seed. Arrays
+such as the final Q, and what is as it was, stay in netCDF: `SweepResult.to_xarray` and its `to_netcdf`.
+"""
+
+import importlib.util
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from jaxrl_tab import stats
+from jaxrl_tab.core.types import InputError, nearest
+
+Datasets = xr.Dataset | Mapping[str, xr.Dataset]
+Per = Literal["row", "seed"]
+LOG = ("steps", "episodes", "returns", "lengths", "rewards")
+
+
+def load(file: Path | str) -> dict[str, xr.Dataset]:
+    """The datasets in a `results.nc` by their names, "METHOD" or "ENVIRONMENT/METHOD"; read as they are used.
+
+    Raises:
+        InputError: there is no such file, or it is of another kind.
+    """
+    try:
+        tree = xr.open_datatree(file, engine="h5netcdf")
+    except FileNotFoundError:
+        raise InputError(f"there is no file {file}") from None
+    except OSError as error:
+        raise InputError(f"{file} cannot be read as netCDF: {error}") from None
+    return {node.path.strip("/"): node.to_dataset() for node in tree.subtree if "episodes" in node.data_vars}
+
+
+def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
+    """Results in long form, which all tools for tables and plots take.
+
+    Args:
+        datasets: a dataset of `SweepResult.to_xarray`, or several by their names, as in `load`.
+        per: what a row of the table is.
+            "row": a row of the log of one run. Columns: steps, episodes, returns, lengths and rewards, all
+            sums over the row (see `train.Log`), and what was recorded, if it is a number.
+            "seed": one run. The same sums over the run; `diverged`; its score (see `stats.score`), as
+            `last_tenth_return`, or of prediction as `v_error`; for control `unfinished`, whether it finished
+            no episode in the last tenth, so that its score is what it collected there; and `final_NAME`, what
+            was recorded, at the end.
+
+    Returns:
+        A frame with the columns `environment`, `method`, every hyperparameter of any method, `seed`, and
+        those above. What a method has not is empty; where numbers and schedules meet in a column, all are
+        text.
+
+    Raises:
+        InputError: `per` is something else.
+    """
+    if per not in ("row", "seed"):
+        raise InputError(f'per must be "row" or "seed"; {nearest(str(per), ("row", "seed"))}')
+    named = {"": datasets} if isinstance(datasets, xr.Dataset) else datasets
+    frames, names = [], {}
+    for name, ds in named.items():
+        environment, _, method = name.rpartition("/")
+        constant = stats.fixed(ds)
+        names |= dict.fromkeys([*stats.hyperparameters(ds), *stats.drawn(ds), *constant])
+        measured = _rows(ds) if per == "row" else _runs(ds)
+        axes = [*stats.hyperparameters(ds), "seed", *(["row"] if per == "row" else [])]
+        frame = measured.to_dataframe(dim_order=axes).reset_index()
+        known = {
+            "environment": environment or ds.attrs["environment"],
+            "method": method or ds.attrs["algorithm"],
+            **constant,
+        }
+        frames.append(frame.assign(**{key: _repeated(value, len(frame)) for key, value in known.items()}))
+    table = pd.concat(frames, ignore_index=True)
+    first = ["environment", "method", *names, "seed"]
+    table = table[[*first, *(column for column in table.columns if column not in first)]]
+    mixed = {
+        str(name): column.map(str, na_action="ignore")
+        for name, column in table.items()
+        if name in names and len({isinstance(value, str) for value in column.dropna()}) > 1
+    }
+    return table.assign(**mixed)
+
+
+def save(datasets: Datasets, file: Path | str, per: Per = "row") -> Path:
+    """Writes the table of `to_pandas` as the ending of `file` says: .csv or .parquet; over one that is there.
+
+    Raises:
+        InputError: another ending, or Parquet is not installed; and as `to_pandas`.
+    """
+    file = Path(file)
+    if file.suffix not in (".csv", ".parquet"):
+        raise InputError(f"the name of a table must end in .csv or .parquet, not {file.name!r}")
+    if file.suffix == ".parquet" and importlib.util.find_spec("pyarrow") is None:
+        raise InputError("Parquet needs pyarrow: python -m pip install 'jaxrl-tab[parquet]'")
+    table = to_pandas(datasets, per)
+    if file.suffix == ".csv":
+        table.to_csv(file, index=False)
+    else:
+        table.to_parquet(file, index=False)
+    return file
+
+
+def _rows(ds: xr.Dataset) -> xr.Dataset:
+    """The log, and the numbers that were recorded beside it."""
+    return ds[[str(name) for name, x in ds.data_vars.items() if set(x.dims) == set(ds.steps.dims)]]
+
+
+def _runs(ds: xr.Dataset) -> xr.Dataset:
+    """The log summed over each run, the score, and what was recorded, at the end."""
+    log = _rows(ds)
+    sums = {name: log[name].sum("row", skipna=False, dtype=_wide(log[name])) for name in LOG}
+    found = xr.Dataset(sums | {"diverged": ds.diverged})
+    found["v_error" if stats.is_prediction(ds) else "last_tenth_return"] = stats.score(ds)
+    if not stats.is_prediction(ds):
+        found["unfinished"] = stats.unfinished(ds)
+    ends = log.drop_vars(LOG).isel(row=-1, drop=True)
+    return found.merge(ends.rename({name: f"final_{name}" for name in ends.data_vars}))
+
+
+def _wide(x: xr.DataArray) -> type:
+    """The type in which to add up: a long run has more steps than an int32 counts."""
+    return np.int64 if x.dtype.kind == "i" else np.float64
+
+
+def _repeated(value: object, times: int) -> list[object]:
+    return [value] * times
