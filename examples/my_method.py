@@ -10,7 +10,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import stats
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import tables
-from jaxrl_tab.core.types import pytree
+from jaxrl_tab.core.pytree import pytree
 
 
 @pytree

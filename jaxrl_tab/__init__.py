@@ -32,11 +32,13 @@ from jaxrl_tab.algorithms import (
 )
 from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core import policies, schedules
-from jaxrl_tab.core.types import InputError, Outcome, RunError, Transition
+from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.experience import Experience
+from jaxrl_tab.core.types import Outcome, Transition
 from jaxrl_tab.engine import batch, offline
 from jaxrl_tab.engine.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
 from jaxrl_tab.engine.batch import use_all_cores
-from jaxrl_tab.engine.offline import Experience, collect, learn, replay
+from jaxrl_tab.engine.offline import collect, learn, replay
 from jaxrl_tab.engine.results import SweepResult
 from jaxrl_tab.engine.sweep import sweep
 from jaxrl_tab.engine.train import Log, train

@@ -14,7 +14,8 @@ import jaxrl_tab as rl
 from jaxrl_tab import bridge, importance, planning, schedules
 from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core.policies import UCB, UNAVAILABLE, EpsilonGreedy, Greedy, Softmax, Table
-from jaxrl_tab.core.types import Outcome, pytree, restricted
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Outcome, restricted
 from jaxrl_tab.envs.base import Finite
 
 HAS = np.array([[1, 0, 1, 0], [0, 0, 1, 0], [1, 1, 0, 1], [1, 1, 1, 1], [0, 1, 0, 0]], bool)

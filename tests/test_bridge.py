@@ -13,7 +13,8 @@ from jaxrl_tab.algorithms.prediction import PREDICTION, TD
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.policies import EpsilonGreedy, Greedy, Softmax, Table
-from jaxrl_tab.core.types import Transition, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Transition
 
 GAMMA, EPSILON = 0.9, 0.3
 ENVS = {

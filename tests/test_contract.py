@@ -9,7 +9,8 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab import batch, planning, policies, schedules
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, Transition, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, Transition
 from jaxrl_tab.engine.sweep import _same_program
 
 

@@ -9,7 +9,8 @@ from test_reference import random_mdp
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning
-from jaxrl_tab.core.types import Outcome, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.sweep import BEYOND, prepare
 from jaxrl_tab.envs.base import Finite

@@ -11,8 +11,8 @@ import jaxrl_tab as rl
 from jaxrl_tab import batch, experiment, planning
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli import main
+from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.policies import EpsilonGreedy, Softmax, Table
-from jaxrl_tab.core.types import InputError
 from jaxrl_tab.engine.sweep import compute, result
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.spec import Experiment, Selection, difference, plan

@@ -29,7 +29,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import cli, planning, policies, schedules, stats
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.types import InputError
+from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import axes
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.spec import Experiment, Selection, template

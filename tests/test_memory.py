@@ -11,7 +11,7 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab import batch
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.types import InputError
+from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.experiment import runner
 
 BUDGET = {"num_steps": 200, "log_every": 100}

@@ -8,8 +8,9 @@ import jaxrl_tab as rl
 from jaxrl_tab import offline, planning, prediction
 from jaxrl_tab.algorithms import MonteCarlo, OffPolicyMonteCarlo
 from jaxrl_tab.core.policies import EpsilonGreedy, Table
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.schedules import Power
-from jaxrl_tab.core.types import pytree, said_of_update
+from jaxrl_tab.core.types import said_of_update
 
 GAMMA = 0.9
 CLIFF = rl.CliffWalking(shape=(2, 4))  # deterministic: what learns without noise gets to the exact values

@@ -8,6 +8,7 @@ import reference
 from test_reference import GAMMAS, STEPS, env_and_task, initial_tables, random_mdp, uniforms, words_of
 
 import jaxrl_tab as rl
+from jaxrl_tab.core import coverage
 from jaxrl_tab import planning, policies, schedules
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
@@ -207,10 +208,10 @@ SOME = (
 def test_coverage(target, behaviour, error):
     """Broken once: target and behaviour the other way round -> fails."""
     if error is None:
-        policies.check_coverage("X", target, behaviour)
+        coverage.check_coverage("X", target, behaviour)
         return
     with pytest.raises(rl.InputError) as raised:
-        policies.check_coverage("X", target, behaviour)
+        coverage.check_coverage("X", target, behaviour)
     assert str(raised.value) == error
 
 

@@ -28,8 +28,9 @@ from jaxrl_tab.algorithms.prediction import (
     OffPolicyTD,
     TDLambda,
 )
+from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.policies import Softmax, Table
-from jaxrl_tab.core.schedules import Power, Schedule
+from jaxrl_tab.core.schedules import Power
 from jaxrl_tab.core.types import Algorithm
 
 # --- decision for decision, in float64: five states, three actions, and a time limit that is often met -----

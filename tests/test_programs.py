@@ -18,7 +18,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch
-from jaxrl_tab.core.types import pytree
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.engine import programs, provenance
 
 BUDGET = {"num_steps": 40, "log_every": 20}

@@ -15,7 +15,7 @@ import quick
 import jaxrl_tab as rl
 from jaxrl_tab import batch, plot
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.types import InputError
+from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.experiment import runner, storage
 

@@ -19,7 +19,7 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import executors, plot
-from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.experiment import runner
 from jaxrl_tab.experiment.executors import ray as ray_executor
 

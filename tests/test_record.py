@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab.core.types import Outcome, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.base import FixedStart
 
 METHOD = rl.Sarsa(alpha=0.5, epsilon=0.25)

@@ -13,16 +13,8 @@ from hypothesis import strategies as st
 
 import jaxrl_tab as rl
 from jaxrl_tab import schedules
-from jaxrl_tab.core.schedules import (
-    CLOCKS,
-    Exponential,
-    Harmonic,
-    Linear,
-    Optax,
-    Power,
-    is_glie,
-    is_robbins_monro,
-)
+from jaxrl_tab.core.clock import CLOCKS
+from jaxrl_tab.core.schedules import Exponential, Harmonic, Linear, Optax, Power, is_glie, is_robbins_monro
 from jaxrl_tab.core.types import Transition
 
 clocks = st.sampled_from(CLOCKS)

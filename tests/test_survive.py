@@ -19,7 +19,7 @@ import xarray as xr
 import jaxrl_tab as rl
 from jaxrl_tab import batch, cli, plot, stats
 from jaxrl_tab.cli import interrupt
-from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.experiment import runner, storage
 
 QUICK = [sys.executable, str(Path(quick.__file__))]

@@ -7,11 +7,13 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch
+from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core.policies import Softmax, Table
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.schedules import glie
-from jaxrl_tab.core.types import Outcome, pytree
+from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.engine.results import is_diverged
-from jaxrl_tab.engine.sweep import METHODS, _exact_value, compute, configurations, prepare, result
+from jaxrl_tab.engine.sweep import _exact_value, compute, configurations, prepare, result
 from jaxrl_tab.envs.base import Finite
 
 

@@ -9,7 +9,8 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import policies
-from jaxrl_tab.core.types import Transition, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Transition
 
 N = 400
 

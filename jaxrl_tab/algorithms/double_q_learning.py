@@ -8,8 +8,9 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies, schedules, tables
-from jaxrl_tab.core.schedules import Clock
-from jaxrl_tab.core.types import Transition, pytree
+from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Transition
 
 
 class DoubleState(NamedTuple):

@@ -6,7 +6,8 @@ from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.policies import Policy
-from jaxrl_tab.core.types import Transition, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Transition
 
 
 @pytree

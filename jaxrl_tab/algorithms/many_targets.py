@@ -10,19 +10,12 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.td import TDState, check_learning
-from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core import coverage, policies, tables
+from jaxrl_tab.core.checks import InputError, first, is_distribution, shown
+from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.policies import Table
-from jaxrl_tab.core.schedules import Clock, Rate
-from jaxrl_tab.core.types import (
-    InputError,
-    Transition,
-    as_array,
-    first,
-    is_distribution,
-    pytree,
-    restricted,
-    shown,
-)
+from jaxrl_tab.core.pytree import as_array, pytree
+from jaxrl_tab.core.types import Transition, restricted
 
 
 class ManyTargetsState(NamedTuple):
@@ -89,7 +82,7 @@ class ManyTargets:
             )
         object.__setattr__(self, "targets", pi)
         for p, target in enumerate(pi):
-            policies.check_coverage(f"ManyTargets: target {p}", Table(target), self.selection)
+            coverage.check_coverage(f"ManyTargets: target {p}", Table(target), self.selection)
 
     @property
     def selection(self) -> Table:

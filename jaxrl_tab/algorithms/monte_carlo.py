@@ -9,9 +9,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import episode, schedules, tables
+from jaxrl_tab.core.checks import whole
+from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.episode import Episode
-from jaxrl_tab.core.schedules import Clock, Rate, sample_average
-from jaxrl_tab.core.types import Transition, pytree, static, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.schedules import sample_average
+from jaxrl_tab.core.types import Transition
 
 
 class Step(NamedTuple):

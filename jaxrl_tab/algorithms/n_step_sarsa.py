@@ -10,8 +10,10 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import schedules, tables
-from jaxrl_tab.core.schedules import Clock
-from jaxrl_tab.core.types import Transition, pytree, static, whole
+from jaxrl_tab.core.checks import whole
+from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Transition
 
 
 class Memory(NamedTuple):

@@ -6,8 +6,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.td import Learner, TDControl
 from jaxrl_tab.core import tables
-from jaxrl_tab.core.policies import Policy, Table, check_coverage, check_policy
-from jaxrl_tab.core.types import pytree, restricted
+from jaxrl_tab.core.coverage import check_coverage
+from jaxrl_tab.core.policies import Policy, Table, check_policy
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import restricted
 
 
 @pytree

@@ -9,10 +9,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.core import episode, schedules, tables
+from jaxrl_tab.core.checks import check_choice
+from jaxrl_tab.core.clock import Clock, Rate
+from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.episode import Episode
-from jaxrl_tab.core.policies import Greedy, Policy, check_coverage
-from jaxrl_tab.core.schedules import Clock, Rate, sample_average
-from jaxrl_tab.core.types import Transition, check_choice, pytree, static
+from jaxrl_tab.core.policies import Greedy, Policy
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.schedules import sample_average
+from jaxrl_tab.core.types import Transition
 
 WEIGHTINGS = ("weighted", "ordinary", "per-decision")
 

@@ -23,21 +23,20 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
 from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table, check_coverage
-from jaxrl_tab.core.schedules import Rate, check_number, sample_average
+from jaxrl_tab.core.checks import InputError, check_number, check_switches, shown
+from jaxrl_tab.core.clock import Rate
+from jaxrl_tab.core.coverage import check_coverage
+from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import (
     Algorithm,
     Environment,
-    InputError,
     Task,
     Transition,
     available_actions,
-    check_switches,
     init_learner,
-    pytree,
     restricted,
-    shown,
-    static,
 )
 from jaxrl_tab.exact import planning
 

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 
 from jaxrl_tab.algorithms.traces import TraceControl, TraceState
 from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.types import Transition, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Transition
 
 
 @pytree

@@ -4,7 +4,8 @@ from typing import ClassVar
 
 from jaxrl_tab.algorithms.td import TDControl, TDState
 from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.types import Transition, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Transition
 
 
 @pytree

@@ -2,7 +2,8 @@
 
 from jaxrl_tab.algorithms.td import TDControl, TDState
 from jaxrl_tab.core import tables
-from jaxrl_tab.core.types import Transition, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Transition
 
 
 @pytree

@@ -7,8 +7,10 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.traces import KEPT, TraceControl
 from jaxrl_tab.core import schedules, tables
-from jaxrl_tab.core.schedules import Clock
-from jaxrl_tab.core.types import InputError, Transition, pytree, static
+from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Transition
 
 
 class SarsaLambdaState(NamedTuple):

@@ -7,9 +7,11 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import episode, schedules, tables
+from jaxrl_tab.core.checks import check_number
+from jaxrl_tab.core.clock import Clock
 from jaxrl_tab.core.episode import Episode
-from jaxrl_tab.core.schedules import Clock, check_number
-from jaxrl_tab.core.types import Transition, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Transition
 
 
 class Step(NamedTuple):

@@ -8,7 +8,8 @@ from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.policies import Greedy, Policy
-from jaxrl_tab.core.types import Transition, pytree
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Transition
 
 
 @pytree

@@ -8,9 +8,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.core import policies, schedules, tables
+from jaxrl_tab.core.checks import InputError, check_number, check_switches
+from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy
-from jaxrl_tab.core.schedules import Clock, Rate, check_number, check_rate
-from jaxrl_tab.core.types import InputError, Transition, check_switches, concrete, pytree, restricted
+from jaxrl_tab.core.pytree import concrete, pytree
+from jaxrl_tab.core.schedules import check_rate
+from jaxrl_tab.core.types import Transition, restricted
 
 
 class Learner(Protocol):

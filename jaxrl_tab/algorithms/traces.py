@@ -7,8 +7,10 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import schedules, tables
-from jaxrl_tab.core.schedules import Clock, check_number
-from jaxrl_tab.core.types import Transition, check_choice, pytree, static
+from jaxrl_tab.core.checks import check_choice, check_number
+from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Transition
 
 # The part of its trace that a pair keeps when it comes again with step size alpha, before 1 is added.
 KEPT = {

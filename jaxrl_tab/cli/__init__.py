@@ -37,7 +37,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 import jaxrl_tab
 from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.algorithms.prediction import PREDICTION
+from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli.interrupt import interruptible
 from jaxrl_tab.cli.options import (
     Group,
@@ -54,20 +54,10 @@ from jaxrl_tab.cli.options import (
     words,
 )
 from jaxrl_tab.core import describe, policies
-from jaxrl_tab.core.types import (
-    Environment,
-    InputError,
-    RunError,
-    as_path,
-    build,
-    nearest,
-    one_line,
-    reason,
-    shown,
-)
+from jaxrl_tab.core.checks import InputError, RunError, as_path, build, nearest, one_line, reason, shown
+from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine import batch, programs
 from jaxrl_tab.engine.results import label, save
-from jaxrl_tab.engine.sweep import METHODS
 from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.envs.base import Finite, Grid, Panel
 from jaxrl_tab.exact import planning

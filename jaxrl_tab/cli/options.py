@@ -25,7 +25,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from jaxrl_tab.core import describe, memory, policies
-from jaxrl_tab.core.types import InputError, nearest, one_line, shown
+from jaxrl_tab.core.checks import InputError, nearest, one_line, shown
 
 
 class Group(NamedTuple):

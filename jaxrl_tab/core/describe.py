@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import policies, schedules
-from jaxrl_tab.core.types import InputError, shown
+from jaxrl_tab.core.checks import InputError, shown
 from jaxrl_tab.envs import ENVS
 
 # As people write the names in which not only the first letter is large.

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxrl_tab.core.types import InputError, shown
+from jaxrl_tab.core.checks import InputError, shown
 
 UNITS = {"B": 1} | {f"{k}B": 1000**i for i, k in enumerate("kMGT", 1)}
 BLOCK = 2**24  # bytes of results that are looked at at a time, after they are computed

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int, Key, UInt32
 
-from jaxrl_tab.core.types import InputError, shown
+from jaxrl_tab.core.checks import InputError, shown
 
 Stream: TypeAlias = tuple[UInt32[Array, ""], UInt32[Array, ""]]
 

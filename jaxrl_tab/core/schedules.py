@@ -14,41 +14,68 @@ control converges. Any other function is a schedule too (`Optax`), but nothing c
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core import tables
-from jaxrl_tab.core.types import InputError, as_array, build, concrete, nearest, pytree, shown, static
+from jaxrl_tab.core.checks import InputError, build, check_number, nearest, shown
+from jaxrl_tab.core.clock import (
+    CLOCKS,
+    Clock,
+    ClockName,
+    Rate,
+    Schedule,
+    at_visit,
+    begin_step,
+    check_clock,
+    end_step,
+    exploration,
+    goes_by_visit,
+    of_state,
+    start,
+    step_size,
+)
+from jaxrl_tab.core.pytree import as_array, concrete, pytree, static
 
-ClockName: TypeAlias = Literal["step", "episode", "visit"]
-CLOCKS = ("step", "episode", "visit")
-
-
-@runtime_checkable
-class Schedule(Protocol):
-    """A pytree with a `clock` and a value for each count n = 1, 2, ..."""
-
-    @property
-    def clock(self) -> ClockName: ...
-
-    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]: ...
-
-
-Rate: TypeAlias = "float | Float[Array, ''] | Schedule"
-
-
-def _check_clock(clock: str) -> None:
-    if not isinstance(clock, str) or clock not in CLOCKS:
-        raise InputError(f"a schedule's clock is 'step', 'episode' or 'visit', not {shown(clock)}")
+__all__ = [
+    "CLOCKS",
+    "FAMILIES",
+    "SHORT",
+    "Clock",
+    "ClockName",
+    "Exponential",
+    "Family",
+    "Harmonic",
+    "Linear",
+    "Optax",
+    "Power",
+    "Rate",
+    "Schedule",
+    "Tail",
+    "Verdict",
+    "at_visit",
+    "begin_step",
+    "end_step",
+    "exploration",
+    "form",
+    "glie",
+    "goes_by_visit",
+    "is_glie",
+    "is_named",
+    "is_robbins_monro",
+    "of_state",
+    "parse",
+    "sample_average",
+    "start",
+    "step_size",
+    "typed",
+]
 
 
 # --- the named families ------------------------------------------------------------------------------
-
-
 class Tail(NamedTuple):
     """How a schedule ends.
 
@@ -101,7 +128,7 @@ class Power(Family):
     clock: ClockName = static(default="episode")
 
     def __post_init__(self):
-        _check_clock(self.clock)
+        check_clock(self.clock)
         for name in ("power", "scale"):
             check_number(self, name, lambda x: x > 0, "a positive number")
 
@@ -125,7 +152,7 @@ class Harmonic(Family):
     clock: ClockName = static(default="visit")
 
     def __post_init__(self):
-        _check_clock(self.clock)
+        check_clock(self.clock)
         check_number(self, "n0", lambda x: x > 0, "a positive number")
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
@@ -145,7 +172,7 @@ class Linear(Family):
     clock: ClockName = static(default="episode")
 
     def __post_init__(self):
-        _check_clock(self.clock)
+        check_clock(self.clock)
         for name in ("start", "end"):
             check_number(self, name, lambda x: x >= 0, "a number of at least 0")
         check_number(self, "steps", lambda x: x >= 1, "a number of at least 1")
@@ -168,7 +195,7 @@ class Exponential(Family):
     clock: ClockName = static(default="episode")
 
     def __post_init__(self):
-        _check_clock(self.clock)
+        check_clock(self.clock)
         check_number(self, "start", lambda x: x > 0, "a positive number")
         check_number(self, "rate", lambda x: (x > 0) & (x < 1), "a number between 0 and 1, both excluded")
         check_number(self, "end", lambda x: x >= 0, "a number of at least 0")
@@ -187,6 +214,7 @@ FAMILIES: dict[str, type[Family]] = {
     "linear": Linear,
     "exponential": Exponential,
 }
+
 SHORT = {"glie": "harmonic:1:episode", "sample-average": "harmonic:1:visit"}
 
 
@@ -257,8 +285,6 @@ def _numbers(cls: type[Family]) -> dict[str, Any]:
 
 
 # --- any function ------------------------------------------------------------------------------------
-
-
 @pytree
 class Optax:
     """Any optax schedule, or any function of a count that starts at 0 and is written in jax.numpy."""
@@ -267,7 +293,7 @@ class Optax:
     clock: ClockName = static(default="step")
 
     def __post_init__(self):
-        _check_clock(self.clock)
+        check_clock(self.clock)
         if not callable(self.schedule):
             raise InputError(f"Optax: schedule must be a function of a count, not {shown(self.schedule)}")
 
@@ -287,38 +313,6 @@ def check_rate(obj, name: str, ok, wanted: str) -> None:
         )
     if not isinstance(value, Schedule):
         check_number(obj, name, ok, wanted, "a number or a schedule")
-
-
-def check_number(obj, name: str, ok, wanted: str, kinds: str = "a number") -> None:
-    """Raises InputError unless field `name` of `obj` is a tracer, or a number or an array of them.
-
-    All must be `ok`, which is `wanted` in words, and still be it in the precision in which JAX computes.
-    """
-    value, field = getattr(obj, name), f"{type(obj).__name__}: {name}"
-    number = np.empty(0, object) if isinstance(value, list | tuple) else as_array(value)
-    if number is None:
-        return
-    if number.dtype.kind not in "fiu":
-        raise InputError(f"{field} must be {kinds}, not {shown(value)}{_instead(value)}")
-    if not bool(ok(number).all()) or not np.isfinite(number).all():
-        raise InputError(f"{field} must be {wanted}, not {shown(value)}")
-    dtype = jax.dtypes.canonicalize_dtype(float)
-    with np.errstate(over="ignore", under="ignore"):
-        rounded = number.astype(dtype)
-    limits = np.finfo(dtype)
-    if not np.isfinite(rounded).all() or ((number != 0) & (abs(rounded) < limits.tiny)).any():
-        raise InputError(
-            f"{field} is {shown(value)}, and {dtype} holds 0 and sizes from {limits.tiny:.2g} to {limits.max:.2g}"
-        )
-    if not bool(ok(rounded).all()):
-        raise InputError(f"{field} must be {wanted}, and {shown(value)} is not when rounded to {dtype}")
-
-
-def _instead(value: Any) -> str:
-    """What somebody may have meant who gave `value` for a number."""
-    if isinstance(value, list | tuple):
-        return ": sweep(...) tries the values of a list, and jax.vmap takes an array"
-    return ": a text is read by schedules.parse, or on the command line" if isinstance(value, str) else ""
 
 
 def check_single(what: str, obj: Any) -> None:
@@ -343,81 +337,7 @@ def check_single(what: str, obj: Any) -> None:
             )
 
 
-# --- what schedules count ----------------------------------------------------------------------------
-
-
-class Clock(NamedTuple):
-    """What has been experienced so far.
-
-    Attributes:
-        step: steps begun, int32 [].
-        episode: episodes finished, int32 [].
-        visits: N(s, a), int32 [S, A]; None where no schedule asks for it, for it costs a write per step.
-    """
-
-    step: Int[Array, ""]
-    episode: Int[Array, ""]
-    visits: Int[Array, "S A"] | None
-
-
-def start(num_states: int, num_actions: int, by_visit: bool) -> Clock:
-    """The clock at zero, with a table of visits where something goes by them."""
-    visits = jnp.zeros((num_states, num_actions), jnp.int32) if by_visit else None
-    return Clock(jnp.int32(0), jnp.int32(0), visits)
-
-
-def goes_by_visit(rate: Rate) -> bool:
-    """Whether `rate` needs the table of visits."""
-    return isinstance(rate, Schedule) and rate.clock == "visit"
-
-
-def begin_step(clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) -> Clock:
-    """Counts one step and one visit of (s, a)."""
-    visits = None if clock.visits is None else tables.add(clock.visits, s, a, jnp.int32(1))
-    return clock._replace(step=clock.step + 1, visits=visits)
-
-
-def end_step(clock: Clock, last: Bool[Array, ""]) -> Clock:
-    """Counts an episode where it is over."""
-    return clock._replace(episode=clock.episode + last.astype(jnp.int32))
-
-
-def step_size(rate: Rate, clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) -> Float[Array, ""] | float:
-    """alpha for the update of (s, a) in the step that has begun."""
-    if not goes_by_visit(rate):
-        return at_visit(rate, clock, None)
-    assert clock.visits is not None
-    return at_visit(rate, clock, tables.entry(clock.visits, s, a))
-
-
-def at_visit(rate: Rate, clock: Clock, n: Int[Array, ""] | None) -> Float[Array, ""] | float:
-    """alpha for the update of a pair in its n-th visit; n is looked at only where the rate goes by visits."""
-    if not isinstance(rate, Schedule):
-        return rate
-    if rate.clock == "visit":
-        assert n is not None
-        return rate(n)
-    return rate(clock.step if rate.clock == "step" else clock.episode + 1)
-
-
-def of_state(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
-    """What `rate` is for the choice of the next action, in state s."""
-    if not isinstance(rate, Schedule):
-        return rate
-    if rate.clock == "visit":
-        assert clock.visits is not None
-        return rate(tables.row(clock.visits, s).sum() + 1)
-    return rate(1 + (clock.step if rate.clock == "step" else clock.episode))
-
-
-def exploration(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
-    """epsilon for the choice of the next action, in state s; what a schedule gives is clipped to [0, 1]."""
-    return jnp.clip(of_state(rate, clock, s), 0, 1) if isinstance(rate, Schedule) else rate
-
-
 # --- the two conditions under which control converges ------------------------------------------------
-
-
 class Verdict(NamedTuple):
     """Whether a condition holds; true or false itself.
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxrl_tab.core.types import InputError, is_whole, shown
+from jaxrl_tab.core.checks import InputError, is_whole, shown
 
 DRAW = "draw"  # the axis of trials; each of its values is a dict of what is drawn together
 MOST = 1e100  # so large an end may be; and so small, where its logarithm is taken

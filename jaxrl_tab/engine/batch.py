@@ -38,7 +38,8 @@ from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, InputError, RunError
+from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.engine.train import Record, bytes_of_words, default_log_every, in_full, unchecked
 from jaxrl_tab.exact import planning

@@ -31,7 +31,7 @@ from typing import Any, TypeVar
 
 import jax
 
-from jaxrl_tab.core.types import reason
+from jaxrl_tab.core.checks import reason
 from jaxrl_tab.engine import provenance
 
 T = TypeVar("T")

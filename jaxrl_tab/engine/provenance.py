@@ -21,7 +21,7 @@ from typing import Any
 
 import jax
 
-from jaxrl_tab.core.types import InputError
+from jaxrl_tab.core.checks import InputError
 
 PACKAGE = Path(__file__).parent.parent
 SETTINGS = (

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from jaxrl_tab.core import memory
+from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.policies import UNAVAILABLE, Policy
-from jaxrl_tab.core.schedules import Schedule, typed
+from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.train import Log

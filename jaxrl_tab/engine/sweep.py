@@ -14,12 +14,8 @@ from jaxtyping import Float
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.types import (
-    Algorithm,
-    Environment,
-    FiniteEnvironment,
+from jaxrl_tab.core.checks import (
     InputError,
-    available_actions,
     build,
     check_held,
     check_pytree,
@@ -28,9 +24,9 @@ from jaxrl_tab.core.types import (
     nearest,
     one_line,
     repeated,
-    restricted,
     shown,
 )
+from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
 from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.axes import DRAW, check_settings, spread, swept_names
 from jaxrl_tab.engine.results import SweepResult, label, parameters

@@ -6,7 +6,7 @@ ENVS holds those that can be made from their name alone; `FiniteMDP` needs its a
 import re
 from typing import Any
 
-from jaxrl_tab.core.types import InputError, build, nearest, shown
+from jaxrl_tab.core.checks import InputError, build, nearest, shown
 from jaxrl_tab.envs.blackjack import Blackjack
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.easy21 import Easy21

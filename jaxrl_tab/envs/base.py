@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.types import InputError, Outcome, as_array, shown
+from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.types import Outcome
 
 MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so that every episode ends
 
 # (row, column) of each move, and how it is drawn. The first four are those of the book's grids.
 COMPASS = ((-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1), (0, 0))
+
 ARROWS = ("↑", "→", "↓", "←", "↗", "↘", "↙", "↖", "·")
 
 
@@ -149,35 +151,6 @@ class Grid(FixedStart):
         row = jnp.clip(s // columns + move[0] - lift, 0, rows - 1)
         column = jnp.clip(s % columns + move[1], 0, columns - 1)
         return row * columns + column
-
-
-# --- checks of what a person gave, under the name by which they know the environment -----------------
-
-
-def assign(obj: Any, **values: Any) -> None:
-    """Sets fields of a frozen `obj`, while it is made."""
-    for field, value in values.items():
-        object.__setattr__(obj, field, value)
-
-
-def numbers(name: str, what: str, value: Any) -> Any:
-    """`value` as a NumPy array; a tracer, which has no value to check yet, as it is.
-
-    Raises InputError unless it is numbers in a rectangular array.
-    """
-    array = as_array(value)
-    if array is None:
-        return value
-    if array.dtype.kind not in "biuf":
-        raise InputError(f"{name}: {what} must be numbers, in rows of equal length, not {shown(value)}")
-    return array
-
-
-def unbatched(name: str, what: str, value: Any, ndim: int, dtype: Any = float) -> Array:
-    """A leaf as a JAX array. Raises InputError where it has not its `ndim` axes but those of a batch."""
-    if np.ndim(value) != ndim:
-        raise InputError(f"{name}: {what} of shape {np.shape(value)} is a batch; vmap over the environment")
-    return jnp.asarray(value, dtype)
 
 
 def check_grid(

@@ -7,8 +7,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.core.types import InputError, check_choice, pytree, shown, static, whole
-from jaxrl_tab.envs.base import Panel, assign
+from jaxrl_tab.core.checks import InputError, assign, check_choice, shown, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.envs.base import Panel
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, hands_panel, tabulate
 
 NAME = "blackjack"

@@ -6,8 +6,9 @@ from numbers import Integral
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.core.types import InputError, pytree, shown, static, whole
-from jaxrl_tab.envs.base import Panel, assign
+from jaxrl_tab.core.checks import InputError, assign, shown, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.envs.base import Panel
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, hands_panel, tabulate
 
 NAME = "easy21"

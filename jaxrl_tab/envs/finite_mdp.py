@@ -7,8 +7,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.types import TOLERANCE, InputError, Outcome, first, pytree, static, whole
-from jaxrl_tab.envs.base import MAX_STEPS, Finite, assign, numbers
+from jaxrl_tab.core.checks import TOLERANCE, InputError, assign, first, numbers, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.envs.base import MAX_STEPS, Finite
 from jaxrl_tab.envs.listed import (
     NAME,
     Listed,

@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import tables
-from jaxrl_tab.core.types import InputError, Outcome, first, pytree, static, whole
+from jaxrl_tab.core.checks import InputError, assign, first, numbers, unbatched, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.bandit import Bandit
-from jaxrl_tab.envs.base import assign, numbers, unbatched
 
 NAME = "k-armed-testbed"
 

@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrl_tab.core.types import InputError, first, foreign, is_whole, shown
-from jaxrl_tab.envs.base import numbers
+from jaxrl_tab.core.checks import InputError, first, foreign, is_whole, numbers, shown
 
 NAME = "FiniteMDP"
 FORMS = {"state": "[S, A, S']", "action": "[A, S, S']"}  # of probabilities, by their first axis

@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrl_tab.core.types import Outcome, pytree, static, whole
-from jaxrl_tab.envs.base import FixedStart, assign
+from jaxrl_tab.core.checks import assign, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.envs.base import FixedStart
 
 NAME = "maximization-bias"
 

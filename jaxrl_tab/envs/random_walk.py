@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.types import InputError, Outcome, pytree, shown, static, whole
-from jaxrl_tab.envs.base import MAX_STEPS, FixedStart, assign, numbers, unbatched
+from jaxrl_tab.core.checks import InputError, assign, numbers, shown, unbatched, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.envs.base import MAX_STEPS, FixedStart
 
 NAME = "random-walk"
 

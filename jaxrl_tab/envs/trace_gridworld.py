@@ -3,8 +3,10 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.types import Outcome, pytree, static, whole
-from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_grid
+from jaxrl_tab.core.checks import assign, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.envs.base import MAX_STEPS, Grid, check_grid
 
 NAME = "trace-gridworld"
 

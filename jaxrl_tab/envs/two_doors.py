@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.types import TOLERANCE, InputError, first, pytree, shown
+from jaxrl_tab.core.checks import TOLERANCE, InputError, assign, first, numbers, shown, unbatched
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.envs.bandit import Bandit
-from jaxrl_tab.envs.base import assign, numbers, unbatched
 
 NAME = "two-doors"
 

@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.types import InputError, Outcome, check_choice, check_switches, pytree, static, whole
-from jaxrl_tab.envs.base import MAX_STEPS, Grid, assign, check_grid, numbers, unbatched
+from jaxrl_tab.core.checks import InputError, assign, check_choice, check_switches, numbers, unbatched, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.envs.base import MAX_STEPS, Grid, check_grid
 
 NAME = "windy-gridworld"
 MOVES = {"four": 4, "king": 8, "king+stay": 9}

@@ -21,9 +21,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxrl_tab.core.policies import Table, check_among, check_coverage
-from jaxrl_tab.core.types import Environment, InputError, first, shown
-from jaxrl_tab.engine.offline import Experience
+from jaxrl_tab.core.checks import InputError, first, shown
+from jaxrl_tab.core.coverage import check_coverage
+from jaxrl_tab.core.experience import Experience
+from jaxrl_tab.core.policies import Table, check_among
+from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
 from jaxrl_tab.exact.planning import Model
 

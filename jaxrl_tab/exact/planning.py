@@ -31,19 +31,9 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.core import memory, policies
-from jaxrl_tab.core.types import (
-    Environment,
-    FiniteEnvironment,
-    InputError,
-    as_array,
-    available_actions,
-    check_pytree,
-    first,
-    foreign,
-    is_distribution,
-    shown,
-    stand_ins,
-)
+from jaxrl_tab.core.checks import InputError, check_pytree, first, foreign, is_distribution, shown
+from jaxrl_tab.core.pytree import as_array
+from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
 
 BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
 ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`

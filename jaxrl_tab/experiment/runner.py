@@ -28,8 +28,9 @@ import jax
 import numpy as np
 
 import jaxrl_tab
+from jaxrl_tab.core.checks import InputError, RunError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.core.types import Environment, InputError, RunError, as_path, one_line, shown
+from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine import batch, provenance
 from jaxrl_tab.engine.results import is_diverged, save
 from jaxrl_tab.engine.sweep import Computed, Part, compute, leaves_as_arrays, result

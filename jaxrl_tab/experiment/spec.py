@@ -40,18 +40,18 @@ import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.core import describe, memory, policies, schedules
-from jaxrl_tab.core.types import (
+from jaxrl_tab.core.checks import (
     InputError,
     as_path,
     build,
     check_choice,
-    init_learner,
     is_whole,
     nearest,
     one_line,
     repeated,
     shown,
 )
+from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine import axes, batch
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.sweep import Part, configurations, leaves_as_arrays, prepare

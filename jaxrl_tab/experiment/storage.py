@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrl_tab.core.types import InputError, RunError, is_whole, one_line, reason
+from jaxrl_tab.core.checks import InputError, RunError, is_whole, one_line, reason
 
 MANIFEST, SHARDS, PICTURES, ASIDE, LOCK = "manifest.json", "shards", "pictures", "set-aside", ".lock"
 UNFINISHED = ".unfinished"  # the end of the name of what is being written, which begins with a dot

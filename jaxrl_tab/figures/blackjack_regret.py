@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from jaxrl_tab.core.policies import EpsilonGreedy
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.schedules import Harmonic, glie
-from jaxrl_tab.core.types import pytree
 from jaxrl_tab.envs import Blackjack
 from jaxrl_tab.figures.figure import Figure, Number, swept
 

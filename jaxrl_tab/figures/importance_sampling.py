@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from jaxrl_tab.core.policies import Table
-from jaxrl_tab.core.types import pytree
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.envs import Blackjack, InfiniteVariance
 from jaxrl_tab.envs.base import FixedStart
 from jaxrl_tab.envs.cards import HIT, LIMIT, SHOWN, STICK

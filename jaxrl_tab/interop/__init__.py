@@ -11,7 +11,7 @@ comes before it.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from jaxrl_tab.core.types import InputError, shown
+from jaxrl_tab.core.checks import InputError, shown
 
 if TYPE_CHECKING:
     from jaxrl_tab.interop.gymnasium import from_gymnasium, to_gymnasium

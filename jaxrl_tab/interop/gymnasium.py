@@ -13,15 +13,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.types import (
-    Environment,
-    FiniteEnvironment,
-    InputError,
-    available_actions,
-    check_pytree,
-    shown,
-    stand_ins,
-)
+from jaxrl_tab.core.checks import InputError, check_pytree, shown
+from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
 from jaxrl_tab.envs import ENVS, FiniteMDP
 from jaxrl_tab.envs.base import MAX_STEPS
 from jaxrl_tab.exact import planning

@@ -15,21 +15,10 @@ from gymnax.wrappers import LegacyStepAPIWrapper, LogWrapper
 from jaxtyping import Array, Bool, Int, Key
 
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.types import (
-    Environment,
-    InputError,
-    Outcome,
-    available_actions,
-    check_pytree,
-    nearest,
-    pytree,
-    shown,
-    stand_ins,
-    static,
-    whole,
-)
+from jaxrl_tab.core.checks import InputError, check_pytree, nearest, numbers, shown, whole
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Environment, Outcome, available_actions, stand_ins
 from jaxrl_tab.envs import ENVS, FiniteMDP
-from jaxrl_tab.envs.base import numbers
 from jaxrl_tab.interop import draws
 
 MAX_STATES = (

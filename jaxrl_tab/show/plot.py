@@ -31,7 +31,8 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from jaxrl_tab import stats
 from jaxrl_tab.core import describe, memory, policies
-from jaxrl_tab.core.types import Environment, InputError, available_actions
+from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.types import Environment, available_actions
 from jaxrl_tab.envs.base import COMPASS, Finite, Grid
 from jaxrl_tab.exact import planning
 

@@ -16,7 +16,8 @@ import xarray as xr
 import jaxrl_tab
 from jaxrl_tab import stats
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.types import Environment, InputError
+from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs.base import Finite, Grid
 from jaxrl_tab.show import plot
 from jaxrl_tab.show.html import embedded, render

@@ -20,7 +20,7 @@ import pandas as pd
 import xarray as xr
 
 from jaxrl_tab import stats
-from jaxrl_tab.core.types import InputError, nearest
+from jaxrl_tab.core.checks import InputError, nearest
 
 Datasets = xr.Dataset | Mapping[str, xr.Dataset]
 Per = Literal["row", "seed"]

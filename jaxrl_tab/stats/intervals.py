@@ -42,8 +42,9 @@ import xarray as xr
 from scipy import special, stats
 
 from jaxrl_tab.core import memory
+from jaxrl_tab.core.checks import InputError, nearest, shown
 from jaxrl_tab.core.schedules import typed
-from jaxrl_tab.core.types import Environment, InputError, nearest, shown
+from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
 
 NOT_SWEPT = ("seed", "row", "state", "action")  # dimensions of a dataset that are no hyperparameters

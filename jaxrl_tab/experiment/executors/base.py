@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import numpy as np
 
-from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.engine import batch, provenance
 
 Arrays = Mapping[str, np.ndarray]

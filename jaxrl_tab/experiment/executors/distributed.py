@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jax.experimental.multihost_utils import process_allgather
 
-from jaxrl_tab.core.types import InputError, RunError
+from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, given
 
 _SECONDS = 10  # that a process waits for the others at its end, where they do not answer any more

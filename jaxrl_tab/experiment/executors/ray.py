@@ -14,7 +14,7 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from jaxrl_tab.core.types import InputError, RunError, reason, whole
+from jaxrl_tab.core.checks import InputError, RunError, reason, whole
 from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, environment, given, need
 
 _SECONDS = 5  # in which the address of a cluster must answer

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxrl_tab.core.types import InputError, RunError, whole
+from jaxrl_tab.core.checks import InputError, RunError, whole
 from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, given, need
 
 _SECONDS = 1.0  # between looks at the jobs

@@ -1,0 +1,85 @@
+"""Whether a behaviour policy takes every action that a target policy may take."""
+
+import numpy as np
+
+from jaxrl_tab.core import schedules
+from jaxrl_tab.core.checks import InputError, first
+from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Policy, Softmax, Table
+from jaxrl_tab.core.pytree import concrete
+
+
+def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
+    """Raises InputError where `behaviour` leaves out an action that `target` can take.
+
+    This is the assumption of coverage: pi(a | s) > 0 implies b(a | s) > 0 (book, section 5.5). It is judged
+    for whatever Q may become, and as far as the numbers given decide it: softmax and epsilon-greedy with
+    epsilon > 0 take every action, greedy and UCB leave some out (a greedy behaviour none that a greedy target
+    takes), tables go entry by entry, rows of terminal states included. Other policies, schedules and traced
+    numbers are let through.
+
+    Args:
+        what: who asks, to begin the message.
+        target: pi, which is learned about.
+        behaviour: b, which acts.
+    """
+    if isinstance(behaviour, EpsilonGreedy) and not isinstance(target, Table | EpsilonGreedy):
+        behaviour = EpsilonGreedy(behaviour.epsilon)  # to all others what is not available is plain from Q
+    out = _left_out(behaviour)
+    if out is None or (_is_greedy(behaviour) and _is_greedy(target)):
+        return
+    can = np.array(True)
+    if isinstance(target, Table):
+        if (pi := concrete(target.probabilities)) is None:
+            return
+        can = pi > 0
+    if isinstance(target, EpsilonGreedy):
+        if (there := _there(target)) is None:
+            return
+        can = there
+    if can.ndim and out.ndim and can.shape != out.shape:
+        raise InputError(f"{what}: target is a table {can.shape}, and behaviour one {out.shape}")
+    if at := first(can & out):
+        raise InputError(
+            f"{what}: behaviour leaves out action {at[1]} in state {at[0]}, which target can take; "
+            "give it a positive probability"
+        )
+    if at is not None:
+        raise InputError(
+            f"{what}: behaviour leaves out actions that target can take; "
+            "let it take all of them, as EpsilonGreedy(0.1) does"
+        )
+
+
+def _left_out(policy: Policy) -> np.ndarray | None:
+    """Where a policy has, or for some Q can have, probability 0: bool [S, A], or [] where it says nothing
+
+    about single entries. None where the numbers given do not decide it.
+    """
+    match policy:
+        case Table():
+            pi = concrete(policy.probabilities)
+            return None if pi is None else pi == 0
+        case EpsilonGreedy() if isinstance(policy.epsilon, schedules.Schedule):
+            return None
+        case EpsilonGreedy():
+            epsilon, there = concrete(policy.epsilon), _there(policy)
+            return None if epsilon is None or there is None else ~there | (epsilon == 0).any()
+        case Softmax():
+            return np.array(False)
+        case Greedy() | UCB():
+            return np.array(True)
+    return None
+
+
+def _there(policy: EpsilonGreedy) -> np.ndarray | None:
+    """The actions that there are, bool [S, A], or [] where there are all; None where that is traced."""
+    there = np.array(True) if policy.available is None else concrete(policy.available)
+    return None if there is None else there > 0
+
+
+def _is_greedy(policy: Policy) -> bool:
+    """Whether it is the greedy policy, by this name or as epsilon-greedy that never explores."""
+    if isinstance(policy, EpsilonGreedy) and not isinstance(policy.epsilon, schedules.Schedule):
+        epsilon = concrete(policy.epsilon)
+        return epsilon is not None and bool((epsilon == 0).all())
+    return isinstance(policy, Greedy)
