@@ -13,6 +13,7 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab import planning
 from jaxrl_tab.engine.train import _restored, in_full
+from jaxrl_tab.exact.values import iterate_policies
 
 S, A = 6, 2
 GAMMAS = 0.0, 0.5, 0.9, 0.99, 1.0
@@ -292,6 +293,6 @@ def test_a_long_corridor_is_solved_at_once():
         (moves == n - 1)[..., None] | (s == n - 1)[..., None],
         np.eye(1, n)[0],
     )
-    found = planning._policy_iteration(model, 0.0, 1.0)
+    found = iterate_policies(model, 0.0, 1.0)
     assert found.n < 5
     np.testing.assert_allclose(found.v, [1] * (n - 1) + [0], rtol=1e-12)

@@ -8,9 +8,8 @@ import reference
 from test_reference import GAMMAS, STEPS, env_and_task, initial_tables, random_mdp, uniforms, words_of
 
 import jaxrl_tab as rl
-from jaxrl_tab.core import coverage
 from jaxrl_tab import planning, policies, schedules
-from jaxrl_tab.core import rng
+from jaxrl_tab.core import coverage, rng
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.core.types import Transition
 

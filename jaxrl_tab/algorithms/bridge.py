@@ -29,7 +29,7 @@ from jaxrl_tab.core.checks import InputError, shown
 from jaxrl_tab.core.policies import choose
 from jaxrl_tab.core.types import Environment, Transition, available_actions, init_learner, restricted
 from jaxrl_tab.exact import planning
-from jaxrl_tab.exact.planning import Model
+from jaxrl_tab.exact.model import Model
 
 
 class Row(NamedTuple):

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import policies, schedules, tables
-from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.clock import Clock, begin_step, end_step, step_size
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -51,7 +51,7 @@ class DoubleQLearning(TDControl):
         return DoubleState(q, q, clock)
 
     def update(self, key, state: DoubleState, t: Transition):
-        clock = schedules.begin_step(state.clock, t.s, t.a)
+        clock = begin_step(state.clock, t.s, t.a)
         first = policies.coin(key)  # whether Q1 learns; independent of what `policy` draws from this key
         row1, row2 = tables.row(state.q1, t.s_next), tables.row(state.q2, t.s_next)
         best = policies.sample(jax.random.fold_in(key, 0), policies.greedy(jnp.where(first, row1, row2)))
@@ -59,10 +59,10 @@ class DoubleQLearning(TDControl):
             first, tables.entry(state.q2, t.s_next, best), tables.entry(state.q1, t.s_next, best)
         )
         q = jnp.where(first, tables.entry(state.q1, t.s, t.a), tables.entry(state.q2, t.s, t.a))
-        step = schedules.step_size(self.alpha, clock, t.s, t.a) * (t.r + t.discount * q_next - q)
+        step = step_size(self.alpha, clock, t.s, t.a) * (t.r + t.discount * q_next - q)
         state = DoubleState(
             q1=tables.add(state.q1, t.s, t.a, jnp.where(first, step, 0)),
             q2=tables.add(state.q2, t.s, t.a, jnp.where(first, 0, step)),
-            clock=schedules.end_step(clock, t.last),
+            clock=end_step(clock, t.last),
         )
         return state, self.policy(key, state, t.s_next)

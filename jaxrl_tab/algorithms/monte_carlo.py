@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import episode, schedules, tables
+from jaxrl_tab.core import episode, tables
 from jaxrl_tab.core.checks import whole
-from jaxrl_tab.core.clock import Clock, Rate
+from jaxrl_tab.core.clock import Clock, Rate, at_visit, end_step
 from jaxrl_tab.core.episode import Episode
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.schedules import sample_average
@@ -103,7 +103,7 @@ class MonteCarlo(TDControl):
             partial(_walk, self.first_visit), (state.q, state.clock.visits), state.episode, step, t.last,
             rest, self.alpha, self.gamma, state.clock._replace(visits=None)
         )  # fmt: skip
-        clock = schedules.end_step(state.clock._replace(visits=visits), t.last)
+        clock = end_step(state.clock._replace(visits=visits), t.last)
         acting = state.acting
         if acting is not None:
             improve = t.last & (clock.episode % self.batch == 0)
@@ -122,7 +122,7 @@ def _walk(first_visit, lane, learned, steps, length, rest, alpha, gamma, clock):
         g = r + g
         visits, n = episode.count(visits, first, lane, s, a)
         old = tables.entry(q, lane, s, a)
-        new = old + schedules.at_visit(alpha, clock, n) * (g - old)
+        new = old + at_visit(alpha, clock, n) * (g - old)
         q = tables.write(q, jnp.where(first, new, old) if first_visit else new, lane, s, a)
         return (q, visits), gamma * g
 

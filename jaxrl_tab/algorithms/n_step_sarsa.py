@@ -9,9 +9,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import schedules, tables
+from jaxrl_tab.core import tables
 from jaxrl_tab.core.checks import whole
-from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core.clock import Clock, end_step, step_size
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
 
@@ -87,7 +87,7 @@ class NStepSarsa(TDControl):
     def update(self, key, state: NStepState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        alpha = schedules.step_size(self.alpha, state.clock, t.s, t.a)
+        alpha = step_size(self.alpha, state.clock, t.s, t.a)
         memory = _remember(state.memory, state.slot, t, jnp.asarray(alpha, state.q.dtype))
         slot = _wrap(state.slot + 1, self.n)
         filled = jnp.minimum(state.filled + 1, self.n)
@@ -95,7 +95,7 @@ class NStepSarsa(TDControl):
         due = jnp.where(t.last, filled, (filled == self.n).astype(jnp.int32))
         learn = partial(_learn, self.n)
         q = tables.lane_by_lane(learn, state.q, memory, oldest, due, t.s_next, a_next)
-        clock = schedules.end_step(state.clock, t.last)
+        clock = end_step(state.clock, t.last)
         state = NStepState(q, clock, memory, slot, filled=jnp.where(t.last, 0, filled))
         return state, a_next
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
-from jaxrl_tab.core import episode, schedules, tables
+from jaxrl_tab.core import episode, tables
 from jaxrl_tab.core.checks import check_choice
-from jaxrl_tab.core.clock import Clock, Rate
+from jaxrl_tab.core.clock import Clock, Rate, at_visit, end_step
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.episode import Episode
 from jaxrl_tab.core.policies import Greedy, Policy
@@ -119,7 +119,7 @@ class OffPolicyMonteCarlo(OffPolicyControl):
             (state.q, state.clock.visits, state.mean_weight), state.episode, step, t.last,
             self.rest(state, t), self.pi, self.alpha, self.gamma, state.clock._replace(visits=None),
         )  # fmt: skip
-        clock = schedules.end_step(state.clock._replace(visits=visits), t.last)
+        clock = end_step(state.clock._replace(visits=visits), t.last)
         state = OffPolicyMonteCarloState(q, clock, remembered, mean_weight, seen)
         return state, self.policy(key, state, t.s_next)
 
@@ -156,7 +156,7 @@ def _walk(weighting, first_visit, of_states, lane, learned, steps, length, rest,
         if of_states:  # the action is part of what follows the state
             g, w = weigh(q, visits, g, w)
         visits, n = episode.count(visits, first, *at)
-        step = schedules.at_visit(alpha, clock, n)
+        step = at_visit(alpha, clock, n)
         if weighting == "weighted":
             old = tables.entry(mean_weight, *at)
             mean_weight = tables.write(mean_weight, counts(old + step * (w - old), old), *at)

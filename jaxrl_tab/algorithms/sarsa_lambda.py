@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.traces import KEPT, TraceControl
-from jaxrl_tab.core import schedules, tables
+from jaxrl_tab.core import clock, tables
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.clock import Clock
 from jaxrl_tab.core.pytree import pytree, static
@@ -87,7 +87,7 @@ class SarsaLambda(TraceControl):
         if state.q_old is not None:  # dutch
             # Q(S, A) is no longer what the last error counted on: all pairs but this step's own are told.
             # In the first step of an episode there are none, so q_old may be anything.
-            alpha = schedules.step_size(self.alpha, state.clock, t.s, t.a)
+            alpha = clock.step_size(self.alpha, state.clock, t.s, t.a)
             earlier = tables.add(learned.z, t.s, t.a, -jnp.ones_like(delta))
             learned = learned._replace(q=learned.q + alpha * (q - state.q_old) * earlier, q_old=q_next)
         return learned, a_next

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import episode, schedules, tables
+from jaxrl_tab.core import episode, tables
 from jaxrl_tab.core.checks import check_number
-from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core.clock import Clock, end_step, step_size
 from jaxrl_tab.core.episode import Episode
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
@@ -71,11 +71,11 @@ class SarsaLambdaForward(TDControl):
     def update(self, key, state: ForwardState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        alpha = jnp.asarray(schedules.step_size(self.alpha, state.clock, t.s, t.a), state.q.dtype)
+        alpha = jnp.asarray(step_size(self.alpha, state.clock, t.s, t.a), state.q.dtype)
         value, q_next = tables.entry(state.q, t.s, t.a), tables.entry(state.q, t.s_next, a_next)
         step = Step(t.s, t.a, alpha, t.r, value, t.discount * q_next)
         q, remembered = episode.learn(_walk, state.q, state.episode, step, t.last, self.gamma, self.lam)
-        return ForwardState(q, schedules.end_step(state.clock, t.last), remembered), a_next
+        return ForwardState(q, end_step(state.clock, t.last), remembered), a_next
 
 
 def _walk(lane, q, steps, length, gamma, lam):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrl_tab.core import policies, schedules, tables
+from jaxrl_tab.core import clock, policies, tables
 from jaxrl_tab.core.checks import InputError, check_number, check_switches
 from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy
@@ -108,8 +108,8 @@ class TDControl:
         q = jnp.full((num_states, num_actions), self.q0, dtype=float)
         if (there := getattr(self.selection, "available", None)) is not None:
             q = policies.among(q, there)
-        by_visit = schedules.goes_by_visit(self.alpha) or any(policy.by_visit for policy in self.all_policies)
-        return TDState(q, schedules.start(num_states, num_actions, by_visit))
+        by_visit = clock.goes_by_visit(self.alpha) or any(policy.by_visit for policy in self.all_policies)
+        return TDState(q, clock.start(num_states, num_actions, by_visit))
 
     def probs(self, state: Learner, s: Int[Array, ""]) -> Float[Array, " A"]:
         """The behaviour policy pi(. | s), float [A]."""
@@ -120,10 +120,10 @@ class TDControl:
 
     def begin(self, state: L, t: Transition) -> L:
         """Counts the step and the visit of (S, A), before anything is learned from them."""
-        return state._replace(clock=schedules.begin_step(state.clock, t.s, t.a))
+        return state._replace(clock=clock.begin_step(state.clock, t.s, t.a))
 
     def learn(self, state: L, t: Transition, delta: Float[Array, ""]) -> L:
         """Q(S, A) <- Q(S, A) + alpha delta; and counts the episode where it is over."""
-        alpha = schedules.step_size(self.alpha, state.clock, t.s, t.a)
+        alpha = clock.step_size(self.alpha, state.clock, t.s, t.a)
         q = tables.add(state.q, t.s, t.a, alpha * delta)
-        return state._replace(q=q, clock=schedules.end_step(state.clock, t.last))
+        return state._replace(q=q, clock=clock.end_step(state.clock, t.last))

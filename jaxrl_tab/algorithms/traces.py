@@ -6,9 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import schedules, tables
+from jaxrl_tab.core import tables
 from jaxrl_tab.core.checks import check_choice, check_number
-from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core.clock import Clock, end_step, step_size
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
 
@@ -70,13 +70,13 @@ class TraceControl(TDControl):
 
         They fade at the head of the next update, which lets XLA do all of this in place.
         """
-        alpha = schedules.step_size(self.alpha, state.clock, t.s, t.a)
+        alpha = step_size(self.alpha, state.clock, t.s, t.a)
         z = tables.lane_by_lane(_mark, state.decay * state.z, KEPT[self.trace](alpha), t.s, t.a)
         return state._replace(
             q=state.q + alpha * delta * z,
             z=z,
             decay=jnp.where(t.last, 0, t.discount * self.lam),
-            clock=schedules.end_step(state.clock, t.last),
+            clock=end_step(state.clock, t.last),
         )
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxrl_tab.core import schedules
+from jaxrl_tab.core import clock
 from jaxrl_tab.core.checks import InputError, first
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Policy, Softmax, Table
 from jaxrl_tab.core.pytree import concrete
@@ -59,7 +59,7 @@ def _left_out(policy: Policy) -> np.ndarray | None:
         case Table():
             pi = concrete(policy.probabilities)
             return None if pi is None else pi == 0
-        case EpsilonGreedy() if isinstance(policy.epsilon, schedules.Schedule):
+        case EpsilonGreedy() if isinstance(policy.epsilon, clock.Schedule):
             return None
         case EpsilonGreedy():
             epsilon, there = concrete(policy.epsilon), _there(policy)
@@ -79,7 +79,7 @@ def _there(policy: EpsilonGreedy) -> np.ndarray | None:
 
 def _is_greedy(policy: Policy) -> bool:
     """Whether it is the greedy policy, by this name or as epsilon-greedy that never explores."""
-    if isinstance(policy, EpsilonGreedy) and not isinstance(policy.epsilon, schedules.Schedule):
+    if isinstance(policy, EpsilonGreedy) and not isinstance(policy.epsilon, clock.Schedule):
         epsilon = concrete(policy.epsilon)
         return epsilon is not None and bool((epsilon == 0).all())
     return isinstance(policy, Greedy)

@@ -13,7 +13,7 @@ from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core import policies, schedules
+from jaxrl_tab.core import clock, policies, schedules
 from jaxrl_tab.core.checks import InputError, shown
 from jaxrl_tab.envs import ENVS
 
@@ -91,7 +91,7 @@ def parameters(cls: type) -> list[Parameter]:
 
 def takes_schedule(parameter: Parameter) -> bool:
     """Whether it may be a schedule instead of a number."""
-    return parameter.type == schedules.Rate
+    return parameter.type == clock.Rate
 
 
 def takes_policy(parameter: Parameter) -> bool:
@@ -123,7 +123,7 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
             return given
         return _parsed(policies.parse, what, name or shown(given))
     rate = takes_schedule(parameter)
-    if rate and isinstance(given, schedules.Schedule):
+    if rate and isinstance(given, clock.Schedule):
         return given
     if rate and schedules.is_named(name):
         return _parsed(schedules.parse, what, name)
@@ -146,7 +146,7 @@ _KINDS: dict[type, tuple[str, type]] = {
 def schedule_forms() -> str:
     """How a schedule may be typed."""
     forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.FAMILIES)])
-    return f"{forms}, where CLOCK is one of {', '.join(schedules.CLOCKS)}"
+    return f"{forms}, where CLOCK is one of {', '.join(clock.CLOCKS)}"
 
 
 def _parsed(parse: Callable[[str], Any], what: str, text: str) -> Any:

@@ -13,11 +13,9 @@ from jaxrl_tab.core.pytree import concrete, pytree
 from jaxrl_tab.core.types import Transition
 
 NAME = "Experience"
-
 WHOLE, REAL = ("iu", "whole numbers"), ("iuf", "numbers")  # kinds of dtypes
 
 TRUTH = "b", "booleans, or 0 and 1"
-
 KINDS = {"s": WHOLE, "a": WHOLE, "r": REAL, "s_next": WHOLE, "terminal": TRUTH, "last": TRUTH}
 
 

@@ -29,7 +29,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.core import schedules, tables
 from jaxrl_tab.core.checks import InputError, check_number, first, is_distribution, nearest, shown
-from jaxrl_tab.core.clock import Clock, Rate
+from jaxrl_tab.core.clock import Clock, Rate, exploration, goes_by_visit, of_state
 from jaxrl_tab.core.pytree import as_array, concrete, pytree
 from jaxrl_tab.core.schedules import check_rate
 from jaxrl_tab.core.types import check_available
@@ -226,7 +226,7 @@ class EpsilonGreedy(_Anywhere):
 
     @property
     def by_visit(self) -> bool:
-        return schedules.goes_by_visit(self.epsilon)
+        return goes_by_visit(self.epsilon)
 
     def __str__(self) -> str:
         there = "" if self.available is None else f", available {_brief(self.available)}"
@@ -243,7 +243,7 @@ class EpsilonGreedy(_Anywhere):
         return dataclasses.replace(self, available=available)
 
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
-        epsilon = schedules.exploration(self.epsilon, clock, s)
+        epsilon = exploration(self.epsilon, clock, s)
         if self.available is None:
             return epsilon_greedy(q, epsilon)
         # A hyperparameter is a float in a sweep, whatever it was.
@@ -267,10 +267,10 @@ class Softmax(_Anywhere):
 
     @property
     def by_visit(self) -> bool:
-        return schedules.goes_by_visit(self.temperature)
+        return goes_by_visit(self.temperature)
 
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
-        return softmax(q, schedules.of_state(self.temperature, clock, s))
+        return softmax(q, of_state(self.temperature, clock, s))
 
 
 @pytree

@@ -21,7 +21,7 @@ from jaxrl_tab.envs.listed import (
     of_other_arrays,
     of_outcomes,
 )
-from jaxrl_tab.exact.planning import spread
+from jaxrl_tab.exact.model import spread
 
 
 @pytree

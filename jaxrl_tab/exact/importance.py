@@ -27,7 +27,7 @@ from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.policies import Table, check_among
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
-from jaxrl_tab.exact.planning import Model
+from jaxrl_tab.exact.model import Model
 
 MARGIN = 1e-12  # a rate of growth so close to 1, relatively, is taken for 1
 FEW = 10  # effective episodes

@@ -39,7 +39,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
-from jaxrl_tab.core import describe, memory, policies, schedules
+from jaxrl_tab.core import clock, describe, memory, policies, schedules
 from jaxrl_tab.core.checks import (
     InputError,
     as_path,
@@ -650,9 +650,9 @@ def _plain(key: str, value: Any) -> Any:
         return [_plain(key, x) for x in value]
     if isinstance(value, policies.Table):
         return np.asarray(value.probabilities).tolist()
-    if not isinstance(value, schedules.Schedule | policies.Policy):
+    if not isinstance(value, clock.Schedule | policies.Policy):
         return value
-    parse = schedules.parse if isinstance(value, schedules.Schedule) else policies.parse
+    parse = schedules.parse if isinstance(value, clock.Schedule) else policies.parse
     with contextlib.suppress(InputError):
         if repr(parse(str(value))) == repr(value):
             return str(value)

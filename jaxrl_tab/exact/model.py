@@ -1,0 +1,230 @@
+"""The model of an environment: every outcome of every action in every state, and what leads where."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Bool, Float, Int
+
+from jaxrl_tab.core import memory, policies
+from jaxrl_tab.core.checks import InputError, check_pytree, first, foreign, is_distribution
+from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
+
+BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
+
+
+class Model(NamedTuple):
+    """An enumerated environment: the K outcomes of each of A actions in each of S states.
+
+    Attributes:
+        prob: their probabilities, float [S, A, K].
+        s_next: the states that they enter, int32 [S, A, K].
+        reward: their rewards, float [S, A, K].
+        terminal: whether they end the episode, bool [S, A, K].
+        start: the distribution of the start state, float [S].
+        available: which actions there are, bool [S, A]; None for all. The outcomes of another action are
+            those of one that there is, so that it leads nowhere else; its value is UNAVAILABLE.
+    """
+
+    prob: Float[Any, "S A K"]
+    s_next: Int[Any, "S A K"]
+    reward: Float[Any, "S A K"]
+    terminal: Bool[Any, "S A K"]
+    start: Float[Any, " S"]
+    available: Bool[Any, "S A"] | None = None
+
+
+def check_finite(env: Environment) -> None:
+    """Raises InputError where `env` can only be sampled, so that nothing exact can be said about it."""
+    if not isinstance(env, FiniteEnvironment):
+        raise InputError(
+            f"{name_of(env)} can only be sampled; exact values need one with `outcomes` and `initial`{foreign(env)}"
+        )
+
+
+def enumerate_model(env: Any) -> Model:
+    """The Model of a finite environment in JAX arrays of the ambient precision, under `jit` too."""
+    states = jnp.arange(env.num_states, dtype=jnp.int32)
+    actions = jnp.arange(env.num_actions, dtype=jnp.int32)
+    available = available_actions(env)
+    if available is not None:
+        actions = stand_ins(available)
+    of_states = None if available is None else 0
+    prob, outcome = jax.vmap(jax.vmap(env.outcomes, (None, 0)), (0, of_states))(states, actions)
+    return Model(
+        prob.astype(float),
+        outcome.s_next.astype(jnp.int32),
+        outcome.reward.astype(float),
+        outcome.terminal,
+        env.initial().astype(float),
+        available,
+    )
+
+
+def exact_model(env: Environment) -> Model:
+    """The Model of a finite environment in float64 NumPy arrays, checked.
+
+    Raises:
+        InputError: `env` can only be sampled, is a batch of environments, or breaks the rules of one; the
+            message names the first wrong state or (s, a).
+    """
+    check_finite(env)
+    check_pytree(name_of(env), env)
+    _check_size(env)
+    # In 64 bits from the first operation on, or 1/3 would be a float32 third.
+    with jax.enable_x64(), jax.numpy_dtype_promotion("standard"):
+        # A copy, for a live program that closes over an array makes JAX 0.10 remember its value in 32 bits.
+        env = jax.tree.map(lambda x: x.copy() if isinstance(x, np.ndarray) else x, env)
+        model = jax.tree.map(np.asarray, _enumerate_jit(env))
+    _check_model(name_of(env), model)
+    return model
+
+
+def _check_size(env: Any) -> None:
+    """Raises InputError where all outcomes, of one for each state and action at least, do not fit in memory."""
+    pairs = env.num_states * env.num_actions
+    if pairs >= 2**31 or BYTES_OF_OUTCOME * pairs > memory.free():
+        raise InputError(
+            f"{name_of(env)}: {env.num_states:,} states with {env.num_actions:,} actions each are more than fit in "
+            "memory; make it smaller"
+        )
+
+
+_enumerate_jit = jax.jit(enumerate_model)
+
+
+def _check_model(name: str, model: Model) -> None:
+    prob, s_next, reward, terminal, start, _ = model
+    num_states = len(prob)
+    if prob.ndim != 3 or {x.shape for x in model[:4]} != {prob.shape} or start.shape != (num_states,):
+        shapes = ", ".join(str(x.shape[2:]) for x in model[:4])
+        raise InputError(
+            f"{name}: outcomes must give probabilities, s_next, reward and terminal of shape [K] each, and "
+            f"initial one of [S], for one environment and not a batch; they give {shapes} and {start.shape}"
+        )
+    index = np.arange(num_states)
+    if (i := first(~is_distribution(prob))) is not None:
+        raise InputError(f"{name}: the probabilities of the outcomes of (s, a) = {i} are not a distribution")
+    if (i := first(((s_next < 0) | (s_next >= num_states)).any(-1))) is not None:
+        raise InputError(f"{name}: an outcome of (s, a) = {i} is not one of the states 0 to {num_states - 1}")
+    if (i := first(((prob > 0) & ~np.isfinite(reward)).any(-1))) is not None:
+        raise InputError(f"{name}: a reward of (s, a) = {i} is not a finite number")
+    stays = (prob == 0) | (terminal & (s_next == index[:, None, None]) & (reward == 0))
+    entered = np.isin(index, s_next[terminal & (prob > 0)])
+    if (i := first(entered[:, None] & ~stays.all(-1))) is not None:
+        raise InputError(
+            f"{name}: state {i[0]} is terminal, so action {i[1]} must lead back to it with reward 0"
+        )
+    if not is_distribution(start):
+        raise InputError(f"{name}: the probabilities of the start states are not a distribution")
+
+
+def terminal_states(model: Model) -> Bool[Any, " S"]:
+    """Which states are terminal, bool [S]: those that lead to themselves and nowhere else, and end there."""
+    here = model.s_next == np.arange(len(model.s_next))[:, None, None]
+    return ((model.terminal & here) | (model.prob == 0)).all((1, 2))
+
+
+def reachable(model: Model) -> Bool[Any, " S"]:
+    """Which states some policy can come to from the start, bool [S]."""
+    possible = model.prob > 0
+    if array_module(model) is np:
+        return spread(np.nonzero(possible)[0], model.s_next[possible], model.start > 0)
+    return settle(lambda x: x.at[model.s_next].max(x[:, None, None] & possible), model.start > 0)
+
+
+def backup(model: Model, v: Float[Any, "... S"], gamma: Any) -> Float[Any, "... S A"]:
+    """q(s, a) = sum over outcomes of p (r + gamma' v(s')), float [..., S, A] (book, equation 4.6).
+
+    `model` and `v` are either NumPy or JAX arrays; gamma' is 0 where the outcome is terminal. The value of an
+    action that is not available is UNAVAILABLE.
+    """
+    over = model.terminal | (model.prob == 0)  # 0 x -inf is nothing here
+    v_next = array_module(model).where(over, 0, v[..., model.s_next])
+    return available_only(model, (model.prob * (model.reward + gamma * v_next)).sum(-1))
+
+
+def ending_at(model: Model, states: Bool[Any, " S"]) -> Model:
+    """The model in which `states` are terminal, so that whatever they pay has no part in anything."""
+    where, states = array_module(model).where, states[:, None, None]
+    return model._replace(
+        s_next=where(states, np.arange(len(states), dtype=np.int32)[:, None, None], model.s_next),
+        reward=where(states, 0, model.reward),
+        terminal=model.terminal | states,
+    )
+
+
+def array_module(model: Model) -> Any:
+    return jnp if isinstance(model.prob, jax.Array) else np
+
+
+def while_loop(model: Model, go_on: Callable[[Any], Any], body: Callable[[Any], Any], carry: Any) -> Any:
+    """`lax.while_loop`, or the same in plain Python where the model is NumPy."""
+    if array_module(model) is jnp:
+        return lax.while_loop(go_on, body, carry)
+    while go_on(carry):
+        carry = body(carry)
+    return carry
+
+
+def available_only(model: Model, q: Float[Any, "... S A"]) -> Float[Any, "... S A"]:
+    """`q` with UNAVAILABLE in place of what the model does not have."""
+    return (
+        q if model.available is None else array_module(model).where(model.available, q, policies.UNAVAILABLE)
+    )
+
+
+def with_sizes(model: Model) -> Model:
+    """The same with all rewards taken as positive: to see how large the numbers are that are added up."""
+    return model._replace(reward=abs(model.reward))
+
+
+# What leads where.
+def settle(change: Callable[[Any], Any], states: Any) -> Bool[Any, " S"]:
+    """Applies `change`, which only adds or only removes, to a set of states, bool [S], until it stays."""
+    carry = states, change(states)
+    return lax.while_loop(lambda c: (c[0] != c[1]).any(), lambda c: (c[1], change(c[1])), carry)[1]
+
+
+def spread(
+    source: Int[np.ndarray, " N"], target: Int[np.ndarray, " N"], states: Bool[np.ndarray, " S"]
+) -> Bool[np.ndarray, " S"]:
+    """What can be reached from `states` along arrows from `source` to `target`, these included, bool [S]."""
+    from scipy import sparse  # here, because it takes 0.3 s
+    from scipy.sparse.csgraph import breadth_first_order
+
+    n, begin = len(states), np.flatnonzero(states)  # one more node, n, leads to all with which it begins
+    rows, columns = np.append(source, np.full(len(begin), n)), np.append(target, begin)
+    graph = sparse.csr_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(n + 1, n + 1))
+    graph.data[:] = 1  # not the number of parallel arrows, which might be 256, or 0
+    reached = breadth_first_order(graph, n, return_predecessors=False)
+    return np.isin(np.arange(n), reached)
+
+
+def reaching(model: Model, taken: Bool[Any, "S A K"], states: Bool[Any, " S"]) -> Bool[Any, " S"]:
+    """The states from which `states` can be reached along the outcomes `taken`, these included, bool [S]."""
+    if array_module(model) is np:
+        return spread(model.s_next[taken], np.nonzero(taken)[0], states)
+    return settle(lambda x: x | (taken & x[model.s_next]).any((1, 2)), states)
+
+
+def from_state_to_state(model: Model, weight: Float[np.ndarray, "S A K"]) -> Any:
+    """The sparse matrix, float64 [S, S], of the weights of all outcomes that lead from one state to another.
+
+    Where `weight` is a probability, of action and outcome, it is the matrix of a Markov chain.
+    """
+    from scipy import sparse  # here, because it takes 0.3 s
+
+    n = len(weight)
+    rows = np.broadcast_to(np.arange(n)[:, None, None], weight.shape)
+    entries = weight.ravel(), (rows.ravel(), model.s_next.ravel())
+    matrix = sparse.csc_array(entries, shape=(n, n))
+    matrix.eliminate_zeros()  # so that its pattern is what is possible
+    return matrix
+
+
+def name_of(env: Any) -> str:
+    return type(env).__name__

@@ -1,0 +1,311 @@
+"""The values of policies in a model, and the best policy: the linear algebra of dynamic programming."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Bool, Float
+
+from jaxrl_tab.core import policies
+from jaxrl_tab.exact.model import (
+    Model,
+    array_module,
+    backup,
+    from_state_to_state,
+    reaching,
+    settle,
+    while_loop,
+    with_sizes,
+)
+
+ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
+MAX_ROUNDS = 1000  # of policy iteration; tens are usual
+BLOCK, MAX_BLOCKS = 16, 6  # states that are taken out of a dense chain at once, and how many times
+
+
+@contextlib.contextmanager
+def doubled() -> Iterator[None]:
+    """What is traced within is in float64, whatever the program around it is in.
+
+    An environment that is written for 32 bits mixes in some 64-bit constants then, which is all right here.
+    A TPU has no float64: there everything stays at the ambient precision.
+    """
+    with contextlib.ExitStack() as stack:
+        if jax.default_backend() != "tpu":
+            stack.enter_context(jax.enable_x64())
+        stack.enter_context(jax.numpy_dtype_promotion("standard"))
+        yield
+
+
+def has_double() -> bool:
+    """Whether float64 is what JAX makes of a number here, as within `doubled`."""
+    return jax.dtypes.canonicalize_dtype(float) == np.float64
+
+
+def largest(q: Float[Any, "... S A"]) -> Float[Any, "... S"]:
+    """max over the actions of each state, [..., S]: the only place where planning takes it."""
+    return q.max(-1)
+
+
+def greedy_to(q: Float[Any, "... S A"], epsilon: float = 0.0) -> Float[Any, "... S A"]:
+    """The policy that is epsilon-greedy to `q`, ties split equally, as `policies.epsilon_greedy`."""
+    best = (q == largest(q)[..., None]).astype(q.dtype)
+    greedy = best / best.sum(-1, keepdims=True)
+    if not epsilon:
+        return greedy
+    there = (q > policies.UNAVAILABLE).astype(q.dtype)
+    return epsilon * there / there.sum(-1, keepdims=True) + (1 - epsilon) * greedy
+
+
+def _home(model: Model, free: Bool[Any, "S A"]) -> Bool[Any, " S"]:
+    """The states in which one can stay for ever with actions that are `free`, bool [S]."""
+    if array_module(model) is jnp:
+        stays = lambda x: free & ((model.prob == 0) | x[model.s_next]).all(-1)
+        return settle(lambda x: stays(x).any(-1), free.any(-1))
+    # State by state: what leads to one that is lost is lost too, if it has nothing else that is free.
+    s, a, k = np.nonzero((model.prob > 0) & free[:, :, None])
+    entered, pair = model.s_next[s, a, k], s * free.shape[1] + a
+    order = np.argsort(entered, kind="stable")
+    leading, begin = pair[order].tolist(), np.searchsorted(entered[order], np.arange(len(free) + 1)).tolist()
+    left, use = free.sum(1).tolist(), free.ravel().tolist()
+    lost = [state for state, count in enumerate(left) if not count]
+    while lost:
+        state = lost.pop()
+        for i in leading[begin[state] : begin[state + 1]]:
+            if use[i]:
+                use[i] = False
+                left[i // free.shape[1]] -= 1
+                if not left[i // free.shape[1]]:
+                    lost.append(i // free.shape[1])
+    return np.array(left) > 0
+
+
+def _fate(model: Model, probs: Float[Any, "S A"]) -> tuple[Any, Any, Any]:
+    """The states settled under a policy, those caught, and those that may end up caught, bool [S] each."""
+    taken = (probs > 0)[:, :, None] & (model.prob > 0)
+    settled = ~reaching(model, taken, (taken & (model.reward != 0)).any((1, 2)))
+    caught = ~reaching(model, taken, settled)
+    return settled, caught, reaching(model, taken, caught)
+
+
+# The values of a policy.
+class _Values(NamedTuple):
+    """The values of a policy, and how sure they are.
+
+    Attributes:
+        v: float [S]; -inf from states that may come to be caught.
+        size: how large the numbers are that each is added up from, so that the rounding error of v(s) is a
+            few units in the last place of that, [S]. What cannot be reached from s has no part in it. Sparse,
+            it is the expected sum over all steps from s on of the discounted |r| + |v|; dense, that of |r|,
+            times S (see `_solve_dense`).
+        caught: where the value is not finite because the policy is caught, bool [S]; gamma below 1 catches
+            nothing.
+    """
+
+    v: Float[Any, " S"]
+    size: Float[Any, " S"]
+    caught: Bool[Any, " S"]
+
+
+def policy_values(model: Model, probs: Float[Any, "S A"], gamma: Any) -> _Values:
+    where = array_module(model).where
+    settled, caught, doomed = _fate(model, probs)
+    doomed = doomed & (gamma == 1)
+    # Terminal states are settled. What leads to a state that is left out is taken to end there.
+    v, size = _solve(model, probs, gamma, settled | doomed)
+    return _Values(where(doomed, -np.inf, v), where(doomed, 0, size), caught & (gamma == 1))
+
+
+def _solve(model: Model, probs: Any, gamma: Any, known: Bool[Any, " S"]) -> tuple[Any, Any]:
+    """The values of a policy where those of some states are known to be 0, and their `_Values.size`, [S]."""
+    weight = probs[:, :, None] * model.prob
+    reward, earned = ((weight * r).sum((1, 2)) for r in (model.reward, abs(model.reward)))
+    where, over = array_module(model).where, known[model.s_next]
+    onward, leaving = where(over, 0, gamma * weight), where(over, weight, (1 - gamma) * weight).sum((1, 2))
+    n = len(reward)
+    if array_module(model) is jnp:
+        rows = np.arange(n)[:, None, None]
+        chain = jnp.zeros((n, n), weight.dtype).at[rows, model.s_next].add(onward)
+        v, size = _solve_dense(chain, leaving, jnp.stack([reward, earned], 1)).T
+        return v, n * size
+    chain = from_state_to_state(model, onward)
+    solve = sparse_solver(chain)
+    v = solve(reward)
+    # Once more for what is left over (iterative refinement: Higham 2002, chapter 12). It is added up from
+    # differences of neighbours, so that it keeps its digits where a chain goes on for long.
+    v = v + solve(reward - leaving * v + (onward * (v[model.s_next] - v[:, None, None])).sum((1, 2)))
+    return v, abs(v) + solve(earned + chain @ abs(v))
+
+
+def sparse_solver(matrix: Any) -> Callable[[Float[np.ndarray, " S"]], Float[np.ndarray, " S"]]:
+    """A function that solves x = constant + matrix x for x [S]; NaN where that has no one solution.
+
+    `matrix` is sparse [S, S], without negative entries. Rows are not exchanged.
+    """
+    from scipy import sparse
+    from scipy.sparse.linalg import splu
+
+    n = matrix.shape[0]
+    system = sparse.csc_array(sparse.eye_array(n, format="csc") - matrix)
+    in_place = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    try:
+        return splu(system, **in_place).solve
+    except RuntimeError:  # "Factor is exactly singular"
+        return lambda constant: np.full(n, np.nan)
+
+
+@custom_vmap
+def _solve_dense(
+    chain: Float[Array, "S S"], leaving: Float[Array, " S"], constants: Float[Array, "S R"]
+) -> Float[Array, "S R"]:
+    """Solves x = constants + chain x, without a single subtraction.
+
+    State after state is taken out of the chain: what leads to it leads from now on to what it leads to. Then
+    the last state's x is known, and with it that of the one before. The probability of going on from a state,
+    1 - chain[s, s], is added up from where it goes on to, which keeps every digit, however long that takes
+    (Grassmann, Taksar and Heyman 1985, Regenerative analysis and steady state distributions for Markov
+    chains). So no entry of x has a larger error than some units in the last place of what |constants| give
+    there. States are taken out in blocks, so that most of the work is a product of matrices. It is not left
+    to LAPACK, whose result depends on the number of cores, and which needs them for itself.
+
+    Args:
+        chain: the weights with which states lead to each other, 0 or more.
+        leaving: 1 - the sum of these weights, of each state, 0 or more.
+        constants: the constants of several systems.
+    """
+    n, systems = constants.shape
+    rest = jnp.concatenate([chain, leaving[:, None], constants], 1)
+    size = max(BLOCK, -(-n // MAX_BLOCKS))
+    taken = []
+    while len(rest):
+        block, rest = rest[:size], rest[size:]
+        onward = _out_of_block(block, systems)  # from these states to later ones, and what they add
+        rest = rest[:, len(block) :] + rest[:, : len(block)] @ onward
+        taken.append(onward)
+    x = jnp.zeros((0, systems), constants.dtype)
+    for onward in reversed(taken):
+        x = jnp.concatenate([onward[:, : len(x)] @ x + onward[:, -systems:], x])
+    return x
+
+
+def _out_of_block(block: Float[Array, "B N"], systems: int) -> Float[Array, "B M"]:
+    """Where the first B states, whose rows these are, lead to when they have been left for later ones."""
+    size = len(block)
+    index = jnp.arange(size, dtype=jnp.int32)
+    row = lambda x, k: lax.dynamic_slice(x, (k, jnp.int32(0)), (1, x.shape[1]))
+    column = lambda x, k: lax.dynamic_slice(x, (jnp.int32(0), k), (size, 1))
+    put = lambda x, k, new: lax.dynamic_update_slice(x, new, (k, jnp.int32(0)))
+
+    def take_out(k, carry):
+        inside, outside = carry
+        to_inside, to_outside = jnp.where(index > k, row(inside, k), 0), row(outside, k)
+        going_on = to_inside.sum() + to_outside[:, :-systems].sum()
+        to_inside, to_outside = to_inside / going_on, to_outside / going_on
+        coming = jnp.where(index[:, None] > k, column(inside, k), 0)
+        inside, outside = inside + coming * to_inside, outside + coming * to_outside
+        return put(inside, k, to_inside), put(outside, k, to_outside)
+
+    def put_back(i, outside):
+        k = size - 1 - i
+        return outside + jnp.where(index[:, None] < k, column(inside, k), 0) * row(outside, k)
+
+    first, last = jnp.int32(0), jnp.int32(size)
+    inside, outside = lax.fori_loop(first, last, take_out, (block[:, :size], block[:, size:]))
+    return lax.fori_loop(first, last, put_back, outside)
+
+
+@_solve_dense.def_vmap
+def _solve_dense_rule(axis_size, batched, *args):
+    """On a CPU one lane after another, so that its matrix stays in the cache."""
+    args = (
+        x if b else jnp.broadcast_to(x, (axis_size, *x.shape)) for x, b in zip(args, batched, strict=True)
+    )
+    with doubled():
+        if jax.default_backend() == "cpu":
+            return lax.map(lambda lane: _solve_dense(*lane), tuple(args)), True
+        return jax.vmap(_solve_dense.fun)(*args), True
+
+
+# The best policy.
+class Round(NamedTuple):
+    """A policy in policy iteration, and what is better.
+
+    Attributes:
+        probs: the policy [S, A].
+        v, q: its values [S] and action values [S, A].
+        caught: as in `_Values`; if there are some nothing is improved.
+        better: where `improved` is better by more than rounding, bool [S].
+        improved: a policy [S, A].
+        n: how many times it was improved.
+    """
+
+    probs: Float[Any, "S A"]
+    v: Float[Any, " S"]
+    q: Float[Any, "S A"]
+    caught: Bool[Any, " S"]
+    better: Bool[Any, " S"]
+    improved: Float[Any, "S A"]
+    n: Any
+
+
+def iterate_policies(model: Model, epsilon: float, gamma: Any) -> Round:
+    """Policy iteration among the epsilon-soft policies, until nothing is better or a policy is caught.
+
+    Only actions that are better by more than rounding replace old ones. So at gamma = 1 no improved policy
+    can be caught, unless in a loop that earns more than it costs: along a loop without gain all actions were
+    equal, and stayed.
+    """
+    where, unit = array_module(model).where, ROUNDING * np.finfo(model.prob.dtype).eps
+
+    def judged(probs, n):
+        v, size, caught = policy_values(model, probs, gamma)
+        q = backup(model, where(v == -np.inf, 0, v), gamma)  # where some are caught it is not looked at
+        improved = greedy_to(q, epsilon)
+        best = (improved * q).sum(-1)
+        sizes = (improved * backup(with_sizes(model), size, gamma)).sum(-1)
+        return Round(probs, v, q, caught, best > v + unit * (size + sizes), improved, n)
+
+    def improve(last):
+        return judged(where(last.better[:, None], last.improved, last.probs), last.n + 1)
+
+    def go_on(last):
+        return last.better.any() & ~last.caught.any() & (last.n < MAX_ROUNDS)
+
+    # It begins with the first policy as what is better everywhere, so that `judged` is in a program only once.
+    probs = _first_policy(model, epsilon, gamma)
+    nothing, no = 0 * probs, probs[:, 0] < 0
+    return while_loop(
+        model, go_on, improve, Round(probs, nothing[:, 0], nothing, no, ~no, probs, np.int32(-1))
+    )
+
+
+def _first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]:
+    """A policy [S, A] to improve, which at gamma = 1 is caught only where every policy is.
+
+    Any action, equally likely; but where one can stay for ever for nothing, that, if the rest costs more. For
+    nothing is worth more than a loop that is free, and no single step of improvement would find it: with
+    "wait for 0" or "take 1, then pay 3" waiting looks worth what the rest is worth.
+    """
+    namespace = array_module(model)
+    there = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
+    anything = there / there.sum(-1, keepdims=True).astype(model.prob.dtype)
+    if epsilon:
+        return anything
+    free = ((model.prob == 0) | (model.reward == 0)).all(-1)
+    home = _home(model, free)
+    staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
+    staying = (staying & there).astype(model.prob.dtype)
+    staying = staying / staying.sum(-1, keepdims=True)
+    v, _, caught = policy_values(model, anything, gamma)
+    mixed = namespace.where((home & (v < 0))[:, None], staying, anything)
+    lost = caught.any() | _fate(model, mixed)[1].any()
+    return namespace.where(lost, staying, mixed)
+
+
+def from_start(model: Model, v: Float[Any, " S"]) -> Any:
+    return (model.start * array_module(model).where(model.start > 0, v, 0)).sum()  # 0 x -inf is nothing here
