@@ -16,6 +16,7 @@ import jaxrl_tab as rl
 from benchmarks import problems
 from benchmarks.rounds import Round, Timing
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.engine import room
 
 Outcome = Callable[[rl.Log], np.ndarray]
 
@@ -80,16 +81,16 @@ def on_devices(method: str, lanes: int, steps: int, devices: int) -> Round:
     env = rl.make("windy-gridworld")
     one = jax.tree.map(np.float32, rl.ALGORITHMS[method](**CONTROL))
     algorithms = jax.tree.map(lambda x: np.full(lanes, x), one)
-    budget = rl.batch.Budget(num_steps=steps, num_episodes=None, log_every=None, exact=False)
+    budget = room.Budget(num_steps=steps, num_episodes=None, log_every=None, exact=False)
     used = jax.devices()[:devices]
     if len(used) < devices:
         raise RuntimeError(f"{devices} devices were asked for, and there are {len(used)}")
 
     def run(seed: int) -> Timing:
         root = jax.random.key(seed)
-        results, room = rl.batch.plan(env, [one], root, lanes, budget, devices=used)
+        results, free = room.plan(env, [one], root, lanes, budget, devices=used)
         keep = results.write
-        took = rl.batch.run(env, algorithms, root, np.arange(lanes), budget, keep, room=room, devices=used)
+        took = rl.batch.run(env, algorithms, root, np.arange(lanes), budget, keep, room=free, devices=used)
         return Timing(took.running, _episodes(results.arrays[1]))
 
     run(0)  # compiles

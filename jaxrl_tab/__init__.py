@@ -35,6 +35,7 @@ from jaxrl_tab.core import policies, schedules
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.types import Outcome, Transition
+from jaxrl_tab.core.version import __version__ as __version__
 from jaxrl_tab.engine import batch, offline
 from jaxrl_tab.engine.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
 from jaxrl_tab.engine.batch import use_all_cores
@@ -62,7 +63,6 @@ from jaxrl_tab.experiment import executors
 from jaxrl_tab.experiment.runner import resume, run
 from jaxrl_tab.experiment.spec import Experiment
 
-__version__ = "0.1.0"
 # Imported when they are first used, because they take a second: name -> where it is.
 _LATER = {
     "export": "stats.export",

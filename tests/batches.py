@@ -3,12 +3,13 @@
 import jax
 
 from jaxrl_tab import batch
+from jaxrl_tab.engine import room
 
 
 def run(env, algorithms, seeds, budget, **options):
     """(q, log) of runs with these seeds, int [n], and leaves of `algorithms`, [n] each."""
     root = jax.random.key(0)
     one = jax.tree.map(lambda x: x[0], algorithms)
-    results, room = batch.plan(env, [one], root, len(seeds), budget, devices=options.get("devices"))
-    batch.run(env, algorithms, root, seeds, budget, results.write, room=room, **options)
+    results, free = room.plan(env, [one], root, len(seeds), budget, devices=options.get("devices"))
+    batch.run(env, algorithms, root, seeds, budget, results.write, room=free, **options)
     return results.arrays

@@ -14,7 +14,7 @@ import numpy as np
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch, interop, policies
-from jaxrl_tab.engine import programs
+from jaxrl_tab.engine import programs, room
 
 STEPS = {"num_seeds": 3, "num_steps": 40, "log_every": 20}
 
@@ -65,4 +65,4 @@ if __name__ == "__main__":
     batch.use_all_cores()
     programs.keep()
     np.savez(sys.argv[1], **everything())
-    print(batch._traced.cache_info().misses)
+    print(room.traced_program.cache_info().misses)

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, experiment, planning
+from jaxrl_tab import experiment, planning
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli import main
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.policies import EpsilonGreedy, Softmax, Table
+from jaxrl_tab.engine import room
 from jaxrl_tab.engine.sweep import compute, result
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.spec import Experiment, Selection, difference, plan
@@ -364,7 +365,7 @@ def test_parts_are_every_method_in_every_environment_with_its_grid(parts):
     assert sarsa.axes == {"alpha": (0.1, 0.5), "epsilon": (0.01, 0.1, 1.0)}
     assert list(n_step.axes) == ["n", "draw"]
     assert (n_step.runs, n_step.num_seeds, n_step.seed) == (60, 10, 0)
-    assert n_step.budget == batch.Budget(800, None, 100, False)
+    assert n_step.budget == room.Budget(800, None, 100, False)
 
 
 def test_the_plan_counts_programs_runs_blocks_and_bytes(parts):

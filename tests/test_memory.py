@@ -12,6 +12,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import batch
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.engine import room
 from jaxrl_tab.experiment import runner
 
 BUDGET = {"num_steps": 200, "log_every": 100}
@@ -24,16 +25,16 @@ def chain(states):
 
 
 SHAPES = {  # tables and log; traces in many states; episodes and their memory; a linear system in each row
-    "sarsa": ("windy-gridworld", rl.Sarsa(), batch.Budget(8000, None, 100, exact=False)),
-    "sarsa-lambda": (chain(1000), rl.SarsaLambda(), batch.Budget(2000, None, 100, exact=False)),
-    "monte-carlo": ("blackjack", rl.MonteCarlo(), batch.Budget(None, 1000, 1, exact=False)),
-    "exact": ("windy-gridworld", rl.Sarsa(), batch.Budget(800, None, 100, exact=True)),
+    "sarsa": ("windy-gridworld", rl.Sarsa(), room.Budget(8000, None, 100, exact=False)),
+    "sarsa-lambda": (chain(1000), rl.SarsaLambda(), room.Budget(2000, None, 100, exact=False)),
+    "monte-carlo": ("blackjack", rl.MonteCarlo(), room.Budget(None, 1000, 1, exact=False)),
+    "exact": ("windy-gridworld", rl.Sarsa(), room.Budget(800, None, 100, exact=True)),
 }
 
 
 @pytest.mark.parametrize(
     ("case", "blocks"),
-    [*((case, 1) for case in SHAPES if case != "sarsa-lambda"), ("sarsa-lambda", batch.BLOCKS)],
+    [*((case, 1) for case in SHAPES if case != "sarsa-lambda"), ("sarsa-lambda", room.BLOCKS)],
 )
 def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
     """Against what XLA says of the compiled program.
@@ -43,14 +44,16 @@ def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
     env, method, budget = SHAPES[case]
     env = rl.make(env) if isinstance(env, str) else env
     root, method = jax.random.key(0), jax.tree.map(np.float32, method)
-    devices, lanes = tuple(jax.devices()[:1]), (1, blocks, batch.LANES)
-    one = batch._needs(budget, batch._signature(batch._given(budget, root, np.uint32(0), method, env)))
+    devices, lanes = tuple(jax.devices()[:1]), (1, blocks, room.LANES)
+    one = room.needs_of(
+        budget, room.signature(room.program_arguments(budget, root, np.uint32(0), method, env))
+    )
     many = jax.tree.map(lambda x: np.full(lanes, x), (np.uint32(0), method))
     found = batch._compiled(
-        devices, budget, batch._signature(batch._given(budget, root, *many, env))
+        devices, budget, room.signature(room.program_arguments(budget, root, *many, env))
     ).memory_analysis()
     total = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
-    np.testing.assert_allclose(one.call.bytes(batch.LANES, blocks), total, rtol=0.1)
+    np.testing.assert_allclose(one.call.bytes(room.LANES, blocks), total, rtol=0.1)
 
 
 def leaves(result):
@@ -72,8 +75,8 @@ def all_at_once(grid):
 @pytest.fixture
 def widths(monkeypatch):
     """Notes (lanes, blocks of them in a call at most) of each program."""
-    noted, width = [], batch._width
-    monkeypatch.setattr(batch, "_width", lambda *x: noted.append(width(*x)) or noted[-1])
+    noted, width = [], room.width_of_call
+    monkeypatch.setattr(batch, "width_of_call", lambda *x: noted.append(width(*x)) or noted[-1])
     return noted
 
 
@@ -83,7 +86,7 @@ def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, widths, caplog)
     Broken once: places in a program for those in the grid, one device's results for another's -> each fails.
     """
     little = grid(memory=500_000)
-    assert widths == [(batch.LANES, 1)] * 2
+    assert widths == [(room.LANES, 1)] * 2
     assert caplog.messages == [
         "the results of 1800 runs need 2.09 MB; there is room for 500 kB in memory, "
         f"so they are kept in files in {tempfile.gettempdir()}"
@@ -107,7 +110,7 @@ def test_files_have_no_names_and_can_be_written_in_any_order(tmp_path, monkeypat
 
 def test_on_a_gpu_all_runs_that_fit_go_side_by_side(grid, all_at_once, widths, monkeypatch):
     """Rather, on a CPU that is taken for one, and there bitwise the same as in blocks."""
-    monkeypatch.setattr(batch, "_on_cpu", lambda devices: False)
+    monkeypatch.setattr(room, "_on_cpu", lambda devices: False)
     for options, expected in ({}, [(1024, 1), (512, 1)]), ({"memory": 500_000}, [(128, 1)] * 2):
         widths.clear()
         result = grid(**options)
@@ -203,7 +206,8 @@ def test_results_in_files_are_written_some_at_a_time(tmp_path):
     """112 MB of tables. Broken once: as a whole -> 110 MB are taken for it."""
     code = """if True:
         import pathlib, resource, sys, jax, numpy as np, xarray as xr
-        from jaxrl_tab import memory, results
+        from jaxrl_tab.core import memory
+        from jaxrl_tab.engine import results
         peak = lambda: 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         def save(runs, name):
             like = {"q": jax.ShapeDtypeStruct((70, 4), np.float32)}

@@ -19,7 +19,7 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab import batch
 from jaxrl_tab.core.pytree import pytree
-from jaxrl_tab.engine import programs, provenance
+from jaxrl_tab.engine import programs, provenance, room
 
 BUDGET = {"num_steps": 40, "log_every": 20}
 
@@ -36,7 +36,7 @@ def strange_record(state):
 
 def forget():
     """As a new process would."""
-    for cached in (batch._needs, batch._traced, batch._compiled, programs._is_usable, programs._warn):
+    for cached in (room.needs_of, room.traced_program, batch._compiled, programs._is_usable, programs._warn):
         cached.cache_clear()
 
 
@@ -62,7 +62,8 @@ def test_a_second_process_neither_traces_nor_compiles_and_has_the_same_bits(fold
     assert len(list(folder.iterdir())) == 2  # what it needs, and the program
     forget()
     with monkeypatch.context() as patched:
-        patched.setattr(batch, "_traced", lambda *_: pytest.fail("it was traced"))
+        for module in (batch, room):
+            patched.setattr(module, "traced_program", lambda *_: pytest.fail("it was traced"))
         again = swept(alpha=[0.5, 0.75])
     np.testing.assert_array_equal(first.q[0], again.q[0])
     np.testing.assert_array_equal(first.log.rewards[0], again.log.rewards[0])

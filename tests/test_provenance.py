@@ -13,10 +13,10 @@ import pytest
 import quick
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, plot
+from jaxrl_tab import plot
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.checks import InputError
-from jaxrl_tab.engine import provenance
+from jaxrl_tab.engine import provenance, room
 from jaxrl_tab.experiment import runner, storage
 
 SHARDS = 64 * 200
@@ -96,10 +96,10 @@ def test_a_sweep_draws_from_the_same_generator_whatever_jax_is_set_to():
 
 def test_another_setting_in_the_same_process_is_another_program():
     """Shapes and types are the same here. Broken once: programs found by those alone -> fails."""
-    one = batch._signature((rng.key(0), rl.QLearning()))
+    one = room.signature((rng.key(0), rl.QLearning()))
     with provenance.using({"jax_default_matmul_precision": "highest"}):
-        other = batch._signature((rng.key(0), rl.QLearning()))
-    assert one == batch._signature((rng.key(0), rl.QLearning())) != other
+        other = room.signature((rng.key(0), rl.QLearning()))
+    assert one == room.signature((rng.key(0), rl.QLearning())) != other
     assert one._replace(settings=other.settings) == other
 
 

@@ -10,7 +10,7 @@ from scipy import stats as oracle
 import jaxrl_tab as rl
 from jaxrl_tab import stats
 from jaxrl_tab.engine.train import Log
-from jaxrl_tab.stats import intervals
+from jaxrl_tab.stats import along
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -257,6 +257,6 @@ def test_what_is_possible_in_a_row_is_judged_by_all_rows(monkeypatch):
     )
     whole = stats.curve_interval(ds, 3)
     assert whole.high[0] > 0
-    monkeypatch.setattr(intervals, "MEMORY", 4)
+    monkeypatch.setattr(along, "MEMORY", 4)
     for one, other in zip(stats.curve_interval(ds, 3), whole, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -9,7 +9,7 @@ import xarray as xr
 from scipy import stats as oracle
 
 from jaxrl_tab import stats
-from jaxrl_tab.stats import intervals
+from jaxrl_tab.stats import bootstrap
 
 SEEDS = (10, 30, 100)
 DISTRIBUTIONS = {
@@ -92,7 +92,7 @@ def test_the_interquartile_mean(name, n):
 @pytest.mark.parametrize("name", ["normal", "exponential"])
 def test_the_interquartile_mean_over_environments(name, monkeypatch):
     """Five environments, whose scores differ, with ten seeds each."""
-    monkeypatch.setattr(intervals, "RESAMPLES", 499)
+    monkeypatch.setattr(bootstrap, "RESAMPLES", 499)
     shift = np.linspace(0, 2, 5)[:, None]
     everything = np.sort((DISTRIBUTIONS[name].ppf((np.arange(20_000) + 0.5) / 20_000) + shift).ravel())
     truth = everything[25_000:75_000].mean()

@@ -7,7 +7,7 @@ from scipy import stats as oracle
 
 import jaxrl_tab as rl
 from jaxrl_tab import stats
-from jaxrl_tab.stats import intervals
+from jaxrl_tab.stats import along, bootstrap, intervals
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -41,10 +41,10 @@ def test_halls_interval_mirrors_and_scales():
 @pytest.mark.parametrize("method", ["percentile", "bca"])
 def test_bootstraps_are_scipys(method, monkeypatch):
     """But for the resamples, of which both take many: a bound has a standard error of 0.6% of the width."""
-    monkeypatch.setattr(intervals, "RESAMPLES", 19_999)
-    intervals._weights.cache_clear()
+    monkeypatch.setattr(bootstrap, "RESAMPLES", 19_999)
+    bootstrap._weights.cache_clear()
     interval = stats.mean_interval(TIMES, method=method)
-    intervals._weights.cache_clear()
+    bootstrap._weights.cache_clear()
     expected = oracle.bootstrap(
         (TIMES.values,), np.mean, axis=1, method=method, n_resamples=19_999, rng=np.random.default_rng(1)
     ).confidence_interval
@@ -55,7 +55,7 @@ def test_bootstraps_are_scipys(method, monkeypatch):
 
 def test_bootstrap_t_in_plain_loops():
     x = TIMES[1, :, 2]
-    weights, t = intervals._weights(12), []
+    weights, t = bootstrap._weights(12), []
     for counts in np.rint(weights * 12).astype(int):
         drawn = np.repeat(x.values, counts)
         t.append((drawn.mean() - x.values.mean()) / (drawn.std(ddof=1) / 12**0.5))
@@ -89,7 +89,7 @@ def test_a_place_has_the_interval_that_it_has_alone(method):
 
 def test_blocks_change_nothing(monkeypatch):
     whole = stats.bootstrap_interval(TIMES, np.median)
-    monkeypatch.setattr(intervals, "MEMORY", 12 * stats.RESAMPLES)
+    monkeypatch.setattr(along, "MEMORY", 12 * stats.RESAMPLES)
     for part, of_all in zip(stats.bootstrap_interval(TIMES, np.median), whole, strict=True):
         np.testing.assert_array_equal(part, of_all)
 
@@ -229,7 +229,7 @@ def test_iqm_by_hand():
 def test_the_fast_iqm_is_the_iqm_of_each_resample(n):
     """With the same resamples, in a plain loop: its quantiles are the bounds."""
     x = TIMES[0, :n]
-    counts = np.rint(intervals._weights(n) * n).astype(int)
+    counts = np.rint(bootstrap._weights(n) * n).astype(int)
     resampled = [stats.iqm(np.repeat(np.sort(x[:, 1]), count)) for count in counts]
     interval = stats.iqm_interval(x)
     expected = np.quantile(resampled, oracle.norm.cdf(np.array([-1, 1]) * 1.959964 * (n / (n - 1)) ** 0.5))

@@ -388,7 +388,7 @@ def test_a_second_process_is_refused_and_the_first_goes_on(undisturbed, tmp_path
     """Broken once: no lock -> fails."""
     hold = f"""
 import sys; sys.argv[1:] = []; sys.path.insert(0, {str(Path(quick.__file__).parent)!r})
-import quick; from jaxrl_tab import runner
+import quick; from jaxrl_tab.experiment import runner
 quick.make_quick()
 def wait(report):
     if report.done == 64: print("at work", flush=True); sys.stdin.readline()
@@ -548,7 +548,7 @@ def test_ctrl_c_keeps_the_finished_shards_and_says_how_to_go_on(tmp_path, number
 
 
 STUBBORN = """
-import time; from jaxrl_tab.interrupt import interruptible
+import time; from jaxrl_tab.cli.interrupt import interruptible
 with interruptible():
     print("ready", flush=True)
     while True:
@@ -556,7 +556,7 @@ with interruptible():
         except KeyboardInterrupt: print("heard", flush=True)
 """
 DEAF = """
-import jax; from jaxrl_tab.interrupt import interruptible
+import jax; from jaxrl_tab.cli.interrupt import interruptible
 loop = lambda x: jax.lax.while_loop(lambda x: x >= 0, lambda x: (x * 3 + 1) % 7, x)
 endless = jax.jit(loop).lower(1).compile()
 with interruptible():

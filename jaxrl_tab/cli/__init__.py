@@ -35,7 +35,6 @@ from rich.progress import (
 from rich.table import Table
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
-import jaxrl_tab
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli.interrupt import interruptible
@@ -56,6 +55,7 @@ from jaxrl_tab.cli.options import (
 from jaxrl_tab.core import describe, policies
 from jaxrl_tab.core.checks import InputError, RunError, as_path, build, nearest, one_line, reason, shown
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine import batch, programs
 from jaxrl_tab.engine.results import label, save
 from jaxrl_tab.envs import ENVS, instead
@@ -220,7 +220,7 @@ def _dispatch(argv: list[str]) -> int:
         print(HELP, end="")
         return 0
     if argv[0] == "--version":
-        print(f"{PROG} {jaxrl_tab.__version__}")
+        print(f"{PROG} {__version__}")
         return 0
     return commands[_known("a command", argv[0], commands)](argv[1:])
 
@@ -772,7 +772,7 @@ def _run(
     """
     import xarray  # noqa: F401  Now, because later a Ctrl-C in the second that it takes would lose a run's data.
 
-    about = {"command": shlex.join([PROG, *command]), "version": jaxrl_tab.__version__}
+    about = {"command": shlex.join([PROG, *command]), "version": __version__}
     datasets = {}
     columns = (
         SpinnerColumn(finished_text="✓"),
@@ -982,7 +982,7 @@ def _figure(argv: list[str]) -> int:
             if not options.json:
                 _console().print(_check_table(*checked[name]))
         if folder and options.all:
-            (folder / "index.html").write_text(page(checked, jaxrl_tab.__version__), encoding="utf-8")
+            (folder / "index.html").write_text(page(checked, __version__), encoding="utf-8")
 
     if options.json:
         found = [

@@ -27,9 +27,10 @@ from jaxrl_tab.core.checks import (
     shown,
 )
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
-from jaxrl_tab.engine import batch
+from jaxrl_tab.engine import batch, room
 from jaxrl_tab.engine.axes import DRAW, check_settings, spread, swept_names
 from jaxrl_tab.engine.results import SweepResult, label, parameters
+from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.train import Log, Record, check_budget, default_log_every
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite
@@ -82,7 +83,7 @@ class Part:
     num_seeds: int
     first_seed: int
     seed: int
-    budget: batch.Budget
+    budget: room.Budget
     fresh: bool = False
 
     @property
@@ -233,7 +234,7 @@ def prepare(
     available = available_actions(env)
     for config in configs:
         restricted(config, available)  # only to refuse what cannot be
-    budget = batch.Budget(num_steps, num_episodes, log_every, bool(exact), record)
+    budget = room.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
 
@@ -257,7 +258,7 @@ def compute(
     root = part.root
     instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
     total = part.runs if runs is None else len(runs)
-    results, room = batch.plan(part.env, instances, root, total, part.budget, memory)
+    results, room = plan(part.env, instances, root, total, part.budget, memory)
     config, place = np.divmod(np.arange(total) if runs is None else runs, part.num_seeds)
     done, running, compiling = 0, 0.0, 0.0
     for members in part.programs:

@@ -27,12 +27,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-import jaxrl_tab
 from jaxrl_tab.core.checks import InputError, RunError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
 from jaxrl_tab.core.types import Environment
-from jaxrl_tab.engine import batch, provenance
+from jaxrl_tab.core.version import __version__
+from jaxrl_tab.engine import batch, provenance, room
 from jaxrl_tab.engine.results import is_diverged, save
+from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import Computed, Part, compute, leaves_as_arrays, result
 from jaxrl_tab.engine.train import Log
 from jaxrl_tab.experiment import storage
@@ -379,7 +380,7 @@ def _shard_runs(part: Part) -> int:
     ):  # solves a system of equations in each row, about a hundred multiply-adds in a step's time
         steps += rows * states**3 // 300
     given = 4 * (states * part.env.num_actions + 7 * rows)  # a table, and at most 7 numbers in a row
-    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // given) // batch.LANES) * batch.LANES
+    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // given) // room.LANES) * room.LANES
 
 
 def _runs(part: Part, shard: Shard) -> np.ndarray:
@@ -425,7 +426,7 @@ def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
 def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
     """(shape, dtype) of each array of a shard."""
     method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
-    q, log = batch.gives(part.env, method, part.root, part.budget)
+    q, log = room.gives(part.env, method, part.root, part.budget)
     of_one = {"q": q, **{name: x for name, x in log._asdict().items() if x is not None}}
     shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in of_one.items()}
     return shapes | {"seconds": ((2,), np.dtype(float))}
@@ -537,7 +538,7 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
     for part in parts.values():
         instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
         runs = min(part.runs, _shard_runs(part))
-        planned = batch.plan(part.env, instances, part.root, runs, part.budget, limit)
+        planned = plan(part.env, instances, part.root, runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
     if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
         raise InputError(
@@ -676,7 +677,7 @@ def _write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> 
     from jaxrl_tab.show import plot, report
 
     folder = store.path
-    about = {"command": records["sessions"][0]["command"], "version": jaxrl_tab.__version__}
+    about = {"command": records["sessions"][0]["command"], "version": __version__}
     files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
     files.append(_write_table(folder / SUMMARY, summary(outcome)))
     if outcome.fresh:

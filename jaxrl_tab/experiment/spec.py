@@ -52,7 +52,7 @@ from jaxrl_tab.core.checks import (
     shown,
 )
 from jaxrl_tab.core.types import init_learner
-from jaxrl_tab.engine import axes, batch
+from jaxrl_tab.engine import axes, room
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.sweep import Part, configurations, leaves_as_arrays, prepare
 from jaxrl_tab.engine.train import default_log_every
@@ -375,7 +375,7 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
     found = {}
     for name, part in parts.items():
         each = [
-            batch.forecast(
+            room.forecast(
                 part.env,
                 leaves_as_arrays(part.configs[members[0]]),
                 part.root,

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-import jaxrl_tab
 from jaxrl_tab import stats
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.core.version import __version__
 from jaxrl_tab.envs.base import Finite, Grid
 from jaxrl_tab.show import plot
 from jaxrl_tab.show.html import embedded, render
@@ -107,7 +107,7 @@ def write(
         coverage=COVERAGE,
         unseen=stats.unseen(min(ds.sizes["seed"] for ds in datasets.values())),
         at_once=AT_ONCE,
-        version=jaxrl_tab.__version__,
+        version=__version__,
     )
     file = Path(folder) / FILE
     file.write_text(text, encoding="utf-8")

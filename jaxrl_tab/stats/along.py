@@ -1,0 +1,119 @@
+"""Statistics along one dimension of a dataset, a block at a time."""
+
+import functools
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from jaxrl_tab.core import memory
+from jaxrl_tab.core.checks import InputError, shown
+
+MEMORY = 2**22  # float64 of one intermediate result, unless all values of one place are more
+
+
+class Interval(NamedTuple):
+    """An estimate from the values along a dimension, and an interval; without that dimension.
+
+    Attributes:
+        estimate: the mean, or whatever else the function says, float64; NaN where there are no values.
+        low, high: bounds of the interval, float64; NaN where there are too few values for one.
+        n: how many values are there, int.
+    """
+
+    estimate: xr.DataArray
+    low: xr.DataArray
+    high: xr.DataArray
+    n: xr.DataArray
+
+
+def along(
+    x: xr.DataArray,
+    dims: str | tuple[str, str],
+    of: Callable[..., Sequence[np.ndarray]],
+    resamples: int = 1,
+    parts: int = 3,
+) -> tuple[xr.DataArray, ...]:
+    """What `of` makes of the values along a dimension, without the NaNs, and how many values these are.
+
+    Where two dimensions are given, the first is of strata. `of` gets the values of each stratum, [c, n] in
+    their order along the dimension, of c places elsewhere that have equally many, and returns so many
+    `parts`, [c] each. It makes arrays `resamples` times as large, which bounds c: so no more than a block of
+    places is in memory as float64. Where there are no values all is NaN.
+    """
+    within, dim = (dims[:1], dims[1]) if isinstance(dims, tuple) else ((), dims)
+    check_dims(x, [*within, dim])
+    others = [d for d in x.dims if d not in (*within, dim)]
+    like = x.isel(dict.fromkeys((*within, dim), 0), drop=True).transpose(*others).astype(float)
+    values = x.transpose(*others, *within, dim).values
+    strata, shape = (values if within else values[..., None, :]), like.shape or (1,)
+    found, counts = np.full((parts, like.size), np.nan), np.zeros(like.size, int)
+    for block in blocks(like.size, int(np.prod(strata.shape[-2:])) * resamples):
+        at = strata.reshape(*shape, *strata.shape[-2:])[np.unravel_index(block, shape)].astype(float)
+        missing = np.isnan(at)
+        if missing.any():
+            at = np.take_along_axis(at, np.argsort(missing, axis=-1, kind="stable"), axis=-1)
+        sizes = (~missing).sum(-1)
+        counts[block] = sizes.sum(-1)
+        patterns, pattern = np.unique(sizes, axis=0, return_inverse=True)
+        for i, there in enumerate(patterns):
+            if there.any():
+                same = pattern == i
+                found[:, block[same]] = of(*(at[same, k, :size] for k, size in enumerate(there) if size))
+        memory.let_go()
+    return tuple(like.copy(data=part.reshape(like.shape)) for part in (*found, counts))
+
+
+def blocks(count: int, each: int) -> list[np.ndarray]:
+    """The numbers from 0 on, in blocks of no more than `MEMORY` float64 where there are so many for `each`."""
+    return np.array_split(np.arange(count), max(1, min(count, -(-count * each // MEMORY))))
+
+
+def aligned(x: xr.DataArray, y: xr.DataArray, apart: Sequence[str] = ()) -> tuple[xr.DataArray, xr.DataArray]:
+    """Both, as float, with the dimensions of either but those that are kept `apart`.
+
+    Raises InputError unless the labels of the dimensions that both have are the same.
+    """
+    for d in x.dims:
+        if d in y.dims and not (x.sizes[d] == y.sizes[d] and np.array_equal(x[d], y[d])):
+            raise InputError(
+                f"what is compared must have the same labels along {d}: {x[d].values} and {y[d].values}"
+            )
+    return xr.broadcast(x.astype(float), y.astype(float), exclude=apart)
+
+
+def check_dims(x: xr.DataArray, dims: Sequence[Hashable]) -> None:
+    if not isinstance(x, xr.DataArray):
+        raise InputError(f"numbers must be an xarray.DataArray, whose axes have names, not {shown(x)}")
+    for d in dims:
+        if not isinstance(d, str) or d not in x.dims:
+            raise InputError(
+                f"no dimension {shown(d)} to take the statistic over; there are {name_list(x.dims)}"
+            )
+        if not x.sizes[d]:
+            raise InputError(f"nothing lies along the dimension {d!r}")
+    if len(set(dims)) < len(dims):
+        raise InputError(f"the dimensions {name_list(dims)} must be different ones")
+
+
+def check_fraction(name: str, value: float) -> None:
+    if not (isinstance(value, int | float | np.number) and 0 < value < 1):
+        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
+
+
+def by_seeds(of: Callable[..., xr.DataArray]) -> Callable[..., xr.DataArray]:
+    """`of(ds, ...)`, which has a number for each seed, worked out for some seeds at a time if there are many."""
+
+    @functools.wraps(of)
+    def in_blocks(ds: xr.Dataset, *given: Any) -> xr.DataArray:
+        seeds = ds.sizes["seed"]
+        blocks = memory.blocks(seeds, 8 * ds.episodes.size // seeds)
+        found = [of(ds.isel(seed=block), *given) for block in blocks]
+        return xr.concat(found, "seed").transpose(*found[0].dims) if len(found) > 1 else found[0]
+
+    return in_blocks
+
+
+def name_list(names: Any) -> str:
+    return ", ".join(str(name) for name in names) or "none"
