@@ -20,7 +20,7 @@ import xarray  # noqa: F401  So that none of the processes has to.
 import jaxrl_tab as rl
 from jaxrl_tab import batch, cli, plot
 from jaxrl_tab.engine import programs
-from jaxrl_tab.experiment import runner
+from jaxrl_tab.experiment import runner, shards
 
 SELECTED = rl.Experiment(
     "windy-gridworld",
@@ -33,7 +33,7 @@ SELECTED = rl.Experiment(
 
 def make_quick() -> None:
     """Shards of one block, and no pictures."""
-    runner.SHARD_STEPS = 64 * 200
+    shards.SHARD_STEPS = 64 * 200
     plot.save_all = picture
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab import experiment, planning
+from jaxrl_tab import planning
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli import main
 from jaxrl_tab.core.checks import InputError
@@ -16,7 +16,9 @@ from jaxrl_tab.core.policies import EpsilonGreedy, Softmax, Table
 from jaxrl_tab.engine import room
 from jaxrl_tab.engine.sweep import compute, result
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.experiment.spec import Experiment, Selection, difference, plan
+from jaxrl_tab.experiment.plan import plan
+from jaxrl_tab.experiment.resolve import Selection
+from jaxrl_tab.experiment.spec import Experiment, difference, template
 
 FILE = """\
 seeds = 10
@@ -418,11 +420,11 @@ def test_the_template_is_a_file_that_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["sweep", "--write-template", "mine.toml"]) == 0
     assert capsys.readouterr().out == "mine.toml is written; try jaxrl-tab sweep mine.toml --dry-run\n"
-    assert (tmp_path / "mine.toml").read_text() == experiment.template()
+    assert (tmp_path / "mine.toml").read_text() == template()
     assert main(["sweep", "--write-template", "mine.toml"]) == 2
     assert capsys.readouterr().err == "jaxrl-tab: mine.toml exists already; name a new file\n"
     assert main(["sweep", "--write-template"]) == 0
-    assert capsys.readouterr().out == experiment.template()
+    assert capsys.readouterr().out == template()
     assert main(["sweep", "mine.toml", "--dry-run"]) == 0
     assert capsys.readouterr().out == plan(Experiment.load("mine.toml").parts()).text() + "\n"
 
@@ -430,9 +432,7 @@ def test_the_template_is_a_file_that_runs(tmp_path, monkeypatch, capsys):
 @pytest.mark.slow
 def test_the_template_gives_results(tmp_path):
     """As it is, but with shorter runs, and fewer."""
-    short = (
-        experiment.template().replace("seeds = 20 ", "seeds = 2 ").replace("steps = 4000 ", "steps = 200 ")
-    )
+    short = template().replace("seeds = 20 ", "seeds = 2 ").replace("steps = 4000 ", "steps = 200 ")
     (tmp_path / "x.toml").write_text(short)
     assert main(["sweep", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     assert len((tmp_path / "out" / "summary.csv").read_text().splitlines()) == 41
@@ -440,7 +440,7 @@ def test_the_template_gives_results(tmp_path):
 
 def test_all_of_the_template_is_true_with_its_comments_taken_away(load):
     """What it proposes in comments can be written as it stands there."""
-    lines = experiment.template().splitlines()
+    lines = template().splitlines()
     code = [line[2:] if line.startswith("# ") and _is_toml(line[2:]) else line for line in lines]
     whole = load("\n".join(code))
     assert len(whole.environment) == 3

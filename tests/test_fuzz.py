@@ -32,7 +32,9 @@ from jaxrl_tab.core import describe
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import axes
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.experiment.spec import Experiment, Selection, template
+from jaxrl_tab.experiment import runner
+from jaxrl_tab.experiment.resolve import Selection
+from jaxrl_tab.experiment.spec import Experiment, template
 from jaxrl_tab.figures import FIGURES
 
 LONGEST = 400  # characters of a message
@@ -533,7 +535,7 @@ def make_still(put):
         raise InputError("so far it was right")
 
     put(sys.modules["jaxrl_tab.engine.sweep"], "compute", stop)
-    put(rl.runner, "_begin", stop)
+    put(runner, "_begin", stop)
 
 
 def test_every_field_of_every_class_takes_a_value_or_refuses_it_in_one_line(stubbed):

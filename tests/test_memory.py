@@ -13,7 +13,7 @@ from jaxrl_tab import batch
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import room
-from jaxrl_tab.experiment import runner
+from jaxrl_tab.experiment import shards
 
 BUDGET = {"num_steps": 200, "log_every": 100}
 
@@ -199,7 +199,7 @@ def test_an_experiment_ends_in_bounded_memory(tmp_path):
         [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True
     )
     assert "are kept in files" in run.stderr
-    assert int(run.stdout) < 50_000_000 + runner.SHARD_BYTES
+    assert int(run.stdout) < 50_000_000 + shards.SHARD_BYTES
 
 
 def test_results_in_files_are_written_some_at_a_time(tmp_path):

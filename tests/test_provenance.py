@@ -17,7 +17,8 @@ from jaxrl_tab import plot
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import provenance, room
-from jaxrl_tab.experiment import runner, storage
+from jaxrl_tab.experiment import shards as splitting
+from jaxrl_tab.experiment import storage
 
 SHARDS = 64 * 200
 WALK = rl.Experiment("random-walk", "sarsa", seeds=130, steps=200)  # three shards
@@ -33,9 +34,9 @@ OTHERWISE = {
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
     """Shards of 64 runs, and a picture that takes no time."""
-    monkeypatch.setattr(runner, "SHARD_STEPS", SHARDS)
+    monkeypatch.setattr(splitting, "SHARD_STEPS", SHARDS)
     monkeypatch.setattr(plot, "save_all", quick.picture)
-    runner._shards.cache_clear()
+    splitting._shards.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +44,9 @@ def whole(tmp_path_factory):
     """The folder of an uninterrupted run."""
     folder = tmp_path_factory.mktemp("provenance") / "run"
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(runner, "SHARD_STEPS", SHARDS)
+        patched.setattr(splitting, "SHARD_STEPS", SHARDS)
         patched.setattr(plot, "save_all", quick.picture)
-        runner._shards.cache_clear()
+        splitting._shards.cache_clear()
         rl.run(WALK, folder, command="a command")
     return folder
 

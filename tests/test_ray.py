@@ -20,8 +20,8 @@ import xarray as xr
 import jaxrl_tab as rl
 from jaxrl_tab import executors, plot
 from jaxrl_tab.core.checks import InputError, RunError
-from jaxrl_tab.experiment import runner
 from jaxrl_tab.experiment.executors import ray as ray_executor
+from jaxrl_tab.experiment.shards import _shards
 
 ray = pytest.importorskip("ray")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
@@ -109,7 +109,7 @@ def test_what_is_under_way_is_given_up(connection, tmp_path):
 
 def test_an_experiment_is_interrupted_and_goes_on(connection, tmp_path, monkeypatch):
     monkeypatch.setattr(plot, "save_all", quick.picture)
-    runner._shards.cache_clear()  # other tests cut the same experiment into smaller shards, which workers do not
+    _shards.cache_clear()  # other tests cut the same experiment into smaller shards, which workers do not
     expected = rl.run(quick.SELECTED)
 
     def interrupt(state):

@@ -10,7 +10,7 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import plot, report
-from jaxrl_tab.experiment import runner
+from jaxrl_tab.experiment import shards
 
 EXPERIMENT = rl.Experiment("windy-gridworld", {"name": "sarsa", "alpha": [0.25, 0.5]}, seeds=40, steps=20)
 
@@ -19,12 +19,12 @@ EXPERIMENT = rl.Experiment("windy-gridworld", {"name": "sarsa", "alpha": [0.25, 
 def small():
     """Shards of 64 runs, of which there are two; pictures and report that take no time."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(runner, "SHARD_STEPS", 64 * 20)
+        patched.setattr(shards, "SHARD_STEPS", 64 * 20)
         patched.setattr(plot, "save_all", quick.picture)
         patched.setattr(report, "write", lambda folder, *_: (folder / "report.html").write_text("a report"))
-        runner._shards.cache_clear()
+        shards._shards.cache_clear()
         yield
-    runner._shards.cache_clear()
+    shards._shards.cache_clear()
 
 
 def numbers(folder: Path) -> dict[str, np.ndarray]:

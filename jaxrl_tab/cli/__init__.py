@@ -61,9 +61,12 @@ from jaxrl_tab.engine.results import label, save
 from jaxrl_tab.envs import ENVS, instead
 from jaxrl_tab.envs.base import Finite, Grid, Panel
 from jaxrl_tab.exact import planning
-from jaxrl_tab.experiment import executors, runner
+from jaxrl_tab.experiment import executors, files, runner, storage
 from jaxrl_tab.experiment.executors import Executor
-from jaxrl_tab.experiment.spec import Experiment, plan, template
+from jaxrl_tab.experiment.plan import plan
+from jaxrl_tab.experiment.progress import Progress as State
+from jaxrl_tab.experiment.progress import Report
+from jaxrl_tab.experiment.spec import Experiment, template
 from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page, six_digits
@@ -654,7 +657,7 @@ def _resume(argv: list[str]) -> int:
 
 
 @contextlib.contextmanager
-def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[runner.Report]:
+def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[Report]:
     """What a run reports its progress to: a bar. Where it is interrupted, it says how to go on."""
     import pandas  # noqa: F401  Now, while there is nothing yet that Ctrl-C could wait for.
 
@@ -671,7 +674,7 @@ def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[run
         with interruptible(), Progress(*columns, console=stderr, disable=quiet) as bars:
             bar = bars.add_task("planning", total=None, more="")
 
-            def progress(state: runner.Progress) -> None:
+            def progress(state: State) -> None:
                 if experiment is not None and not quiet and state.steps == 0 and state.done == 0:
                     text = plan(experiment.parts(), options.memory).text()
                     stderr.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -696,7 +699,7 @@ def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[run
         raise
 
 
-def _more(state: runner.Progress) -> str:
+def _more(state: State) -> str:
     """The numbers beside the bar."""
     said = [""]
     if state.steps:
@@ -708,11 +711,11 @@ def _more(state: runner.Progress) -> str:
     return ", ".join(said)
 
 
-def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
+def _show(outcome: files.Outcome, folder: Path | None, options: Any) -> int:
     """Prints what came out: tables for people, or JSON."""
     if options.json:
-        summary = {"folder": folder and str(folder), "summary": _records(runner.summary(outcome))}
-        chosen = {"selection": _records(runner.selection(outcome))} if outcome.fresh else {}
+        summary = {"folder": folder and str(folder), "summary": _records(files.summary(outcome))}
+        chosen = {"selection": _records(files.selection(outcome))} if outcome.fresh else {}
         _print_json(summary | chosen)
         return 0
     if options.quiet:
@@ -725,7 +728,7 @@ def _show(outcome: runner.Outcome, folder: Path | None, options: Any) -> int:
             table = stats.summary(own)
         _print_summary(environment, table, own, outcome.envs[environment])
     if outcome.fresh:
-        _print_selection(runner.selection(outcome))
+        _print_selection(files.selection(outcome))
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
         why = "a number became infinite, or NaN, or grew beyond any possible return."
@@ -793,7 +796,7 @@ def _run(
 
             datasets[name] = run(progress)
             if folder:
-                save(datasets[name], group, folder / runner.DATA, about)
+                save(datasets[name], group, folder / storage.DATA, about)
     return datasets
 
 
@@ -1089,7 +1092,7 @@ def _say_where(folder: Path, group: str | None = None) -> None:
     files = ", ".join(sorted(file.name for file in folder.iterdir() if not file.name.startswith(".")))
     out.print(f"[bold]{escape(str(folder))}[/]: {files}", soft_wrap=True)
     if group:
-        how = f'xarray.open_datatree("{folder / runner.DATA}")["{group}"]'
+        how = f'xarray.open_datatree("{folder / storage.DATA}")["{group}"]'
         out.print(f"Read the data with {how}", markup=False, soft_wrap=True)
 
 

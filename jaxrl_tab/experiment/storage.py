@@ -12,6 +12,7 @@ import contextlib
 import errno
 import hashlib
 import json
+import logging
 import os
 import re
 import shutil
@@ -477,3 +478,11 @@ def _sync(folder: Path) -> None:
 
 def _exists(path: Path) -> str:
     return f"{one_line(str(path))} exists already; name a new folder"
+
+
+GIVEN, RESOLVED, PROVENANCE = "experiment.toml", "resolved.json", "provenance.json"
+DATA, FRESH_DATA, SUMMARY, SELECTION = "results.nc", "fresh.nc", "summary.csv", "selection.csv"
+
+
+def warn(line: str) -> None:
+    logging.getLogger(__name__).warning("%s", line)

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from scipy import special, stats
 
-from jaxrl_tab.stats.along import MEMORY, Interval, along, blocks, check_fraction
+from jaxrl_tab.stats.along import Interval, along, blocks, check_fraction
 
 RESAMPLES = 1999  # of every bootstrap: both 2.5% points are an order statistic
 
@@ -54,7 +54,7 @@ def _weights(n: int) -> np.ndarray:
 
 def resampled(n: int, of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """`of(weights)`, [..., resamples], of the same resamples as in `_weights`, of some at a time if n is large."""
-    if n * RESAMPLES <= MEMORY:
+    if len(blocks(RESAMPLES, n)) == 1:
         return of(_weights(n))
     rng = np.random.default_rng(0)
     drawn = (rng.multinomial(n, np.full(n, 1 / n), len(block)) / n for block in blocks(RESAMPLES, n))
@@ -101,7 +101,7 @@ def iqm_interval(
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         # Of each rank, a resample keeps those copies that lie in its middle: the same for all places.
         n = values.shape[-1]
-        if n * RESAMPLES > MEMORY:
+        if len(blocks(RESAMPLES, n)) > 1:
             return _yuen(values, confidence)
         copies = np.rint(_weights(n) * n).cumsum(-1)
         kept = np.diff(np.clip(copies, n // 4, n - n // 4), axis=-1, prepend=n // 4) / (n - 2 * (n // 4))

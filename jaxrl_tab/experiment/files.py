@@ -1,0 +1,168 @@
+"""The files of results in an experiment's folder."""
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from jaxrl_tab.core.checks import RunError
+from jaxrl_tab.core.memory import words
+from jaxrl_tab.core.types import Environment
+from jaxrl_tab.core.version import __version__
+from jaxrl_tab.engine import provenance
+from jaxrl_tab.engine.results import save
+from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp
+from jaxrl_tab.experiment.storage import DATA, FRESH_DATA, GIVEN, SELECTION, SUMMARY, Store
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+
+class Outcome(NamedTuple):
+    """What an experiment gave.
+
+    Attributes:
+        datasets: `SweepResult.to_xarray` of each part, by its name "ENVIRONMENT/METHOD".
+        fresh: the same of the setting chosen for each part, on fresh seeds; empty without selection.
+        envs: the environments by their names.
+        by: the function of `stats` that the settings were chosen by, if they were.
+    """
+
+    datasets: "dict[str, xr.Dataset]"
+    fresh: "dict[str, xr.Dataset]"
+    envs: dict[str, Environment]
+    by: str | None = None
+
+    def of(self, label: str) -> "dict[str, xr.Dataset]":
+        """The datasets of one environment, by the names of the methods."""
+        own = {name.partition("/"): ds for name, ds in self.datasets.items()}
+        return {method: ds for (environment, _, method), ds in own.items() if environment == label}
+
+
+def chosen(ds: "xr.Dataset", by: str) -> int:
+    """The number of the configuration that did best, by a function of `stats`."""
+    from jaxrl_tab import stats
+
+    best = stats.best(ds, getattr(stats, by))
+    axes = [str(dim) for dim in ds.diverged.dims if dim != "seed"]
+    place = [ds[axis].values.tolist().index(best[axis]) for axis in axes]
+    return int(np.ravel_multi_index(place, [ds.sizes[axis] for axis in axes])) if axes else 0
+
+
+def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:
+    """Tables, pictures and the report, each a whole file or none."""
+    from jaxrl_tab.show import plot, report
+
+    folder = store.path
+    about = {"command": records["sessions"][0]["command"], "version": __version__}
+    files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
+    files.append(_write_table(folder / SUMMARY, summary(outcome)))
+    if outcome.fresh:
+        files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
+        files.append(_write_table(folder / SELECTION, selection(outcome)))
+    scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
+    names = storage.file_names(outcome.envs)
+    try:
+        with storage.said(folder):
+            for label, env in outcome.envs.items():
+                place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
+                plot.save_all(outcome.of(label), env, place)
+            report.write(scratch, outcome.datasets, outcome.envs, _about(store, records), outcome.fresh)
+        for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
+            goal = folder / file.relative_to(scratch)
+            with storage.said(goal):
+                goal.parent.mkdir(parents=True, exist_ok=True)
+            with storage.writing(goal) as unfinished:
+                file.replace(unfinished)
+            files.append(goal)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    store.keep_files(str(file.relative_to(folder)) for file in files)
+
+
+def _write_data(file: Path, datasets: "Mapping[str, xr.Dataset]", outcome: Outcome, about: Any) -> Path:
+    """A netCDF file with a group for each part: ENVIRONMENT/METHOD; METHOD where there is one environment."""
+    needed = sum(ds.nbytes + 2**14 for ds in datasets.values())  # if it cannot be compressed
+    if needed > (room := shutil.disk_usage(file.parent).free):  # HDF5 may crash where the disk becomes full
+        raise RunError(
+            f"{file} could not be written: it may need {words(needed)} on the disk, and there is room for "
+            f"{words(room)}"
+        )
+    with storage.writing(file) as unfinished:
+        for name, ds in datasets.items():
+            save(ds, name if len(outcome.envs) > 1 else name.partition("/")[2], unfinished, about)
+    return file
+
+
+def _write_table(file: Path, table: "pd.DataFrame") -> Path:
+    with storage.writing(file) as unfinished:
+        table.to_csv(unfinished, index=False)
+    return file
+
+
+def summary(outcome: Outcome) -> "pd.DataFrame":
+    """`stats.summary` of all environments; their names are a column where there are several."""
+    import pandas as pd
+
+    from jaxrl_tab import stats
+
+    tables = {label: stats.summary(outcome.of(label)) for label in outcome.envs}
+    if len(tables) > 1:
+        for label, table in tables.items():
+            table.insert(0, "environment", label)
+    return pd.concat(tables.values(), ignore_index=True)
+
+
+def selection(outcome: Outcome) -> "pd.DataFrame":
+    """The setting chosen for each part: its score on the seeds that it was chosen on, and on fresh ones.
+
+    Returns:
+        A frame with the columns `environment`, `method`, the hyperparameters that were swept, `chosen_score`
+        with `chosen_low` and `chosen_high`, which flatter it, and `fresh_score` with `fresh_low` and
+        `fresh_high`, which do not; the intervals are of the mean, 95%.
+    """
+    import pandas as pd
+
+    from jaxrl_tab import stats
+
+    rows = []
+    for name, fresh in outcome.fresh.items():
+        environment, _, method = name.partition("/")
+        ds = outcome.datasets[name]
+        setting, chosen, again, _ = stats.selection(ds, fresh, getattr(stats, outcome.by or "score"))
+        row = {"environment": environment, "method": method, **stats.named(ds, setting)}
+        for kind, found in (("chosen", chosen), ("fresh", again)):
+            row |= {f"{kind}_score": float(found.estimate)}
+            row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}
+        rows.append(row)
+    names = dict.fromkeys(name for row in rows for name in row)  # not all methods have all hyperparameters
+    scores = [name for name in names if name.startswith(("chosen_", "fresh_"))]
+    return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
+
+
+def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
+    """How the results came about, for the report."""
+    with storage.said(store.path / GIVEN, "read"):
+        given = (store.path / GIVEN).read_text(encoding="utf-8", errors="replace")
+    first, last = records["sessions"][0], records["sessions"][-1]
+    sessions, origins = len(records["sessions"]), origins_of(store)
+    computed = recorded(records, origins)
+    one = (computed or [last])[0]  # the last may have made nothing but files
+    now = one["surroundings"]
+    return {
+        "command": first["command"],
+        "experiment": given,
+        "fingerprint": store.fingerprint,
+        "started": first["started"],
+        "finished": timestamp(),
+        **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
+        **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
+        "versions": {name: now[name] for name in provenance.installed()} | {"python": one.get("python")},
+        "XLA flags": now["XLA_FLAGS"],
+        "computed on": f"{one.get('processor')}, {one.get('devices')} devices, {one.get('platform')}",
+        **({"git commit": one["git_commit"]} if one.get("git_commit") else {}),
+    }

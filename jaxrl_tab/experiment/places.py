@@ -1,0 +1,128 @@
+"""Where in a TOML file something is wrong."""
+
+import bisect
+import contextlib
+import re
+import tomllib
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxrl_tab.core.checks import InputError, one_line
+
+DEEPEST = 32  # brackets in one another, and parts of a key with dots between them
+
+
+class Source(NamedTuple):
+    """Where an experiment was read from.
+
+    Attributes:
+        path: the file.
+        text: what stood in it.
+    """
+
+    path: Path
+    text: str
+
+    def __str__(self) -> str:
+        return one_line(str(self.path))
+
+
+class Wrong(InputError):
+    """Something is wrong at `path`: the keys, and places in lists, that lead there."""
+
+    def __init__(self, message: str, path: tuple[str | int, ...]):
+        super().__init__(message)
+        self.path = path
+
+
+@contextlib.contextmanager
+def at(*path: str | int) -> Iterator[None]:
+    """What is refused inside is at `path`."""
+    try:
+        yield
+    except InputError as error:
+        raise Wrong(str(error), (*path, *getattr(error, "path", ()))) from None
+
+
+@contextlib.contextmanager
+def blame(names: Collection[str]) -> Iterator[None]:
+    """What is refused inside is at the first of `names` that the message has in it."""
+    try:
+        yield
+    except InputError as error:
+        said = re.findall(r"\w+", str(error))
+        path = min(((name,) for name in names if name in said), key=lambda x: said.index(x[0]), default=())
+        raise Wrong(str(error), path) from None
+
+
+@contextlib.contextmanager
+def located(source: Source | None) -> Iterator[None]:
+    """What is refused inside says where in the file it is, if there is a file."""
+    try:
+        yield
+    except Wrong as error:
+        where = ""
+        if source:
+            line = _line(source, error.path)
+            where = f"{source}, line {line}: " if line else f"{source}: "
+        raise InputError(f"{where}{error}") from None
+
+
+# What a file is made of as far as it must be known where statements end: texts, comments, and single characters.
+_PIECE = re.compile(
+    r'''"""(?:\\.|[^\\])*?(?:"{3,5}|\Z)|'{3}.*?(?:'{3,5}|\Z)|"(?:\\.|[^"\\\n])*"?|'[^'\n]*'?|\#[^\n]*|[][{}=.,\n]''',
+    re.DOTALL,
+)
+
+
+class _Statement(NamedTuple):
+    line: int  # on which it begins
+    end: int  # of the text up to and with it
+
+
+def split_statements(source: Source) -> list[_Statement]:
+    """The statements of a file, blank lines among them; the last one may be left open.
+
+    tomllib tells no lines. But the beginning of a file is TOML itself wherever nothing is left open.
+
+    Raises:
+        InputError: brackets are in one another, or a key has parts, beyond `DEEPEST`.
+    """
+    found, line, first, depth, parts = [], 1, 1, 0, 0
+    for piece in _PIECE.finditer(source.text):
+        text = piece[0]
+        depth += (text in ("[", "{")) - (text in ("]", "}"))
+        parts = parts + 1 if text == "." else parts if text[0] in "\"'" else 0
+        if max(depth, parts) > DEEPEST:
+            what = "brackets are in one another" if depth > DEEPEST else "parts are in a key"
+            raise InputError(f"{source}, line {line}: more than {DEEPEST} {what}")
+        line += text.count("\n")
+        if text == "\n" and depth <= 0:
+            found.append(_Statement(first, piece.end()))
+            first, depth = line, 0
+    if not found or found[-1].end < len(source.text):
+        found.append(_Statement(first, len(source.text)))
+    return found
+
+
+def _line(source: Source, path: Sequence[str | int]) -> int | None:
+    """The line on which what is at `path` begins, or as much of the way there as there is."""
+    data = tomllib.loads(source.text)
+    path = next((path[:n] for n in range(len(path), 0, -1) if _is_there(data, path[:n])), ())
+    if not path:
+        return None
+    statements = split_statements(source)
+    said = lambda end: _is_there(tomllib.loads(source.text[:end]), path)
+    return statements[bisect.bisect_left(statements, True, key=lambda x: said(x.end))].line
+
+
+def _is_there(data: Any, path: Sequence[Any]) -> bool:
+    for key in path:
+        if isinstance(key, int) and not isinstance(data, list):
+            continue  # a table alone is the first of one
+        try:
+            data = data[key]
+        except (LookupError, TypeError):
+            return False
+    return True

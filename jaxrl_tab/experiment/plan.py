@@ -1,0 +1,116 @@
+"""What an experiment will take: runs, shards, memory."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+
+from jaxrl_tab.core import memory
+from jaxrl_tab.engine import room
+from jaxrl_tab.engine.sweep import Part, leaves_as_arrays
+
+
+class PartPlan(NamedTuple):
+    """What a part will take.
+
+    Attributes:
+        programs: how many programs are compiled for it: what shapes the program, such as the n of n-step
+            methods, makes one of its own.
+        runs: how many runs there are, of all programs.
+        blocks: in how many blocks they go.
+        work: how many steps, or episodes, they are in all.
+        results: the bytes of what they give.
+        working: the bytes that are needed beside, at most, while they are computed.
+    """
+
+    programs: int
+    runs: int
+    blocks: int
+    work: int
+    results: int
+    working: int
+
+
+class Plan(NamedTuple):
+    """What an experiment will take: what is known before anything is compiled.
+
+    Attributes:
+        parts: what each of its parts will take, by their labels.
+        unit: "steps" or "episodes": what their work is counted in.
+        devices: on what it is computed, in words.
+    """
+
+    parts: dict[str, PartPlan]
+    unit: str
+    devices: str
+
+    def text(self) -> str:
+        """The plan for people: a line for each part, and the sums."""
+        parts = list(self.parts.values())
+        total = PartPlan(*map(sum, zip(*parts, strict=True)))._replace(working=max(x.working for x in parts))
+        rows = [["", "programs", "runs", "blocks", self.unit, "results", "working memory"]]
+        for name, x in [*self.parts.items(), *([("all together", total)] if len(parts) > 1 else [])]:
+            counts = [f"{n:,}" for n in x[:4]]
+            rows.append([name, *counts, memory.words(x.results), memory.words(x.working)])
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = [
+            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip()
+            for row in rows
+        ]
+        return "\n".join([*lines, f"on {self.devices}"])
+
+    def seconds_left(self, done: Mapping[str, tuple[int, float]]) -> float | None:
+        """How much longer it will take, as far as its parts so far tell; None before there is any.
+
+        A part goes on as fast as it went; one that has not begun as fast as the others on average, per step.
+
+        Args:
+            done: for each part that has begun, how many of its runs are finished, and in how many seconds.
+        """
+        each = {name: x.work / x.runs for name, x in self.parts.items()}
+        begun = {name: (each[name] * runs, seconds) for name, (runs, seconds) in done.items() if runs}
+        if not begun:
+            return None
+        work, seconds = map(sum, zip(*begun.values(), strict=True))
+        left = 0.0
+        for name, x in self.parts.items():
+            own_work, own_seconds = begun.get(name, (0, 0.0))
+            pace = own_seconds / own_work if own_work else seconds / work
+            left += pace * (x.work - own_work)
+        return left
+
+
+def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[Any] | None = None) -> Plan:
+    """What these parts of an experiment will take; nothing is compiled.
+
+    Args:
+        parts: as `Experiment.parts` gives them.
+        limit: how many bytes may be taken; by default half of what is free.
+        devices: the JAX devices to use; all by default.
+    """
+    devices = tuple(devices or jax.devices())
+    kind = "core" if devices[0].platform == "cpu" else devices[0].device_kind
+    found = {}
+    for name, part in parts.items():
+        each = [
+            room.forecast(
+                part.env,
+                leaves_as_arrays(part.configs[members[0]]),
+                part.root,
+                len(members) * part.num_seeds,
+                part.budget,
+                limit,
+                devices,
+            )
+            for members in part.programs
+        ]
+        found[name] = PartPlan(
+            programs=len(each),
+            runs=part.runs,
+            blocks=sum(x.blocks for x in each),
+            work=part.runs * (part.budget.num_steps or part.budget.num_episodes or 0),
+            results=sum(x.results for x in each),
+            working=max(x.working for x in each),
+        )
+    unit = "steps" if next(iter(parts.values())).budget.num_steps else "episodes"
+    return Plan(found, unit, f"{len(devices)} {kind}{'s' if len(devices) > 1 else ''}")

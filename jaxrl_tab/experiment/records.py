@@ -1,0 +1,118 @@
+"""What a folder says about the sessions that computed it."""
+
+import contextlib
+import datetime
+import platform
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+
+from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.engine import provenance
+from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, Store
+
+NOT_RECORDED = "what it was computed with is not recorded"
+
+
+class Origin(NamedTuple):
+    """What the numbers of shards depend on beside the experiment, see `provenance`.
+
+    Attributes:
+        name: of the surroundings of this process; each shard that it computes keeps it.
+        changed: what was otherwise where shards were computed that are there; empty where nothing was.
+        mixed: whether it is allowed to go on nevertheless.
+    """
+
+    name: str
+    changed: list[str]
+    mixed: bool
+
+    @staticmethod
+    def of(store: Store, records: Mapping[str, Any], mixed: bool) -> "Origin":
+        now = provenance.surroundings()
+        name = provenance.digest(now)
+        others = origins_of(store) - {name}
+        if not others:
+            return Origin(name, [], mixed)
+        was = recorded(records, others)
+        lines = provenance.differences(was[0]["surroundings"], now) if was else [NOT_RECORDED]
+        return Origin(name, lines, mixed)
+
+    def check(self, path: Path) -> None:
+        """Raises InputError where what is computed now would be numbers of another kind."""
+        if self.changed and not self.mixed:
+            raise InputError(
+                f"what is missing in {path} would not be computed as the rest was: {'; '.join(self.changed)}; "
+                f"go on with what it was, or begin a new folder with {path / GIVEN}, or allow it with --mixed "
+                "(mixed=True): the report then says so"
+            )
+
+
+def origins_of(store: Store) -> set[str | None]:
+    """The names of the surroundings in which the shards were computed."""
+    return {facts.surroundings for facts in store.shards.values()}
+
+
+def recorded(records: Mapping[str, Any], origins: Collection[str | None]) -> list[dict[str, Any]]:
+    """The sessions in which shards of these origins were computed, in order."""
+    named = [(provenance.digest(x.get("surroundings", {})), x) for x in records["sessions"]]
+    return [session for name, session in named if name in origins]
+
+
+def mixture(sessions: Sequence[Mapping[str, Any]]) -> str:
+    """What was not the same in all of them."""
+    first, *others = [session["surroundings"] for session in sessions] or [{}]
+    lines = [line for other in others for line in provenance.differences(first, other)]
+    return "; ".join(dict.fromkeys(lines)) or NOT_RECORDED
+
+
+def settings_of(store: Store, records: Mapping[str, Any]) -> contextlib.AbstractContextManager[None]:
+    """Gives JAX the settings that the shards were computed with, within the block."""
+    sessions = recorded(records, origins_of(store))
+    was = sessions[0]["surroundings"] if sessions else {}
+    return provenance.using({name: was[name] for name in provenance.settings() if name in was})
+
+
+def is_session(found: Any) -> bool:
+    """Whether data are the record of a session, with what is looked at later."""
+    return (
+        isinstance(found, dict)
+        and isinstance(found.get("command"), str)
+        and isinstance(found.get("started"), str)
+    )
+
+
+@contextlib.contextmanager
+def session(store: Store, records: dict[str, Any], command: str) -> Iterator[None]:
+    """Keeps records of this process, which computes."""
+    file = store.path / PROVENANCE
+    session = {"command": command, "started": timestamp(), "ended": None, **_machine()}
+    records["sessions"].append(session)
+    storage.write_json(file, records)
+    try:
+        yield
+    finally:
+        session["ended"] = timestamp()
+        with contextlib.suppress(RunError):  # the disk may be full, which somebody else says
+            storage.write_json(file, records)
+
+
+def _machine() -> dict[str, Any]:
+    """What numbers depend on, and more about this process."""
+    devices = jax.devices()
+    processor = provenance.cpu("model name") or platform.processor() or platform.machine()
+    return {
+        "surroundings": provenance.surroundings(),
+        "python": platform.python_version(),
+        "processor": devices[0].device_kind if devices[0].platform != "cpu" else processor,
+        "devices": len(devices),
+        "platform": platform.platform(),
+        "git_commit": provenance.git_commit(),
+    }
+
+
+def timestamp() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

@@ -1,0 +1,118 @@
+"""An experiment in pieces that are computed and kept one by one."""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxrl_tab.engine import room
+from jaxrl_tab.engine.sweep import Part, compute
+from jaxrl_tab.experiment.spec import Experiment
+
+SHARD_STEPS = 2**27  # of the runs in a shard, about: a few seconds on two cores
+SHARD_BYTES = 2**26  # that its runs give, at most, unless one block of lanes gives more
+EPISODE_STEPS = 100  # so long an episode is taken to be, where episodes are the budget
+FRESH = "fresh seeds/"  # before the name of a part that runs a chosen setting again
+
+
+class Shard(NamedTuple):
+    """Some runs of a part that go together: `first` to `last` - 1 of those of one of its programs."""
+
+    part: str
+    program: int
+    first: int
+    last: int
+
+    @property
+    def runs(self) -> int:
+        return self.last - self.first
+
+
+class Job(NamedTuple):
+    """What is to be computed, as data that any process can do its share of: called with a shard's number.
+
+    Attributes:
+        experiment: the data of the experiment, as JSON.
+        memory: how many bytes may be taken; None: half of what is free.
+        chosen: for each part the number of the configuration that is run again on fresh seeds, as JSON; None
+            where nothing is.
+    """
+
+    experiment: str
+    memory: int | None
+    chosen: str | None = None
+
+    @property
+    def parts(self) -> dict[str, Part]:
+        return _parts(self.experiment, self.chosen)
+
+    @property
+    def shards(self) -> list[Shard]:
+        """In the order of their numbers. Those of fresh seeds come last."""
+        return _shards(self.experiment, self.chosen)
+
+    def setting(self, shard: Shard) -> int | None:
+        """The chosen configuration, of a shard of fresh seeds."""
+        if self.chosen is None or not shard.part.startswith(FRESH):
+            return None
+        return json.loads(self.chosen)[shard.part.removeprefix(FRESH)]
+
+    def __call__(self, number: int) -> dict[str, np.ndarray]:
+        """What the runs of a shard give: `q`, the fields of the log, and the `seconds` it took."""
+        shard = self.shards[number]
+        part = self.parts[shard.part]
+        computed = compute(part, runs(part, shard), memory=self.memory)
+        log = {name: x for name, x in computed.log._asdict().items() if x is not None}
+        return {"q": computed.q, **log, "seconds": np.array(computed.seconds)}
+
+
+@functools.lru_cache(maxsize=4)
+def _parts(experiment: str, chosen: str | None) -> dict[str, Part]:
+    if chosen is None:
+        return Experiment.from_data(json.loads(experiment)).parts()
+    parts, seeds = _parts(experiment, None), json.loads(experiment)["select"]["fresh_seeds"]
+    again = {FRESH + name: _again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
+    return parts | again
+
+
+@functools.lru_cache(maxsize=4)
+def _shards(experiment: str, chosen: str | None) -> list[Shard]:
+    return [shard for name, part in _parts(experiment, chosen).items() for shard in _split(name, part)]
+
+
+def _again(part: Part, config: int, seeds: int) -> Part:
+    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
+    one = [part.configs[config]]
+    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
+
+
+def _split(name: str, part: Part) -> Iterator[Shard]:
+    """The shards of a part. They depend on nothing but the part: neither on the machine nor on the time."""
+    most = shard_runs(part)
+    for program, members in enumerate(part.programs):
+        total = len(members) * part.num_seeds
+        for first in range(0, total, most):
+            yield Shard(name, program, first, min(first + most, total))
+
+
+def shard_runs(part: Part) -> int:
+    """How many runs make a shard: whole blocks of lanes."""
+    budget, states = part.budget, part.env.num_states
+    length = budget.num_steps or budget.num_episodes or 0
+    rows = -(-length // (budget.log_every or 1))
+    steps = budget.num_steps or length * EPISODE_STEPS
+    if (
+        budget.exact
+    ):  # solves a system of equations in each row, about a hundred multiply-adds in a step's time
+        steps += rows * states**3 // 300
+    given = 4 * (states * part.env.num_actions + 7 * rows)  # a table, and at most 7 numbers in a row
+    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // given) // room.LANES) * room.LANES
+
+
+def runs(part: Part, shard: Shard) -> np.ndarray:
+    """The numbers of the runs of a shard, in the part, int [runs]."""
+    config, place = np.divmod(np.arange(shard.first, shard.last), part.num_seeds)
+    return part.programs[shard.program][config] * part.num_seeds + place
