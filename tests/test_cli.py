@@ -22,9 +22,9 @@ from jaxrl_tab.cli import main, options
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.engine import sweep
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.experiment import shards
-from jaxrl_tab.figures import FIGURES, figure
+from jaxrl_tab.figures import FIGURES
 
 TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
 
@@ -239,14 +239,14 @@ def test_options_of_some_methods_go_to_those(asked):
 @pytest.fixture
 def stopped(monkeypatch):
     """Ctrl-C where Q-learning begins."""
-    real = shards.compute
+    real = sweep.compute
 
     def compute(part, *args, **kwargs):
         if part.algorithm is rl.QLearning:
             raise KeyboardInterrupt
         return real(part, *args, **kwargs)
 
-    monkeypatch.setattr(shards, "compute", compute)
+    monkeypatch.setattr(sweep, "compute", compute)
 
 
 def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(run, stopped, monkeypatch, tmp_path, capsys):
@@ -357,7 +357,7 @@ def idle(monkeypatch):
     def fail(*_, **__):
         pytest.fail("something was computed before the refusal")
 
-    monkeypatch.setattr(figure, "sweep", fail)
+    monkeypatch.setattr(sweep, "sweep", fail)
     monkeypatch.setattr(jax, "jit", fail)
     for name in ("exact_model", "policy_iteration", "epsilon_soft"):
         monkeypatch.setattr(planning, name, fail)

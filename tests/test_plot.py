@@ -15,7 +15,7 @@ from matplotlib.text import Text
 import jaxrl_tab as rl
 from jaxrl_tab import plot, stats
 from jaxrl_tab.algorithms.prediction import PREDICTION
-from jaxrl_tab.core import describe
+from jaxrl_tab.show import words
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -250,11 +250,11 @@ def test_fifty_methods_look_different(ax, datasets):
 
 def test_names_are_as_people_write_them():
     for name in [*rl.ENVS, *rl.ALGORITHMS, *PREDICTION]:
-        title = describe.title(name)
+        title = words.title_of(name)
         assert title[0].isupper() or title[:2] in ("n-", "k-")
         assert "_" not in title
-    assert describe.title("windy-gridworld,moves=king") == "Windy gridworld,moves=king"
-    assert describe.title("my-own") == "my-own"
+    assert words.title_of("windy-gridworld,moves=king") == "Windy gridworld,moves=king"
+    assert words.title_of("my-own") == "my-own"
 
 
 # --- prediction --------------------------------------------------------------------------------------

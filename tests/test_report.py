@@ -13,7 +13,7 @@ from made_up import ALPHAS, make_result
 
 import jaxrl_tab as rl
 from jaxrl_tab import plot, report, stats
-from jaxrl_tab.core import describe
+from jaxrl_tab.show import words
 
 pytestmark = pytest.mark.filterwarnings("error")
 ABOUT = {
@@ -143,7 +143,7 @@ def test_all_settings_stand_with_the_best_first(made, windy_sets):
     head, *rows = read(made).tables[1]
     assert head == ["method", "α", "mean return", "95% interval", "9 of 10 runs", "episodes"]
     table = stats.summary(windy_sets).sort_values("last_tenth_return", ascending=False)
-    names = [describe.title(name.removeprefix("windy/")) for name in table.method]
+    names = [words.title_of(name.removeprefix("windy/")) for name in table.method]
     assert [row[0].rstrip(" ★≈") for row in rows] == names
     assert [number(row[2]) for row in rows] == pytest.approx([*table.last_tenth_return], abs=0.006)
     assert [row[1] for row in rows if row[0].endswith("★")] == ["0.9", "0.9"]

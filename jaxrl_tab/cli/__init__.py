@@ -69,7 +69,8 @@ from jaxrl_tab.experiment.progress import Report
 from jaxrl_tab.experiment.spec import Experiment, template
 from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
-from jaxrl_tab.figures.page import cells, page, six_digits
+from jaxrl_tab.figures.page import cells, page
+from jaxrl_tab.show.words import edge_warning, six_digits, symbol, title_of
 
 if TYPE_CHECKING:  # these take their time to import, and only some commands need them
     import pandas as pd
@@ -864,11 +865,11 @@ def _print_summary(
                     for name, key in (("median", "median"), ("interquartile mean", "iqm"))
                 ]
                 wanted = f"{row['seeds_wanted']} seeds would be needed to trust the mean"
-                notes.append(f"! {describe.title(str(method))}: {', '.join(ends)}; {wanted}.")
+                notes.append(f"! {title_of(str(method))}: {', '.join(ends)}; {wanted}.")
         view.add_section()
         own = datasets[str(method)]
         at_edge = stats.at_edge(own, stats.best(own)) if choice else {}
-        edges += [describe.at_edge(name, str(method), end) for name, end in at_edge.items()]
+        edges += [edge_warning(name, str(method), end) for name, end in at_edge.items()]
     out = _console()
     out.print(", ".join([f"[bold]{environment}[/]", *setting, f"{ds.sizes['seed']} seeds, {length} each"]))
     out.print(view)
@@ -915,7 +916,7 @@ def _soft_optima(datasets: "Mapping[str, xr.Dataset]", env: Environment) -> dict
         setting = stats.fixed(ds) | stats.named(ds, stats.best(ds))
         by = "behaviour" if setting.get("behaviour") else "epsilon"
         used = [key for key in (by, "gamma") if key in setting]
-        name = " and ".join(f"{describe.symbol(key)} = {words(setting[key])}" for key in used)
+        name = " and ".join(f"{symbol(key)} = {words(setting[key])}" for key in used)
         if name not in found:
             found[name] = stats.soft_optimum(env, setting)
     return {name: value for name, value in found.items() if not np.isnan(value)}

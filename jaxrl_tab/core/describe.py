@@ -12,32 +12,8 @@ from fractions import Fraction
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import clock, policies, schedules
 from jaxrl_tab.core.checks import InputError, shown
-from jaxrl_tab.envs import ENVS
-
-# As people write the names in which not only the first letter is large.
-TITLES = {
-    "expected-sarsa": "Expected Sarsa",
-    "n-step-sarsa": "n-step Sarsa",
-    "sarsa-lambda": "Sarsa(λ)",
-    "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
-    "q-learning": "Q-learning",
-    "q-learning-target": "Q-learning of a target policy",
-    "double-q-learning": "Double Q-learning",
-    "q-lambda": "Q(λ)",
-    "monte-carlo": "Monte Carlo",
-    "off-policy-monte-carlo": "Off-policy Monte Carlo",
-    "td": "TD(0)",
-    "n-step-td": "n-step TD",
-    "td-lambda": "TD(λ)",
-    "off-policy-td": "Off-policy TD(0)",
-    "monte-carlo-prediction": "Monte Carlo prediction",
-    "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
-    "k-armed-testbed": "k-armed testbed",
-}
-SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
 
 _ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
 
@@ -56,24 +32,6 @@ class Parameter(NamedTuple):
     type: Any
     default: Any
     help: str
-
-
-def title(name: str) -> str:
-    """The name of an environment or a method as people write it; a name that a user gave stays as it is."""
-    known, *own = name.split(",")  # "random-walk,states=5" of an experiment
-    if known in ENVS or known in METHODS:
-        known = TITLES.get(known, known.replace("-", " ").capitalize())
-    return ",".join([known, *own])
-
-
-def symbol(name: str) -> str:
-    """The name of a hyperparameter as people write it: "α"."""
-    return SYMBOLS.get(name, name)
-
-
-def at_edge(parameter: str, method: str, end: str) -> str:
-    """What to know where the best value is the "largest" or the "smallest" tried; see `stats.at_edge`."""
-    return f"The best {symbol(parameter)} of {title(method)} is the {end} that was tried; a better one may lie beyond."
 
 
 def summary(cls: type) -> str:

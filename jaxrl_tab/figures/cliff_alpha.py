@@ -42,8 +42,7 @@ def _greedy_limit():
 
 def _draw(datasets):
     from jaxrl_tab import stats
-    from jaxrl_tab.core import describe
-    from jaxrl_tab.show import plot
+    from jaxrl_tab.show import plot, words
 
     canvas = plot.canvas(plot.WIDTH, 5.2)
     ax = canvas.subplots()
@@ -54,7 +53,7 @@ def _draw(datasets):
             mean, low, high, _ = stats.mean_interval(_mean_return(ds, phase))
             errors = abs(np.stack([low, high]) - mean.values)
             line = {"color": color, "marker": marker, "ms": 5, "lw": 1.5, "capsize": 2}
-            name = describe.title(method)
+            name = words.title_of(method)
             ax.errorbar(ds.alpha, mean, errors, label=f"{name}, {phase}", **line, **style)
             if (last := float(mean[-1])) < LOWEST:
                 text = f"{name} at α = 1: −{-last:.0f}, and falling on"

@@ -31,13 +31,12 @@ def best_soft() -> float:
 
 
 def _draw(datasets):
-    from jaxrl_tab.core import describe
-    from jaxrl_tab.show import plot
+    from jaxrl_tab.show import plot, words
 
     canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
-        plot.mean_curve(ax, ds.row + 1, ds.returns, describe.title(method), color, lw=1)
+        plot.mean_curve(ax, ds.row + 1, ds.returns, words.title_of(method), color, lw=1)
     lines = {"optimal policy": (optimum(), "--"), "best ε-soft policy": (best_soft(), ":")}
     for name, (value, style) in lines.items():
         ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=f"{name}: −{-value:.3g}")

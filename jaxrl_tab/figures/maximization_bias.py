@@ -25,13 +25,12 @@ def _share(method, first, last=None):
 
 
 def _draw(datasets):
-    from jaxrl_tab.core import describe
-    from jaxrl_tab.show import plot
+    from jaxrl_tab.show import plot, words
 
     canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
-        plot.mean_curve(ax, ds.row + 1, 100 * _left(ds), describe.title(method), color)
+        plot.mean_curve(ax, ds.row + 1, 100 * _left(ds), words.title_of(method), color)
     least = 100 * EPSILON / 2
     ax.axhline(least, color=plot.INK, ls="--", lw=1.2, label=f"optimal but for exploration: {least:g}%")
     plot.tidy(ax, "episodes", "% of runs that go left from A")

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from jaxrl_tab.figures.figure import EXACT, Check, Figure
 from jaxrl_tab.show.html import render
+from jaxrl_tab.show.words import six_digits
 
 
 def page(checked: Mapping[str, tuple[Figure, Sequence[Check]]], version: str) -> str:
@@ -33,8 +34,3 @@ def cells(check: Check) -> tuple[str, ...]:
 
 def _error(standard_error: float) -> str:
     return f"{standard_error:.2g}" if standard_error > EXACT else "exact"
-
-
-def six_digits(x: float) -> str:
-    """`x` with six significant digits; what is rounding around 0 is 0."""
-    return f"{round(x, 9) + 0:.6g}"

@@ -1,7 +1,7 @@
 """Statistics along one dimension of a dataset, a block at a time."""
 
 import functools
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +11,9 @@ from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError, shown
 
 MEMORY = 2**22  # float64 of one intermediate result, unless all values of one place are more
+
+
+Datasets = Mapping[str, xr.Dataset]  # a sweep for each method, by the name that people see
 
 
 class Interval(NamedTuple):

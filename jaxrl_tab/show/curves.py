@@ -1,0 +1,282 @@
+"""Pictures of learning curves and of sensitivity to hyperparameters."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullLocator
+
+from jaxrl_tab import stats
+from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.types import Environment
+from jaxrl_tab.show import words
+from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal, shortened, tidy
+from jaxrl_tab.show.words import label_of, significant, text_of
+from jaxrl_tab.stats.along import Datasets
+
+MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
+FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has its tick on an axis
+MOST_MARKS = 24  # kinds of marks in a picture; beyond them nobody can tell which is which
+MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
+
+
+def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
+    """Episodes finished against time steps, mean and 95% interval over seeds (book, example 6.5).
+
+    The slope is the pace: one episode in so many steps. Where episodes were the budget, the mean and its
+    interval are of the time steps that they took, so the band is horizontal.
+
+    Args:
+        ax: where to draw.
+        datasets: a sweep for each method.
+        given: hyperparameters to hold, such as `alpha=0.5`; otherwise each method's best (`stats.best`).
+
+    Raises:
+        InputError: no method swept the hyperparameter, or one that did not at this value.
+    """
+    for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
+        by_steps = "num_steps" in ds.attrs
+        spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
+        mean, low, high = (_from_origin(x.clip(min=0)) for x in stats.progress_interval(ds, spread)[:3])
+        other = _from_origin(stats.episode_curve(ds.isel(seed=0))[exact])
+        points = (other, mean) if by_steps else (mean, other)
+        ax.plot(*points, lw=1.8, ms=4.5, markevery=max(1, len(mean) // 8), label=literal(label), **style)
+        band = ax.fill_between if by_steps else ax.fill_betweenx
+        band(other, low, high, color=style["color"], alpha=0.2, lw=0)
+    tidy(ax, "time steps", "episodes finished")
+    ax.set_xlim(left=0)
+    ax.set_ylim(bottom=0)
+    legend(ax, loc="upper left")
+
+
+def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **given: Any) -> None:
+    """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
+
+    Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
+    drawn at the end of its rows, and only where `MOST_SEEDS` of the seeds finished an episode in them: at
+    first only the quick episodes are over, and their mean would flatter. Of methods of prediction the RMS
+    error of V is drawn, at the end of every row. Arguments and errors as in `episodes_against_steps`.
+    """
+    by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
+    if stats.is_prediction(*datasets.values()):
+        for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
+            x = (ds.steps if by_steps else ds.episodes).mean("seed").cumsum("row")
+            line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
+            mean_curve(ax, x, ds.v_error, label, **line)
+        tidy(ax, "time steps" if by_steps else "episodes", "RMS error of V over states")
+        ax.set_xlim(left=0)
+        ax.set_ylim(bottom=0)
+        legend(ax)
+        return
+    shown, end = [], 0
+    for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
+        points, interval, enough = _readable_curve(ds)
+        curve = stats.episode_curve(stats.merge_rows(ds.isel(seed=0), points))
+        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].values
+        mean, low, high = (np.where(enough, part, np.nan) for part in interval[:3])
+        ax.plot(x, mean, lw=1.7, ms=3.5, label=literal(label), **style)
+        ax.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
+        shown += [mean, low, high]
+        end = max(end, x[-1])
+    if not np.isfinite(np.concatenate(shown)).any():
+        ax.text(0.5, 0.3, "too few episodes for a curve", transform=ax.transAxes, ha="center", color=GREY)
+    ax.set_xlim(0, 1.03 * end)
+    tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
+    _return_axis(ax, shown, common_optimum(datasets), soft)
+    legend(ax)
+
+
+def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft: float = np.nan) -> None:
+    """Mean return of the last tenth against a hyperparameter, with 95% intervals and the exact optimum.
+
+    Of methods of prediction it is the mean RMS error of V over all rows. Other swept hyperparameters stay at
+    the method's best combination. The intervals are those of `stats.score_interval`. A point is hollow where
+    some runs finished no episode in the last tenth, and so count with what they collected there. A method
+    that did not sweep the parameter is drawn at the one value that it had. Schedules and policies, and
+    numbers beside them, stand side by side in the order in which they come. Where the parameter was drawn at
+    random there is a point for each draw, in which what was drawn with it is another, too.
+
+    Args:
+        soft: as in `learning_curves`.
+
+    Raises:
+        InputError: no method swept the parameter.
+    """
+    if not any(parameter in stats.hyperparameters(ds) + stats.drawn(ds) for ds in datasets.values()):
+        raise InputError(f"no method swept {parameter!r}")
+    prediction = stats.is_prediction(*datasets.values())
+    series, drawn = {}, set()
+    for name, ds in datasets.items():
+        chosen = stats.best(ds)
+        if parameter in stats.drawn(ds):
+            drawn.add(name)
+            del chosen["draw"]
+        chosen.pop(parameter, None)
+        label = label_of(name, stats.named(ds, chosen))
+        late = xr.zeros_like(ds.episodes.isel(seed=0, row=0), bool)
+        if not prediction:
+            late = stats.unfinished(ds).any("seed")
+        parts = [part.sel(chosen) for part in (*stats.score_interval(ds), late)]
+        ds = ds.sel(chosen)
+        if name not in drawn and parameter not in ds.dims:
+            if parameter not in stats.fixed(ds):
+                continue
+            ds = ds.expand_dims({parameter: [stats.fixed(ds)[parameter]]})
+            parts = [part.expand_dims(parameter) for part in parts]
+        series[name] = label, ds[parameter].values, parts
+    place = _places(ax, [x for _, x, _ in series.values()])
+    shown, incomplete = [], False
+    for name, style in zip(datasets, line_styles(), strict=False):
+        if name not in series:
+            continue
+        label, x, parts = series[name]
+        x, (*interval, _, late) = place(x), (part.values for part in parts)
+        mean, low, high = (
+            np.where(np.isfinite(part), part, np.nan) for part in interval
+        )  # it may have diverged
+        between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
+        style["ls"] = "-" if between else "none"
+        ax.errorbar(
+            x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, color=style["color"]
+        )
+        ax.plot(x, mean, lw=1.8, ms=5.5, label=literal(label), **style)
+        late &= np.isfinite(mean)
+        ax.plot(x[late], mean[late], ls="none", ms=3, marker=style["marker"], color="white", zorder=5)
+        shown += [mean, low, high]
+        incomplete |= bool(late.any())
+    if incomplete:
+        hollow = {"marker": "o", "mfc": "white", "mec": INK, "mew": 1.5}
+        ax.plot([], [], ls="none", **hollow, label="hollow: some runs unfinished")
+    what = "step size α" if parameter == "alpha" else words.symbol(parameter)
+    if prediction:
+        tidy(ax, what, "RMS error of V, mean over the run")
+        _error_axis(ax, shown[::3])
+    else:
+        tidy(ax, what, "mean return, last tenth")
+        _return_axis(ax, shown, common_optimum(datasets), soft)
+    legend(ax)
+
+
+def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    """A function from values of a hyperparameter to where they lie, and the x axis that fits all `tried`.
+
+    Numbers are their own places, float. Where any is text all are ticks side by side, int.
+    """
+    if all(x.dtype.kind in "fiu" for x in tried):
+        x = np.unique(np.concatenate(tried).astype(float))
+        if x.min() > 0 and x.max() > 10 * x.min():
+            ax.set_xscale("log")
+        if len(x) <= FEW_TICKS:
+            ax.set_xticks(x, [f"{v:g}" for v in x])
+            ax.xaxis.set_minor_locator(NullLocator())
+        elif ax.get_xscale() == "log":
+            ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            ax.xaxis.set_minor_locator(NullLocator())
+        return lambda x: x.astype(float)
+    names = list(dict.fromkeys(text_of(v) for x in tried for v in x.tolist()))
+    tilt = {"rotation": 20, "ha": "right"} if sum(map(len, names)) > 30 else {}
+    ax.set_xticks(range(len(names)), [literal(shortened(name)) for name in names], **tilt)
+    ax.set_xlim(-0.5, len(names) - 0.5)
+    return lambda x: np.array([names.index(text_of(v)) for v in x.tolist()])
+
+
+def _error_axis(ax: Axes, means: list[np.ndarray]) -> None:
+    """The y axis of errors, from 0. What diverged would hide the rest, and leaves the picture."""
+    values = np.concatenate(means)
+    values = values[np.isfinite(values)]
+    if values.size:
+        ax.set_ylim(0, min(1.15 * values.max(), 5 * values.min()))
+
+
+def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, **line: Any) -> None:
+    """The mean of `values`, [..., seed, ...] with one other dimension, over seeds, and its pointwise 95% interval.
+
+    Args:
+        ax: where to draw.
+        x: where each lies, as long as the other dimension.
+        values: one number for each seed and place.
+        label: as the legend shows it.
+        color: of the line and of the band.
+        line: how the line is drawn, as in `Axes.plot`.
+    """
+    interval = stats.mean_interval(values)
+    ax.plot(x, interval.estimate, label=literal(label), color=color, lw=line.pop("lw", 1.8), **line)
+    ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
+
+
+def _readable_curve(ds: xr.Dataset, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
+    """At most how many points, the interval of their mean returns, and where enough seeds are, bool [points].
+
+    They are fewer than `points` if that closes gaps in the second half.
+    """
+    interval = stats.curve_interval(ds, points)
+    enough = (interval.n >= MOST_SEEDS * ds.sizes["seed"]).values
+    if enough[len(enough) // 2 :].all() or points <= LEAST_POINTS:
+        return points, interval, enough
+    return _readable_curve(ds, points // 2)
+
+
+def at_setting(datasets: Datasets, given: Mapping[str, Any]) -> Iterable[tuple[str, xr.Dataset]]:
+    """(label, dataset at one combination of hyperparameters) for each method."""
+    for name in given:
+        if not any(name in stats.hyperparameters(ds) for ds in datasets.values()):
+            raise InputError(f"no method swept {name!r}")
+    for method, ds in datasets.items():
+        own = {name: value for name, value in given.items() if name in stats.hyperparameters(ds)}
+        setting = stats.best(ds, **own)
+        yield label_of(method, stats.named(ds, setting)), ds.sel(setting)
+
+
+def _from_origin(x: xr.DataArray) -> np.ndarray:
+    return np.concatenate([[0], x.values])
+
+
+def common_optimum(datasets: Datasets) -> float:
+    """v* from the start if it is one finite number for all, else NaN."""
+    values = np.concatenate([stats.optimum(ds).values.ravel() for ds in datasets.values()])
+    return float(values[0]) if np.ptp(values) < 1e-6 * max(1, abs(values[0])) else np.nan
+
+
+def common_soft_optimum(datasets: Datasets, env: Environment) -> float:
+    """What the best policy is worth that explores as the best settings do, if that is one number, else NaN."""
+    if stats.is_prediction(*datasets.values()):
+        return np.nan
+    settings = [stats.fixed(ds) | stats.named(ds, stats.best(ds)) for ds in datasets.values()]
+    explored = [{key: setting.get(key) for key in ("epsilon", "gamma", "behaviour")} for setting in settings]
+    return stats.soft_optimum(env, explored[0]) if all(x == explored[0] for x in explored) else np.nan
+
+
+def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float) -> None:
+    """The y axis of returns, with the optimum as a dashed line, and the best value of exploring as a dotted one.
+
+    Early returns can be a hundred times the last ones, and the distance from these to the optimum is what
+    matters. Where all are negative and differ by more than a factor of five, the axis is one of ratios.
+    """
+    values = np.concatenate([*shown, [optimum, soft]])
+    values = values[np.isfinite(values)]
+    lines = (("exact optimum", optimum, (0, (5, 3)), 2, "bottom"), ("best ε-soft", soft, ":", -2, "top"))
+    for name, y, style, offset, side in lines:
+        if np.isfinite(y):
+            ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1)
+            text = f"{name} {significant(y, 4)}"
+            at = {"xytext": (0, offset), "xycoords": ax.get_yaxis_transform(), "textcoords": "offset points"}
+            label = ax.annotate(text, (0.02, y), **at, va=side, fontsize=SMALL, zorder=6)
+            label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
+    if not values.size:
+        return
+    low, high = values.min(), values.max()
+    if high < 0 and low / high > 5:
+        bottom, top = low * 1.2, high / 1.35
+        ticks = np.outer(10.0 ** np.arange(-6, 12), [1, 2, 5]).ravel()
+        ax.set_yscale("symlog", linthresh=-top)
+        ax.set_yticks([-t for t in ticks if -top <= t <= -bottom])
+        ax.yaxis.set_major_formatter(lambda y, _: significant(y))
+        ax.yaxis.set_minor_locator(NullLocator())
+    else:
+        margin = 0.1 * (high - low) or 1
+        bottom, top = low - margin, high + margin
+    ax.set_ylim(bottom, top)

@@ -1,0 +1,275 @@
+"""Pictures of grids: values, greedy paths, and what changes from grid to grid."""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+import xarray as xr
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.patches import Rectangle
+
+from jaxrl_tab import stats
+from jaxrl_tab.core import memory, policies
+from jaxrl_tab.core.types import Environment
+from jaxrl_tab.envs.base import COMPASS, Grid
+from jaxrl_tab.exact import planning
+from jaxrl_tab.show.style import ALARM, COLORS, GREY, INK, SMALL, axes_title, color_bar
+from jaxrl_tab.show.words import label_of, seeds_in_words, significant
+
+
+def greedy_path(
+    ax: Axes, env: Grid, q: np.ndarray, title: str = "greedy path", optimum: float = np.nan
+) -> None:
+    """The path of the policy that is greedy to `q`, from start to goal, on the grid with its wind below.
+
+    Faint arrows are the greedy actions of all cells in which `q` prefers any; hatched cells cannot be
+    reached. Where several actions are greedy the path takes one that leads to the goal soonest, so "goes
+    round for ever" is said only where no choice among them gets there. Where chance plays, the path takes
+    the most likely outcome (of equally likely ones the middle one).
+
+    Args:
+        ax: where to draw.
+        env: a grid.
+        q: action values, [S, A], learned or exact.
+        title: the first line of the title; the second says how long the path is.
+        optimum: v* from the start, named beside the length unless NaN.
+    """
+    moves = _Moves.of(env)
+    path, arrives = moves.path(q, env.start_state)
+    least = q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
+    prefers = (q.max(-1) > least) & ~moves.terminal & moves.reachable
+    _draw_grid(ax, env, moves)
+    rows, columns = np.divmod(path, env.shape[1])
+    arrows = greedy_actions(q) & prefers[:, None]
+    for s, *step in zip(path[:-1], np.diff(rows), np.diff(columns), strict=True):
+        arrows[s] &= (np.asarray(COMPASS[: env.num_actions]) != step).any(
+            -1
+        )  # the path itself shows this one
+    _draw_arrows(ax, env, arrows, "#9a9a9a")
+    _draw_ends(ax, env)
+
+    color = COLORS[0] if arrives else ALARM
+    outline = [patheffects.withStroke(linewidth=4.5, foreground="white")]
+    ax.plot(columns, rows, color=color, lw=2.2, zorder=4, path_effects=outline)
+    ax.plot(columns, rows, "o", color=color, ms=5, mec="white", mew=0.8, zorder=5)
+    length = f"{len(path) - 1} steps to the goal" if arrives else "goes round for ever"
+    if moves.stochastic:
+        length = f"likeliest outcomes: {length}"
+    if not np.isnan(optimum):
+        length += f"; optimum v* = {significant(optimum, 4)}"
+    axes_title(ax, f"{title}\n{length}")
+
+
+def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
+    """A heat map of the values `v`, float [S], with the arrows of all greedy actions of `q`, [S, A].
+
+    Hatched cells cannot be reached from the start.
+    """
+    moves = _Moves.of(env)
+    shown = np.isfinite(v) & moves.reachable
+    image = ax.imshow(np.ma.masked_array(v, ~shown).reshape(env.shape), cmap="viridis", zorder=1)
+    _draw_grid(ax, env, moves)
+    _draw_arrows(ax, env, greedy_actions(q) & (shown & ~moves.terminal)[:, None], "white", raised=0.1)
+    _draw_ends(ax, env, aside=True)
+    for s in np.flatnonzero(shown & ~moves.terminal):
+        row, column = divmod(int(s), env.shape[1])
+        text = ax.text(
+            column, row + 0.37, significant(v[s], 4), size=SMALL, ha="center", va="center", color="white"
+        )
+        text.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
+    assert ax.figure is not None
+    color_bar(image, [ax], shrink=0.75, pad=0.02)
+
+
+def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
+    """The way that an episode went, from one of `states`, int [steps + 1], to the next.
+
+    Every arrow is drawn a little to the right of where it goes, so that ways back and forth lie side by side.
+    """
+    _draw_grid(ax, env, _Moves.of(env))
+    rows, columns = np.divmod(np.asarray(states), env.shape[1])
+    down, right = np.diff(rows), np.diff(columns)
+    moved = (down != 0) | (right != 0)  # against the edge it stays
+    x, y = columns[:-1] - 0.12 * down, rows[:-1] + 0.12 * right
+    _quiver(ax, x[moved], y[moved], right[moved], down[moved], COLORS[0], width=0.07)
+    _draw_ends(ax, env, aside=True)
+    axes_title(ax, title)
+
+
+def changes(ax: Axes, env: Grid, change: np.ndarray, title: str) -> None:
+    """An arrow for each action whose value changed, the fainter the less; `change` is float [S, A]."""
+    _draw_grid(ax, env, _Moves.of(env))
+    states, actions = np.nonzero(change)
+    rows, columns = np.divmod(states, env.shape[1])
+    down, right = np.asarray(COMPASS)[actions].T
+    size = np.abs(change[states, actions])
+    faint = 0.3 + 0.7 * size.astype(float) / size.max(initial=0)
+    color = np.column_stack([np.tile(to_rgb(COLORS[1]), (len(size), 1)), faint])
+    _quiver(ax, columns + 0.1 * right, rows + 0.1 * down, 0.4 * right, 0.4 * down, color, width=0.065)
+    _draw_ends(ax, env, aside=True)
+    axes_title(ax, title)
+
+
+class _Moves(NamedTuple):
+    """Where each action leads, by its most likely outcome.
+
+    Attributes:
+        successor: state, int [S, A].
+        terminal: bool [S].
+        reachable: whether the state can be reached from a start state, bool [S].
+        stochastic: whether any action has several outcomes.
+    """
+
+    successor: np.ndarray
+    terminal: np.ndarray
+    reachable: np.ndarray
+    stochastic: bool
+
+    @classmethod
+    def of(cls, env: Environment) -> "_Moves":
+        model = planning.exact_model(env)
+        s_next = model.s_next
+        same = s_next[..., :, None] == s_next[..., None, :]
+        likelihood = (model.prob[..., None, :] * same).sum(-1)  # of the successor, by whichever outcome
+        likeliest = np.isclose(likelihood, likelihood.max(-1, keepdims=True))
+        rank = likeliest.cumsum(-1)
+        middle = (rank[..., -1:] + 1) // 2
+        k = ((rank == middle) & likeliest).argmax(-1)[..., None]
+
+        return cls(
+            successor=np.take_along_axis(s_next, k, -1)[..., 0],
+            terminal=planning.terminal_states(model),
+            reachable=planning.reachable(model),
+            stochastic=not np.isclose(likelihood.max(-1), 1).all(),
+        )
+
+    def distance(self, q: np.ndarray) -> np.ndarray:
+        """Steps to a terminal state by greedy actions, float32 [n, S] for `q` [n, S, A]; inf if never."""
+        cost = np.where(np.moveaxis(greedy_actions(q), 0, -1), np.float32(1), np.float32(np.inf))  # [S, A, n]
+        cost[self.terminal] = 0
+        steps = np.full((len(cost), len(q)), np.float32(np.inf))
+        steps[self.terminal] = 0
+        while True:
+            before, steps = steps, (steps[self.successor] + cost).min(1)
+            if (steps == before).all():
+                return steps.T
+
+    def path(self, q: np.ndarray, s: int) -> tuple[np.ndarray, bool]:
+        """The states of the greedy path from `s`, and whether it ends; else its last state is a repeat."""
+        steps, greedy = self.distance(q[None])[0], greedy_actions(q)
+        path = [s]
+        while not self.terminal[s] and s not in path[:-1]:
+            onward = self.successor[s][greedy[s]]
+            s = int(onward[np.argmin(steps[onward])])
+            path.append(s)
+        return np.array(path), bool(self.terminal[s])
+
+
+def tables_of_seeds(ds: xr.Dataset) -> Iterable[np.ndarray]:
+    """The tables of all seeds, [n, S, A] for some seeds at a time: what is worked out from them may be larger."""
+    q = ds.q.transpose("seed", "state", "action").values
+    for block in memory.blocks(len(q), 16 * q[0].nbytes):
+        yield q[block]
+
+
+def greedy_actions(q: np.ndarray) -> np.ndarray:
+    """Which actions are maximal, up to rounding, bool [..., S, A]."""
+    q = np.where(np.isnan(q), -np.inf, q)  # a diverged entry is no maximum
+    most = q.max(-1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # infinities
+        return (q == most) | (q >= most - (1e-9 + 1e-6 * abs(most)))
+
+
+def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
+    """Cells, hatched where nobody gets; where there is wind, its strength as a shade and in numbers below."""
+    rows, columns = env.shape
+    wind = np.asarray(getattr(env, "wind", np.zeros(columns)))
+    strongest = max(1, np.abs(wind).max())
+    for column, strength in enumerate(wind):
+        shade = mpl.colormaps["Blues"](0.36 * abs(strength) / strongest)
+        if strength:
+            ax.add_patch(Rectangle((column - 0.5, -0.5), 1, rows, color=shade, lw=0, zorder=0))
+        if wind.any():
+            ax.text(
+                column, rows - 0.1, significant(strength), ha="center", va="center", color=INK, size=SMALL
+            )
+    if wind.any():
+        ax.text(-0.65, rows - 0.1, "wind", ha="right", va="center", color=INK, size=SMALL)
+    style = {"fc": "#f4f4f4", "ec": "#bdbdbd", "hatch": "////", "lw": 0, "zorder": 1}
+    for s in np.flatnonzero(~moves.reachable):
+        row, column = divmod(int(s), columns)
+        ax.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, **style))
+    if not moves.reachable.all():
+        note = {"size": SMALL, "color": GREY, "ha": "right", "va": "top"}
+        ax.text(columns - 0.5, rows - 0.4 + 0.6 * wind.any(), "hatched: out of reach from the start", **note)
+    lines = {"color": "#c4c4c4", "lw": 0.8, "zorder": 2}
+    ax.hlines(np.arange(rows + 1) - 0.5, -0.5, columns - 0.5, **lines)
+    ax.vlines(np.arange(columns + 1) - 0.5, -0.5, rows - 0.5, **lines)
+    ax.set_xlim(-0.55, columns - 0.45)
+    ax.set_ylim(rows - 0.45, -0.55)
+    ax.set_aspect("equal")
+    ax.axis("off")
+
+
+def _draw_arrows(ax: Axes, env: Grid, shown: np.ndarray, color: str, raised: float = 0.0) -> None:
+    """An arrow for each (s, a) that is `shown`, bool [S, A]; staying is a dot.
+
+    They start in the middle of the cell, or so much above it as they are `raised`.
+    """
+    states, actions = np.nonzero(shown)
+    rows, columns = np.divmod(states, env.shape[1])
+    rows = rows - raised
+    down, right = np.asarray(COMPASS)[actions].T
+    stays = (down == 0) & (right == 0)
+    length = (0.4 - raised) / np.maximum(1, np.hypot(down, right))
+    if stays.any():
+        ax.plot(columns[stays], rows[stays], "o", color=color, ms=4, zorder=3)
+    _quiver(ax, columns[~stays], rows[~stays], (right * length)[~stays], (down * length)[~stays], color)
+
+
+def _quiver(
+    ax: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    right: np.ndarray,
+    down: np.ndarray,
+    color: Any,
+    width: float = 0.045,
+) -> None:
+    """Arrows from (x, y), as long and as wide as they are in cells; `color` is one for all or [arrows, 4]."""
+    ax.quiver(
+        *(x, y, right, down),
+        **{"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": width},
+        **{
+            "headwidth": 4,
+            "headlength": 4,
+            "headaxislength": 3.6,
+            "minlength": 0,
+            "color": color,
+            "zorder": 3,
+        },
+    )
+
+
+def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
+    """The start and the goal; as letters in a corner where arrows need the middle of the cell."""
+    disc = None if aside else {"boxstyle": "circle,pad=0.25", "fc": "white", "ec": INK, "lw": 1}
+    style = {"size": SMALL, "weight": "bold", "ha": "center", "va": "center", "color": INK, "zorder": 6}
+    corner = 0.32 if aside else 0
+    for (row, column), letter in ((env.start, "S"), (env.goal, "G")):
+        text = ax.text(column - corner, row - corner, letter, bbox=disc, **style)
+        text.set_path_effects([patheffects.withStroke(linewidth=2, foreground="white")])
+
+
+def median_path(ax: Axes, env: Grid, method: str, ds: xr.Dataset) -> None:
+    """The greedy path that is the median over seeds in length, at the best hyperparameters."""
+    setting = stats.best(ds)
+    label, ds = label_of(method, stats.named(ds, setting)), ds.sel(setting)
+    moves = _Moves.of(env)
+    lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in tables_of_seeds(ds)])
+    median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]
+    title = f"{label}\ngreedy path, median of {seeds_in_words({label: ds})}"
+    greedy_path(ax, env, ds.q.values[median], title, float(stats.optimum(ds)))

@@ -1,0 +1,165 @@
+"""Pictures of tasks that are no grids: panels of values and actions."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from jaxrl_tab import stats
+from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.types import Environment, available_actions
+from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.exact import planning
+from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, Datasets, at_setting, mean_curve
+from jaxrl_tab.show.style import (
+    CELL,
+    COLORS,
+    INK,
+    NARROW,
+    SMALL,
+    TYPE,
+    WIDTH,
+    canvas,
+    color_bar,
+    legend,
+    line_styles,
+    literal,
+    tidy,
+)
+from jaxrl_tab.show.words import significant
+
+
+def panels(
+    axes: Sequence[Axes],
+    env: Finite,
+    v: np.ndarray,
+    best: np.ndarray | None = None,
+    title: str = "",
+    limits: tuple[float, float] | None = None,
+) -> None:
+    """Heat maps of the values `v`, float [S], in the tables in which people see the states.
+
+    States that are terminal or out of reach are left empty.
+
+    Args:
+        axes: where to draw, one for each of `env.panels()`.
+        env: the environment.
+        v: values, [S].
+        best: which actions are best, bool [S, A]; named below the values. None: names none.
+        title: stands over all, above what the states of each table have in common.
+        limits: the values at the ends of the colours, so that pictures compare; by default those of `v`.
+    """
+    model = planning.exact_model(env)
+    shown = np.isfinite(v) & planning.reachable(model) & ~planning.terminal_states(model)
+    low, high = limits or (v[shown].min(initial=np.inf), v[shown].max(initial=-np.inf))
+    image = None
+    for ax, table in zip(axes, env.panels(), strict=True):
+        values = np.ma.masked_array(v, ~shown)[table.states]
+        image = ax.imshow(values, cmap="viridis", vmin=low, vmax=high)
+        for row, column in np.argwhere(shown[table.states]):
+            s = table.states[row, column]
+            text = _cell(float(v[s]))
+            if best is not None:
+                text += "\n" + _either([env.action_names[a] for a in np.flatnonzero(best[s])])
+            color = (
+                INK if v[s] > low + 0.6 * (high - low) else "white"
+            )  # on the bright colours, and on the dark
+            middle = {"ha": "center", "va": "center", "linespacing": 1}
+            ax.text(column, row, literal(text), size=CELL, color=color, **middle)
+        ax.set_xticks(range(len(table.columns)), map(literal, table.columns))
+        ax.set_yticks(range(len(table.rows)), map(literal, table.rows))
+        ax.set_xlabel(literal(table.along), fontsize=TYPE)
+        ax.set_ylabel(literal(table.down), fontsize=TYPE)
+        ax.tick_params(length=0, labelsize=SMALL)
+        ax.spines[:].set_visible(False)
+        over = title if ax is axes[0] else ""  # it may be as long as all the tables are wide
+        ax.set_title(literal("\n".join(filter(None, [over, table.title]))), fontsize=TYPE, loc="left")
+    color_bar(image, axes, location="bottom", shrink=0.5, aspect=40, pad=0.01)
+
+
+def _cell(x: float) -> str:
+    """A value in as few characters as a cell has room for."""
+    text = f"{round(x, 2) + 0:.2f}" if abs(x) < 10 else significant(x, 3)
+    return (text.replace("0.", ".", 1) if abs(x) < 1 else text).replace("-", "−")
+
+
+def _either(names: Sequence[str]) -> str:
+    """Several actions in a cell: "←↑", or long names one below the other, as far as there is room for them."""
+    if all(len(name) == 1 for name in names):
+        return "".join(names)
+    return "\n".join(names) if len(names) < 3 else f"{len(names)} tied"
+
+
+def panels_canvas(env: Finite, rows: int) -> tuple[Figure, np.ndarray]:
+    """A figure with the axes for so many rows of `panels`, [rows, panels]."""
+    tables = env.panels()
+    widths = [1.5 + len(table.columns) for table in tables]  # in cells, with the names of the rows
+    cell = min(0.5, WIDTH / sum(widths))
+    tallest = max(len(table.rows) for table in tables)
+    figure = canvas(max(NARROW, cell * sum(widths)), (1.3 + cell * tallest) * rows + 0.5)
+    return figure, figure.subplots(rows, len(tables), squeeze=False, width_ratios=widths)
+
+
+def action_values(ax: Axes, env: Finite, q: np.ndarray) -> None:
+    """A mark for the value of each action, `q` [S, A], in each state that is not terminal.
+
+    Where there are more actions than states, the actions lie along the axis and the marks tell the states
+    apart. Of more than `MOST_MARKS` kinds of marks two are left: for the largest value and for all others.
+    """
+    states = np.flatnonzero(~planning.terminal_states(planning.exact_model(env)))
+    along, marked = ("state", states.astype(str)), ("action", np.array(env.action_names))
+    x, shown = states, q[states].T  # [marks, places]
+    if env.num_actions > len(states):
+        along, marked = marked, along
+        x, shown = np.arange(env.num_actions), q[states]
+    style = {"ls": "none", "ms": 5}
+    if len(shown) > MOST_MARKS:
+        ax.plot(x, shown.T, ".", color="#9a9a9a")[0].set_label(f"any {marked[0]}")
+        ax.plot(x, np.nanmax(shown, 0), "o", color=COLORS[0], label=f"the best {marked[0]}", **style)
+    else:
+        for y, name, mark in zip(shown, marked[1], line_styles(), strict=False):
+            ax.plot(x, y, label=literal(name), **mark | style)
+    if len(x) <= MOST_TICKS:
+        ax.set_xticks(x, map(literal, along[1]))
+    else:
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.margins(0.1)
+    tidy(ax, along[0], "value")
+    if len(shown) > 1:
+        columns = -(-min(len(shown), MOST_MARKS) // 12)
+        legend(ax, title=marked[0], loc="center left", bbox_to_anchor=(1, 0.5), ncols=columns)
+
+
+def state_values(ax: Axes, datasets: Datasets, env: Environment, **given: Any) -> None:
+    """The V that methods of prediction learned, mean and 95% interval over seeds, beside the exact v_pi.
+
+    States that are terminal or out of reach are left out. v_pi is drawn where pi is the policy in which all
+    actions are equally likely, which is the default. Arguments and errors as in `episodes_against_steps`.
+    """
+    model = planning.exact_model(env)
+    states = np.flatnonzero(planning.reachable(model) & ~planning.terminal_states(model))
+    for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
+        mean_curve(ax, states, ds.q[..., 0].isel(state=states), label, **style)
+    if (exact := uniform_values(datasets, env)) is not None:
+        ax.plot(states, exact[states], color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=1)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    tidy(ax, "state", "V")
+    legend(ax)
+
+
+def uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
+    """v_pi, float64 [S], where all learned about the uniform policy with one gamma; else None."""
+    given = any("pi" in stats.fixed(ds) or "pi" in ds.dims for ds in datasets.values())
+    gamma, *others = {stats.fixed(ds).get("gamma", np.nan) for ds in datasets.values()}
+    if given or others or np.isnan(gamma):
+        return None
+    available = available_actions(env)
+    there = np.ones((env.num_states, env.num_actions)) if available is None else np.asarray(available, float)
+    uniform = there / there.sum(1, keepdims=True)
+    try:
+        return planning.evaluate(env, uniform, gamma)
+    except InputError:  # not finite everywhere
+        return None

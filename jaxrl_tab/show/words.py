@@ -1,0 +1,125 @@
+"""Names, numbers and settings as people read them."""
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxrl_tab.algorithms.prediction import METHODS
+from jaxrl_tab.core.types import Environment
+from jaxrl_tab.envs import ENVS
+from jaxrl_tab.show.style import shortened
+from jaxrl_tab.stats.along import Datasets
+
+
+def six_digits(x: float) -> str:
+    """`x` with six significant digits; what is rounding around 0 is 0."""
+    return f"{round(x, 9) + 0:.6g}"
+
+
+def number(x: float, decimals: int | None = None) -> str:
+    """`x` with so many decimals, or with six digits; a dash where there is none."""
+    if np.isnan(x):
+        return "–"
+    text = f"{round(x, 9) + 0:.6g}" if decimals is None else f"{round(x, decimals) + 0:,.{decimals}f}"
+    return text.replace("-", "−").replace(",", "\xa0").replace("inf", "∞")
+
+
+def listed(names: Sequence[str], what: str) -> str:
+    if len(names) > 3:
+        return f"{len(names)} {what}"
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def counted(n: int, what: str) -> str:
+    return f"{n:,} {what if n != 1 else what.removesuffix('s')}".replace(",", " ")
+
+
+def counts_in_words(counts: Iterable[int]) -> str:
+    return " or ".join(str(n) for n in sorted(set(counts)))
+
+
+def text_of(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def label_of(method: str, setting: Mapping[str, Any]) -> str:
+    return ", ".join([shortened(title_of(method)), *in_words(setting)])
+
+
+def in_words(setting: Mapping[str, Any]) -> list[str]:
+    """Each of the hyperparameters with its value as people write it: "α = 0.5"."""
+    return [f"{symbol(name)} = {written(value)}" for name, value in setting.items()]
+
+
+def written(x: Any) -> str:
+    """The value of a hyperparameter as people write it."""
+    if isinstance(x, bool):
+        return "on" if x else "off"
+    if isinstance(x, int | float):
+        return significant(x, 6 if abs(x) >= 1 else 4)  # what is drawn at random has many digits
+    return str(x)
+
+
+def significant(x: float, digits: int = 6) -> str:
+    return f"{round(x, 9) + 0.0:.{digits}g}".replace("-", "−")
+
+
+def seeds_in_words(datasets: Datasets) -> str:
+    """How many seeds there are: "20 seeds"."""
+    count = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
+    return f"{count} seed{'s' * (count != '1')}"
+
+
+def unusual(env: Environment) -> list[str]:
+    """The parameters of the environment that are not as they are by default, each with its value."""
+    return [
+        f"{field.name} = {getattr(env, field.name)}"
+        for field in dataclasses.fields(env)  # pyright: ignore[reportArgumentType]
+        if isinstance(field.default, (str, int, float))
+        and np.ndim(getattr(env, field.name)) == 0
+        and getattr(env, field.name) != field.default
+    ]
+
+
+# As people write the names in which not only the first letter is large.
+TITLES = {
+    "expected-sarsa": "Expected Sarsa",
+    "n-step-sarsa": "n-step Sarsa",
+    "sarsa-lambda": "Sarsa(λ)",
+    "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
+    "q-learning": "Q-learning",
+    "q-learning-target": "Q-learning of a target policy",
+    "double-q-learning": "Double Q-learning",
+    "q-lambda": "Q(λ)",
+    "monte-carlo": "Monte Carlo",
+    "off-policy-monte-carlo": "Off-policy Monte Carlo",
+    "td": "TD(0)",
+    "n-step-td": "n-step TD",
+    "td-lambda": "TD(λ)",
+    "off-policy-td": "Off-policy TD(0)",
+    "monte-carlo-prediction": "Monte Carlo prediction",
+    "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
+    "k-armed-testbed": "k-armed testbed",
+}
+SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
+
+
+def title_of(name: str) -> str:
+    """The name of an environment or a method as people write it; a name that a user gave stays as it is."""
+    known, *own = name.split(",")  # "random-walk,states=5" of an experiment
+    if known in ENVS or known in METHODS:
+        known = TITLES.get(known, known.replace("-", " ").capitalize())
+    return ",".join([known, *own])
+
+
+def symbol(name: str) -> str:
+    """The name of a hyperparameter as people write it: "α"."""
+    return SYMBOLS.get(name, name)
+
+
+def edge_warning(parameter: str, method: str, end: str) -> str:
+    """What to know where the best value is the "largest" or the "smallest" tried; see `stats.at_edge`."""
+    best = f"The best {symbol(parameter)} of {title_of(method)}"
+    return f"{best} is the {end} that was tried; a better one may lie beyond."
