@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrl_tab as rl
-from jaxrl_tab.core.pytree import pytree, static
-from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.envs.base import Finite
+from jaxrl_tab import Outcome, pytree, static
+from jaxrl_tab.envs import Finite
 
 
 @pytree

@@ -7,10 +7,8 @@ section 7.6): how much does each bit of looking at averages help?
 import jax.numpy as jnp
 
 import jaxrl_tab as rl
-from jaxrl_tab import stats
-from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import tables
-from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab import pytree, stats, tables
+from jaxrl_tab.algorithms import TDControl
 
 
 @pytree

@@ -31,9 +31,10 @@ from jaxrl_tab.algorithms import (
     prediction,
 )
 from jaxrl_tab.algorithms.prediction import PREDICTION
-from jaxrl_tab.core import policies, schedules
+from jaxrl_tab.core import policies, schedules, tables
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.experience import Experience
+from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome, Transition
 from jaxrl_tab.core.version import __version__ as __version__
 from jaxrl_tab.engine import batch, offline
@@ -134,11 +135,14 @@ __all__ = [
     "planning",
     "policies",
     "prediction",
+    "pytree",
     "replay",
     "resume",
     "run",
     "schedules",
+    "static",
     "sweep",
+    "tables",
     "train",
     "use_all_cores",
 ]

@@ -15,16 +15,19 @@ import xarray as xr
 from made_up import make_result
 
 import jaxrl_tab as rl
-from jaxrl_tab import cli, planning, plot, stats
+from jaxrl_tab import planning, plot, stats
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
-from jaxrl_tab.cli import main, options
+from jaxrl_tab.cli import main, options, screen
+from jaxrl_tab.cli import sweep as sweep_module
+from jaxrl_tab.cli.solve import Solve
+from jaxrl_tab.cli.sweep import Sweep
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.pytree import pytree, static
-from jaxrl_tab.engine import sweep
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.figures import FIGURES
+from jaxrl_tab.experiment import shards
+from jaxrl_tab.figures import FIGURES, figure
 
 TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
 
@@ -126,7 +129,7 @@ def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
     for name in ("returns", "episodes"):
         ds[name][0] = ds[name][1].roll(seed=1)
     ds["returns"][0] += 0.1 * ds.episodes[0]
-    cli._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    screen._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
     out = capsys.readouterr().out
     marks = [line.split("│")[1].strip() for line in out.splitlines() if "│ sarsa" in line]
     assert marks == ["sarsa *", "sarsa ~"]
@@ -135,7 +138,7 @@ def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
     assert "! Sarsa: the median is -1" in out
     assert "With ε = 0.1 and γ = 1, no policy that goes on exploring is worth more than -17.0483." in out
     ds = everything.isel(alpha=[0, 2])
-    cli._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    screen._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
     assert "The best α of Sarsa is the largest that was tried" in capsys.readouterr().out
 
 
@@ -143,7 +146,9 @@ def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
 def asked(monkeypatch):
     """The data of the experiments that were asked for, none of which is run."""
     experiments = []
-    monkeypatch.setattr(cli, "_conduct", lambda experiment, *_: experiments.append(experiment.data()))
+    monkeypatch.setattr(
+        sweep_module, "_conduct", lambda experiment, *_: experiments.append(experiment.data())
+    )
     return experiments
 
 
@@ -239,14 +244,14 @@ def test_options_of_some_methods_go_to_those(asked):
 @pytest.fixture
 def stopped(monkeypatch):
     """Ctrl-C where Q-learning begins."""
-    real = sweep.compute
+    real = shards.compute
 
     def compute(part, *args, **kwargs):
         if part.algorithm is rl.QLearning:
             raise KeyboardInterrupt
         return real(part, *args, **kwargs)
 
-    monkeypatch.setattr(sweep, "compute", compute)
+    monkeypatch.setattr(shards, "compute", compute)
 
 
 def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(run, stopped, monkeypatch, tmp_path, capsys):
@@ -357,7 +362,7 @@ def idle(monkeypatch):
     def fail(*_, **__):
         pytest.fail("something was computed before the refusal")
 
-    monkeypatch.setattr(sweep, "sweep", fail)
+    monkeypatch.setattr(figure, "sweep", fail)
     monkeypatch.setattr(jax, "jit", fail)
     for name in ("exact_model", "policy_iteration", "epsilon_soft"):
         monkeypatch.setattr(planning, name, fail)
@@ -432,10 +437,10 @@ def test_a_new_method_brings_its_options(monkeypatch, asked, capsys):
     assert "--no-cut whether it forgets. (of eager; default: on)" in text
 
 
-@pytest.mark.parametrize("command", [cli.Sweep, cli.Solve])
+@pytest.mark.parametrize("command", [Sweep, Solve])
 def test_no_two_options_have_the_same_name(command):
     """Parameters of the registries beside each other and beside the options of the command itself."""
-    groups = [ENVS, METHODS] if command is cli.Sweep else [ENVS]
+    groups = [ENVS, METHODS] if command is Sweep else [ENVS]
     own = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(command)}
     for registry in groups:
         names = {options.option_of(p) for cls in registry.values() for p in describe.parameters(cls)}
@@ -673,7 +678,7 @@ def test_a_defect_is_said_in_one_line_with_the_way_to_its_traceback(monkeypatch,
     def fail(*_):
         raise ZeroDivisionError("by nothing\nat all")
 
-    monkeypatch.setattr(cli, "_conduct", fail)
+    monkeypatch.setattr(sweep_module, "_conduct", fail)
     monkeypatch.delenv("JAXRL_TAB_TRACEBACK")
     assert call("sweep windy-gridworld sarsa") == 1
     said = capsys.readouterr().err

@@ -28,6 +28,11 @@ import xarray as xr
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning, policies, schedules, stats
 from jaxrl_tab.algorithms.prediction import METHODS
+from jaxrl_tab.cli import figure, sweep
+from jaxrl_tab.cli.figure import Figure
+from jaxrl_tab.cli.listing import List
+from jaxrl_tab.cli.solve import Solve
+from jaxrl_tab.cli.sweep import Resume, Sweep
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import axes
@@ -152,16 +157,16 @@ WORDS = [
 def options_of(command):
     """The options of a command as they are spelled."""
     own = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(command)]
-    classes = [*ENVS.values(), *METHODS.values()] if command in (cli.Sweep, cli.Solve) else []
+    classes = [*ENVS.values(), *METHODS.values()] if command in (Sweep, Solve) else []
     return [*own, *("--" + p.name.replace("_", "-") for cls in classes for p in describe.parameters(cls))]
 
 
 COMMANDS = {
-    "list": cli.List,
-    "solve": cli.Solve,
-    "sweep": cli.Sweep,
-    "resume": cli.Resume,
-    "figure": cli.Figure,
+    "list": List,
+    "solve": Solve,
+    "sweep": Sweep,
+    "resume": Resume,
+    "figure": Figure,
 }
 OPTIONS = {name: options_of(command) for name, command in COMMANDS.items()}
 NAMES = {"solve": list(ENVS), "figure": list(FIGURES), "sweep": list(ENVS), "list": [], "resume": ["."]}
@@ -222,9 +227,9 @@ def make_idle(put):
     def stop(*_, **__):
         raise InputError("so far it was right")
 
-    put(cli, "_conduct", stop)
-    put(cli, "_run", stop)
-    put(cli.executors, "get", stop)
+    put(sweep, "_conduct", stop)
+    put(figure, "make_runs", stop)
+    put(rl.executors, "get", stop)
     for name in ("policy_iteration", "epsilon_soft"):
         put(planning, name, stop)
 

@@ -76,7 +76,7 @@ def all_at_once(grid):
 def widths(monkeypatch):
     """Notes (lanes, blocks of them in a call at most) of each program."""
     noted, width = [], room.width_of_call
-    monkeypatch.setattr(room, "width_of_call", lambda *x: noted.append(width(*x)) or noted[-1])
+    monkeypatch.setattr(batch, "width_of_call", lambda *x: noted.append(width(*x)) or noted[-1])
     return noted
 
 

@@ -13,7 +13,7 @@ from made_up import ALPHAS, make_result
 
 import jaxrl_tab as rl
 from jaxrl_tab import plot, report, stats
-from jaxrl_tab.show import words
+from jaxrl_tab.show import rows, words
 
 pytestmark = pytest.mark.filterwarnings("error")
 ABOUT = {
@@ -168,7 +168,7 @@ def test_what_it_says_first_is_the_best_method(made):
 
 
 def test_many_settings_are_folded_away(windy, windy_sets, undrawn, tmp_path, monkeypatch):
-    monkeypatch.setattr(report, "AT_MOST", 50)
+    monkeypatch.setattr(rows, "AT_MOST", 50)
     sarsa = windy_sets["windy/sarsa"]
     epsilons = np.linspace(0, 1, 21)
     many = sarsa.expand_dims(epsilon=epsilons).assign_attrs(fixed='{"gamma": 1.0}')

@@ -16,6 +16,7 @@ from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.target_q_learning import TargetQLearning
+from jaxrl_tab.algorithms.td import TDControl, TDState
 
 ALGORITHMS = {
     "sarsa": Sarsa,
@@ -44,5 +45,7 @@ __all__ = [
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",
+    "TDControl",
+    "TDState",
     "TargetQLearning",
 ]

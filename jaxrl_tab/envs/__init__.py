@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 from jaxrl_tab.core.checks import InputError, build, nearest, shown
+from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.easy21 import Easy21
@@ -73,7 +74,10 @@ __all__ = [
     "Blackjack",
     "CliffWalking",
     "Easy21",
+    "Finite",
     "FiniteMDP",
+    "FixedStart",
+    "Grid",
     "InfiniteVariance",
     "KArmedTestbed",
     "MaximizationBias",

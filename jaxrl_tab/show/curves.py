@@ -13,8 +13,8 @@ from jaxrl_tab import stats
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.show import words
-from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal, shortened, tidy
-from jaxrl_tab.show.words import label_of, significant, text_of
+from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal, tidy
+from jaxrl_tab.show.words import label_of, shortened, significant, text_of
 from jaxrl_tab.stats.along import Datasets
 
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps

@@ -13,7 +13,7 @@ from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.types import Environment, available_actions
 from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.exact import planning
-from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, Datasets, at_setting, mean_curve
+from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, at_setting, mean_curve
 from jaxrl_tab.show.style import (
     CELL,
     COLORS,
@@ -30,6 +30,7 @@ from jaxrl_tab.show.style import (
     tidy,
 )
 from jaxrl_tab.show.words import significant
+from jaxrl_tab.stats.along import Datasets
 
 
 def panels(

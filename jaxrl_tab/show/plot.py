@@ -62,10 +62,9 @@ from jaxrl_tab.show.style import (
     head,
     legend,
     literal,
-    shortened,
     tidy,
 )
-from jaxrl_tab.show.words import in_words, seeds_in_words, title_of, unusual, written
+from jaxrl_tab.show.words import in_words, seeds_in_words, shortened, title_of, unusual, written
 from jaxrl_tab.stats.along import Datasets
 
 __all__ = [

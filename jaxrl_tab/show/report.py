@@ -22,7 +22,6 @@ from jaxrl_tab.show import plot, words
 from jaxrl_tab.show.html import embedded, render
 from jaxrl_tab.show.rows import (
     AT_ONCE,
-    Datasets,
     Row,
     Table,
     View,
@@ -39,6 +38,7 @@ from jaxrl_tab.show.rows import (
     varied,
 )
 from jaxrl_tab.show.words import counts_in_words, listed, number
+from jaxrl_tab.stats.along import Datasets
 
 FILE = "report.html"
 

@@ -20,7 +20,6 @@ TITLE, TYPE, SMALL, CELL = 10, 9, 8, 7  # font sizes, points; the last is of the
 WIDTH, NARROW = 7.2, 6.0  # inches: of a figure, and of one with a single curve
 DPI = 200
 LINE, HALF, LABEL = 84, 42, 36  # characters in a line: over a figure, over half of one, in a legend
-LONGEST = 60  # characters of a name
 
 
 def tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
@@ -79,12 +78,6 @@ def color_bar(image: Any, axes: Sequence[Axes], what: str = "value", **given: An
     bar = image.figure.colorbar(image, ax=list(axes), **given)
     bar.set_label(what, fontsize=TYPE)
     bar.ax.tick_params(labelsize=SMALL)
-
-
-def shortened(name: str) -> str:
-    """A name of at most `LONGEST` characters, with what may tell it from others: its beginning and its end."""
-    half = LONGEST // 2
-    return name if len(name) <= LONGEST else f"{name[: half - 1]}…{name[-half:]}"
 
 
 def line_styles() -> Iterable[dict[str, Any]]:

@@ -2,15 +2,18 @@
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.show.style import shortened
-from jaxrl_tab.stats.along import Datasets
+
+if TYPE_CHECKING:  # which takes its time to import
+    from jaxrl_tab.stats.along import Datasets
+
+LONGEST = 60  # characters of a name
 
 
 def six_digits(x: float) -> str:
@@ -44,6 +47,12 @@ def text_of(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def shortened(name: str) -> str:
+    """A name of at most `LONGEST` characters, with what may tell it from others: its beginning and its end."""
+    half = LONGEST // 2
+    return name if len(name) <= LONGEST else f"{name[: half - 1]}…{name[-half:]}"
+
+
 def label_of(method: str, setting: Mapping[str, Any]) -> str:
     return ", ".join([shortened(title_of(method)), *in_words(setting)])
 
@@ -66,7 +75,7 @@ def significant(x: float, digits: int = 6) -> str:
     return f"{round(x, 9) + 0.0:.{digits}g}".replace("-", "−")
 
 
-def seeds_in_words(datasets: Datasets) -> str:
+def seeds_in_words(datasets: "Datasets") -> str:
     """How many seeds there are: "20 seeds"."""
     count = " or ".join(str(n) for n in sorted({ds.sizes["seed"] for ds in datasets.values()}))
     return f"{count} seed{'s' * (count != '1')}"
@@ -123,3 +132,19 @@ def edge_warning(parameter: str, method: str, end: str) -> str:
     """What to know where the best value is the "largest" or the "smallest" tried; see `stats.at_edge`."""
     best = f"The best {symbol(parameter)} of {title_of(method)}"
     return f"{best} is the {end} that was tried; a better one may lie beyond."
+
+
+def decimals_for(x: np.ndarray, digits: int) -> int:
+    """How many decimals show so many significant digits of the smallest of `x` above 0, from 2 to 5."""
+    least = x[np.isfinite(x) & (x > 0)].min(initial=1)
+    return int(np.clip(digits - 1 - np.floor(np.log10(least)), 2, 5))
+
+
+def cell(value: Any, write: Any) -> str:
+    """`write(value)`, or a dash where there is no value."""
+    return "–" if value != value else write(value)
+
+
+def short_number(x: float) -> str:
+    """`x` in a narrow cell: three significant digits of four decimals, or all that are before the point."""
+    return f"{x:.0f}" if abs(x) >= 100 else f"{round(x, 4) + 0:.3g}"

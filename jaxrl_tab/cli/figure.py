@@ -1,0 +1,148 @@
+"""`jaxrl-tab figure`: published figures again, and their numbers checked."""
+
+import dataclasses
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.table import Table
+from tyro.conf import Positional, arg
+
+from jaxrl_tab.cli.common import PROG, Switch, known_name, new_folder, prepare, start_jax
+from jaxrl_tab.cli.options import parse, place
+from jaxrl_tab.cli.screen import busy, console, print_json, say_where
+from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.version import __version__
+from jaxrl_tab.engine.results import save
+from jaxrl_tab.experiment import storage
+from jaxrl_tab.figures import FIGURES, Check
+from jaxrl_tab.figures import Figure as PublishedFigure
+from jaxrl_tab.figures.page import cells, page
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from jaxrl_tab.figures.figure import Run
+
+
+def make_runs(
+    runs: "Mapping[str, Run]", folder: Path | None, command: Sequence[str], quiet: bool, within: str = ""
+) -> "dict[str, xr.Dataset]":
+    """Makes one run after another, with a bar for each, and saves the data of each when it is done.
+
+    In the file and on the screen its name is that in `runs` after `within`.
+    """
+    import xarray  # noqa: F401  Now, because later a Ctrl-C in the second that it takes would lose a run's data.
+
+    about = {"command": shlex.join([PROG, *command]), "version": __version__}
+    datasets = {}
+    columns = (
+        SpinnerColumn(finished_text="✓"),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("runs"),
+        TimeElapsedColumn(),
+    )
+    stderr = Console(stderr=True)
+    with Progress(*columns, console=stderr, disable=quiet or not stderr.is_terminal) as bars:
+        for name, run in runs.items():
+            group = within + name
+            bar = bars.add_task(f"{group}, compiling", total=None)
+
+            def progress(done: int, total: int, bar=bar, group=group) -> None:
+                bars.update(bar, description=group, completed=done, total=total)
+
+            datasets[name] = run(progress)
+            if folder:
+                save(datasets[name], group, folder / storage.DATA, about)
+    return datasets
+
+
+@dataclasses.dataclass
+class Figure:
+    """Runs the setting of a published figure again, draws it, and checks its numbers; or of all figures.
+
+    Prints what was got beside what is expected: from enumeration, or from long simulations with plain loops.
+    The exit code is 1 if any number is off by more than four standard errors.
+
+    Examples:
+      jaxrl-tab figure windy-gridworld --out runs/windy-figure
+      jaxrl-tab figure cliff-walking --json
+      jaxrl-tab figure --all --out runs/figures
+    """
+
+    name: Annotated[Positional[str], arg(metavar="NAME", help_behavior_hint="")] = ""
+    """Name of the figure; see `jaxrl-tab list`."""
+    all: Switch = False
+    """Make all figures; with --out, also index.html, which shows them."""
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
+    """New folder for the picture, as PNG and as PDF, and the data."""
+    json: Switch = False
+    """Print the numbers as JSON."""
+    quiet: Switch = False
+    """Show no progress."""
+
+
+def figure_command(argv: list[str]) -> int:
+    prepare()
+    options = parse(f"{PROG} figure", Figure, argv)
+    if options.all and options.name:
+        raise InputError("name a figure or give --all, not both")
+    names = tuple(FIGURES) if options.all else (known_name("a figure", options.name, FIGURES),)
+    start_jax()
+    checked, groups = {}, []
+    with new_folder(options.out) as folder:
+        for name in names:
+            figure = FIGURES[name]
+            within = f"{name}/" if options.all else ""
+            datasets = make_runs(figure.experiment(), folder, ["figure", *argv], options.quiet, within)
+            groups += [within + run for run in datasets]
+            with busy(f"{name}: numbers and picture", options.quiet):
+                checked[name] = figure, [number.check(datasets) for number in figure.numbers]
+                if folder:
+                    _draw_figure(figure, datasets, folder / name)
+            if not options.json:
+                console().print(_check_table(*checked[name]))
+        if folder and options.all:
+            (folder / "index.html").write_text(page(checked, __version__), encoding="utf-8")
+
+    if options.json:
+        found = [
+            {"figure": name, "numbers": [c._asdict() | {"ok": c.ok} for c in checks]}
+            for name, (_, checks) in checked.items()
+        ]
+        print_json({"figures": found} if options.all else found[0])
+    elif options.out:
+        say_where(options.out, groups[0])
+    return 0 if all(c.ok for _, checks in checked.values() for c in checks) else 1
+
+
+def _draw_figure(figure: PublishedFigure, datasets: "Mapping[str, xr.Dataset]", file: Path) -> None:
+    """As PNG, to look at, and as PDF, which is sharp at any size."""
+    from jaxrl_tab.show import plot
+
+    picture = figure.draw(datasets)
+    for ending in (".png", ".pdf"):
+        plot.save(picture, file.with_suffix(ending))
+
+
+def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:
+    title = escape(f"{figure.title} ({figure.source})")
+    caption = "expected: from long simulations with plain loops; what is exact, from enumeration"
+    table = Table("number", "got", "± SE", "expected", "± SE", "SEs apart", title=title, caption=caption)
+    for check in checks:
+        *row, apart = map(escape, cells(check))
+        table.add_row(*row, apart if check.ok else f"[bold red]{apart}, off[/]")
+    return table

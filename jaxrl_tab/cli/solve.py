@@ -1,0 +1,157 @@
+"""`jaxrl-tab solve`: the exact values and an optimal policy of an environment."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+from tyro.conf import Positional, arg
+
+from jaxrl_tab.cli.common import ENVIRONMENT, PROG, Switch, make_environment, new_folder, start_jax
+from jaxrl_tab.cli.options import parse, place, real, words
+from jaxrl_tab.cli.screen import busy, console, print_json, say_where
+from jaxrl_tab.core import policies
+from jaxrl_tab.envs.base import Finite, Grid, Panel
+from jaxrl_tab.exact import planning
+from jaxrl_tab.show.words import short_number, six_digits
+
+
+@dataclasses.dataclass
+class Solve:
+    """The exact values of an environment and its optimal actions.
+
+    Examples:
+      jaxrl-tab solve windy-gridworld
+      jaxrl-tab solve windy-gridworld --moves king --epsilon 0.1 --out runs/king
+      jaxrl-tab solve random-walk --states 5 --left-reward 0 --json
+    """
+
+    env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
+    """Name of the environment; see `jaxrl-tab list`."""
+    gamma: Annotated[float, real(0, 1)] = 1.0
+    """Discount rate, in [0, 1]."""
+    epsilon: Annotated[float | None, real(0, 1), arg(help_behavior_hint="")] = None
+    """Also find the best policy among those that take a random action with this probability."""
+    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
+    """New folder for a picture (PNG)."""
+    json: Switch = False
+    """Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A]."""
+
+
+def solve_command(argv: list[str]) -> int:
+    options = parse(f"{PROG} solve", Solve, argv, environment=ENVIRONMENT)
+    env = make_environment(options.env, options.environment)
+    start_jax()
+    with new_folder(options.out) as folder, busy("solving"):
+        solutions = {"optimal": planning.policy_iteration(env, options.gamma)}
+        if options.epsilon is not None:
+            soft = f"best epsilon-soft, epsilon {words(options.epsilon)}"
+            solutions[soft] = planning.epsilon_soft(env, options.epsilon, options.gamma)
+        if folder:
+            _draw_solutions(env, solutions, folder)
+    if options.json:
+        keys = ("optimal", "epsilon_soft")
+        found = {
+            key: {
+                "start_value": planning.start_value(env, v),
+                "v": v.tolist(),
+                "q": [[None if x == policies.UNAVAILABLE else x for x in row] for row in q.tolist()],
+                "policy": policy.tolist(),
+            }
+            for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
+        }
+        print_json({"environment": options.env, "gamma": options.gamma, "epsilon": options.epsilon} | found)
+        return 0
+    out = console()
+    for title, (_, v, q) in solutions.items():
+        out.print(
+            f"[bold]{options.env}[/], gamma {words(options.gamma)}, {title}: "
+            f"value from the start [bold]{six_digits(planning.start_value(env, v))}[/]"
+        )
+        for table in _pictures(env, v, q):
+            out.print(table)
+    if hasattr(env, "instance"):
+        mean = escape(six_digits(env.mean_optimal_value(options.gamma)))
+        out.print(f"Each run of a sweep draws a problem of its own; the mean over them is [bold]{mean}[/].")
+    if options.out:
+        say_where(options.out)
+    return 0
+
+
+MANY_STATES = 500  # the rows of a table that people look through, at most
+
+
+def _pictures(env: Any, v: np.ndarray, q: np.ndarray) -> list[Table]:
+    """Values and best actions: where people see the states in tables in their places, else as a list."""
+    model = planning.exact_model(env)
+    visited, terminal = planning.reachable(model), planning.terminal_states(model)
+    between = "" if isinstance(env, Grid) else " "
+    best = lambda s: between.join(env.action_names[a] for a in _best_actions(q[s]))
+    if not env.panels() or env.num_states > MANY_STATES:
+        choice = env.num_actions > 1
+        table = Table("state", "value", *(["best actions"] if choice else []))
+        listed = np.flatnonzero(visited & ~terminal)
+        for s in listed[:MANY_STATES]:
+            table.add_row(str(s), six_digits(float(v[s])), *([best(s)] if choice else []))
+        if (more := len(listed) - MANY_STATES) > 0:
+            table.caption = f"and {more} more states: --json prints them all"
+        return [table]
+    marks = {env.start_state: "[bold reverse]S[/] "} if isinstance(env, Grid) else {}
+    cells = [f"{short_number(v[s])}\n{marks.get(s, '')}[cyan]{best(s)}[/]" for s in range(env.num_states)]
+    for s in np.flatnonzero(terminal | ~visited):
+        cells[s] = ""
+    if isinstance(env, Grid):
+        cells[env.state(env.goal)] = "[bold green]G[/]"
+    tables = [_panel(panel, cells, getattr(env, "wind", None)) for panel in env.panels()]
+    if not (visited | terminal).all():
+        tables[-1].caption = "empty: out of reach from the start"
+    return tables
+
+
+def _panel(panel: Panel, cells: Sequence[str], wind: Any) -> Table:
+    """The `cells` of the states in a panel; below its columns the wind, where there is any."""
+    axes = f"{panel.down} ↓, {panel.along} →" if panel.down else ""
+    title = ": ".join(filter(None, [panel.title, axes]))
+    table = Table("", *panel.columns, title=title or None, show_lines=True, padding=0)
+    table.show_footer = wind is not None
+    footers = ["wind", *([""] * len(panel.columns) if wind is None else wind)]
+    for column, footer in zip(table.columns, footers, strict=True):
+        column.footer, column.justify, column.no_wrap, column.min_width = str(footer), "center", True, 5
+    table.columns[0].min_width = None
+    for name, row in zip(panel.rows, panel.states, strict=True):
+        table.add_row(name, *(cells[int(s)] for s in row))
+    return table
+
+
+def _best_actions(q: np.ndarray) -> np.ndarray:
+    """The actions whose values are maximal but for rounding, int [n], from values [A]."""
+    return np.flatnonzero(q >= q.max() - 1e-9 * abs(q[q > policies.UNAVAILABLE]).max())
+
+
+def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:
+    from jaxrl_tab.show import plot
+
+    titles = [
+        f"{title}; value from the start {six_digits(planning.start_value(env, v))}"
+        for title, (_, v, _) in solutions.items()
+    ]
+    if env.panels() and not isinstance(env, Grid):
+        figure, grid = plot.panels_canvas(env, len(solutions))
+        for row, title, (_, v, q) in zip(grid, titles, solutions.values(), strict=True):
+            best = np.array([np.isin(np.arange(env.num_actions), _best_actions(x)) for x in q])
+            plot.panels(row, env, v, best, title)
+        plot.save(figure, folder / "values.png")
+        return
+    height = 1.2 + 5.8 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 3.6
+    figure = plot.canvas(plot.WIDTH, height * len(solutions))
+    axes = np.ravel(figure.subplots(len(solutions)))
+    for ax, title, (_, v, q) in zip(axes, titles, solutions.values(), strict=True):
+        if isinstance(env, Grid):
+            plot.values(ax, env, v, q)
+        else:
+            plot.action_values(ax, env, np.where(q == policies.UNAVAILABLE, np.nan, q))
+        ax.set_title(title, fontsize=plot.TITLE)
+    plot.save(figure, folder / "values.png")

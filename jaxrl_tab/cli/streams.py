@@ -1,0 +1,62 @@
+"""Standard output and standard error, whatever they are connected to."""
+
+import codecs
+import contextlib
+import io
+import os
+import sys
+from typing import TextIO
+
+from jaxrl_tab.cli.common import PROG
+
+
+def prepare_streams() -> None:
+    """Makes stdout and stderr take all that may be printed."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # it was closed
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  for as long as we run
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="lookalikes" if name == "stdout" else "backslashreplace")
+
+
+LOOKALIKES = {"↑": "^", "→": ">", "↓": "v", "←": "<", "↗": "ne", "↘": "se", "↙": "sw", "↖": "nw", "·": "."}
+LOOKALIKES |= {
+    "–": "-",
+    "−": "-",
+    "±": "+-",
+    "×": "x",
+    "ε": "epsilon",
+    "α": "alpha",
+    "λ": "lambda",
+    "γ": "gamma",
+}
+
+
+def _lookalikes(error: UnicodeError) -> tuple[str, int]:
+    """What an encoding lacks, in characters that every one has."""
+    assert isinstance(error, UnicodeEncodeError)
+    lacking = error.object[error.start : error.end]
+    return "".join(LOOKALIKES.get(character, "?") for character in lacking), error.end
+
+
+codecs.register_error("lookalikes", _lookalikes)
+
+
+def give_up(stream: TextIO) -> None:
+    """Python flushes stdout and stderr once more at its end: what cannot be written goes nowhere."""
+    with contextlib.suppress(OSError, ValueError):  # as where a test has put something else in its place
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def complain(line: str, code: int = 1) -> int:
+    """Prints one line on stderr, if that is possible. Returns the exit code."""
+    try:
+        print(f"{PROG}: {line}", file=sys.stderr, flush=True)
+    except OSError:
+        give_up(sys.stderr)
+    return code
+
+
+def notes_of(error: BaseException) -> list[str]:
+    return list(getattr(error, "__notes__", ()))
