@@ -1,7 +1,7 @@
 """Off-policy Monte Carlo: whole returns of one policy, weighted so that they speak of another."""
 
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,16 +9,15 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.core import episode, tables
-from jaxrl_tab.core.checks import check_choice
 from jaxrl_tab.core.clock import Clock, Rate, at_visit, end_step
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.episode import Episode
 from jaxrl_tab.core.policies import Greedy, Policy
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import Transition
 
-WEIGHTINGS = ("weighted", "ordinary", "per-decision")
+Weighting = Literal["weighted", "ordinary", "per-decision"]
 
 
 class Step(NamedTuple):
@@ -68,17 +67,17 @@ class OffPolicyMonteCarlo(OffPolicyControl):
 
     Where a time limit cuts an episode short, the mean value under pi of the state in which it did counts as
     the rest.
-
-    Attributes:
-        alpha: step size, > 0; a number or a schedule. By default 1/N(s, a): what is averaged counts equally.
-            Weighted averages then have the book's W/C, with C = the sum of all W so far.
-        weighting: "weighted", "ordinary" or "per-decision" importance sampling.
-        first_visit: only the return from the first time that (s, a) occurs in an episode counts.
     """
 
-    alpha: Rate = sample_average()
-    weighting: str = static(default="weighted")
-    first_visit: bool = static(default=False)
+    alpha: Rate = field(
+        sample_average(),
+        help="Step size. By default 1/N(s, a): what is averaged counts equally. Weighted averages then have "
+        "the book's W/C, with C = the sum of all W so far.",
+    )
+    weighting: Weighting = static(default="weighted", help="The kind of importance sampling.")
+    first_visit: bool = static(
+        default=False, help="Only the return from the first time that (s, a) occurs in an episode counts."
+    )
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[str] = "episodes of b"
@@ -86,7 +85,6 @@ class OffPolicyMonteCarlo(OffPolicyControl):
 
     def __post_init__(self):
         super().__post_init__()
-        check_choice(type(self).__name__, "weighting", self.weighting, WEIGHTINGS)
         check_coverage(type(self).__name__, self.pi, self.selection)
 
     @property

@@ -24,7 +24,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from jaxrl_tab.core import describe, memory, policies
+from jaxrl_tab.core import describe, memory, policies, schedules
 from jaxrl_tab.core.checks import InputError, nearest, one_line, shown
 
 
@@ -240,7 +240,7 @@ def about(group: Group) -> str:
     known = [p for cls in group.registry.values() for p in parameters(cls)]
     parts = [group.help]
     if any(map(describe.takes_schedule, known)):
-        parts.append(f"A schedule is one of {describe.schedule_forms()}.")
+        parts.append(f"A schedule is {schedules.forms()}.")
     if any(map(describe.takes_policy, known)):
         parts.append(f"A policy is one of {_policies()}.")
     return " ".join(parts)

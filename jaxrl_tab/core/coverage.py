@@ -3,9 +3,8 @@
 import numpy as np
 
 from jaxrl_tab.core import clock
-from jaxrl_tab.core.checks import InputError, first
+from jaxrl_tab.core.checks import InputError, concrete, first
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Policy, Softmax, Table
-from jaxrl_tab.core.pytree import concrete
 
 
 def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:

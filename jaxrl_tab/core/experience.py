@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxrl_tab.core.checks import InputError, assign, first, numbers, shown, whole
+from jaxrl_tab.core.checks import InputError, assign, concrete, first, numbers, shown, whole
 from jaxrl_tab.core.policies import Table
-from jaxrl_tab.core.pytree import concrete, pytree
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
 NAME = "Experience"

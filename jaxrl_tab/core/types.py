@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrl_tab.core.checks import InputError, first, shown
-from jaxrl_tab.core.pytree import concrete
+from jaxrl_tab.core.checks import InputError, concrete, first, shown
 
 T = TypeVar("T")
 

@@ -22,10 +22,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import rng, tables
-from jaxrl_tab.core.checks import InputError, check_pytree, numbers, whole
+from jaxrl_tab.core.checks import InputError, check_pytree, concrete, numbers, whole
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.policies import Table
-from jaxrl_tab.core.pytree import concrete, pytree
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import (
     Algorithm,
     Environment,

@@ -19,6 +19,7 @@ from jaxrl_tab.core.checks import (
     build,
     check_held,
     check_pytree,
+    checked,
     foreign,
     is_whole,
     nearest,
@@ -335,6 +336,14 @@ def configurations(
         raise InputError(f"grid must be a dict from hyperparameters to values, not {shown(grid)}")
     if wrong := [key for key in grid if not isinstance(key, str)]:
         raise InputError(f"the keys of grid must be names of hyperparameters, not {shown(wrong[0])}")
+    fields = {field.name: field for field in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
+
+    def plain(parameter: str, value: Any) -> Any:
+        """A NumPy or JAX number as a Python number, and "glie" as the schedule that it is."""
+        value = value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) else value
+        is_text = isinstance(value, str) and parameter in fields
+        return checked(cls.__name__, fields[parameter], value) if is_text else value
+
     axes, single = {}, {}
     for parameter, values in spread(grid, num_draws, seed, name).items():
         if _is_list(values):
@@ -343,9 +352,9 @@ def configurations(
                     f"the grid of {parameter} must be a flat list, not {shown(values)}; "
                     "probabilities [S, A] are one value where they are a policies.Table"
                 )
-            axes[parameter] = tuple(_plain(value) for value in values)
+            axes[parameter] = tuple(plain(parameter, value) for value in values)
         else:
-            single[parameter] = _plain(values)
+            single[parameter] = plain(parameter, values)
     for parameter, values in axes.items():
         if not values:
             raise InputError(f"the grid of {parameter} is empty")
@@ -366,11 +375,6 @@ def _is_list(value: Any) -> bool:
     if isinstance(value, np.ndarray | jax.Array):
         return value.ndim > 0
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
-
-
-def _plain(value: Any) -> Any:
-    """A NumPy or JAX number as a Python number."""
-    return value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) else value
 
 
 def leaves_as_arrays(algorithm: Algorithm) -> Algorithm:

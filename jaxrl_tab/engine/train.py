@@ -17,8 +17,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import policies, rng, schedules, tables
-from jaxrl_tab.core.checks import InputError, check_held, check_pytree, is_whole, shown
-from jaxrl_tab.core.pytree import concrete
+from jaxrl_tab.core.checks import InputError, check_held, check_pytree, concrete, is_whole, shown
 from jaxrl_tab.core.types import (
     Algorithm,
     Environment,

@@ -338,7 +338,7 @@ def _table(name: str, policy: Any, shape: tuple[int, int] | None) -> Table:
         if shape is not None:
             table.check(*shape)
     except InputError as error:
-        raise InputError(f"{name}: {str(error).partition(': ')[2]}") from None
+        raise error.renamed(name) from None
     return table
 
 

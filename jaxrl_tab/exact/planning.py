@@ -25,8 +25,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import InputError, first, is_distribution, shown
-from jaxrl_tab.core.pytree import as_array
+from jaxrl_tab.core.checks import InputError, as_array, first, is_distribution, shown
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (

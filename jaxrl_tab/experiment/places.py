@@ -28,32 +28,24 @@ class Source(NamedTuple):
         return one_line(str(self.path))
 
 
-class Wrong(InputError):
-    """Something is wrong at `path`: the keys, and places in lists, that lead there."""
-
-    def __init__(self, message: str, path: tuple[str | int, ...]):
-        super().__init__(message)
-        self.path = path
-
-
 @contextlib.contextmanager
 def at(*path: str | int) -> Iterator[None]:
     """What is refused inside is at `path`."""
     try:
         yield
     except InputError as error:
-        raise Wrong(str(error), (*path, *getattr(error, "path", ()))) from None
+        error.path = (*path, *error.path)
+        raise
 
 
 @contextlib.contextmanager
 def blame(names: Collection[str]) -> Iterator[None]:
-    """What is refused inside is at the first of `names` that the message has in it."""
+    """What is refused inside is at the field that is wrong, where that is one of `names`."""
     try:
         yield
     except InputError as error:
-        said = re.findall(r"\w+", str(error))
-        path = min(((name,) for name in names if name in said), key=lambda x: said.index(x[0]), default=())
-        raise Wrong(str(error), path) from None
+        error.path = (error.field,) if error.field in names else ()
+        raise
 
 
 @contextlib.contextmanager
@@ -61,12 +53,12 @@ def located(source: Source | None) -> Iterator[None]:
     """What is refused inside says where in the file it is, if there is a file."""
     try:
         yield
-    except Wrong as error:
-        where = ""
-        if source:
-            line = _line(source, error.path)
-            where = f"{source}, line {line}: " if line else f"{source}: "
-        raise InputError(f"{where}{error}") from None
+    except InputError as error:
+        if not source:
+            raise
+        line = _line(source, error.path)
+        where = f"{source}, line {line}" if line else f"{source}"
+        raise error.renamed(f"{where}: {error.who}" if error.who else where) from None
 
 
 # What a file is made of as far as it must be known where statements end: texts, comments, and single characters.

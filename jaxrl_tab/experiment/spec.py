@@ -41,7 +41,7 @@ from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.sweep import Part, prepare
 from jaxrl_tab.engine.train import default_log_every
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.experiment.places import Source, Wrong, at, located, split_statements
+from jaxrl_tab.experiment.places import Source, at, located, split_statements
 from jaxrl_tab.experiment.resolve import belongs, environments, grid_of, keys, methods, selection, whole
 
 MOST_BYTES = 2**26  # of a file
@@ -143,7 +143,7 @@ class Experiment:
                         raise InputError(f"an experiment has no {shown(key)}; {hint}")
             for key, registry in (("environment", ENVS), ("method", METHODS)):
                 if key not in data:
-                    raise Wrong(f"there is no [[{key}]]: name one or more of {', '.join(registry)}", ())
+                    raise InputError(f"there is no [[{key}]]: name one or more of {', '.join(registry)}")
         return cls(**data, source=source)
 
     def data(self) -> dict[str, Any]:
