@@ -497,7 +497,7 @@ def test_documentation_names_every_parameter(name):
     assert summary.endswith(".")
     attributes = "\n".join(rest).split("Attributes:\n")[1]
     for field in dataclasses.fields(ENVS[name]):
-        assert f"        {field.name}: " in attributes
+        assert f"    {field.name}: " in attributes
 
 
 # --- errors ------------------------------------------------------------------------------------------
@@ -597,7 +597,7 @@ def reward_with(index, value, rewards=R):
             "random-walk: states must be odd, so that there is a middle to start in, not 4",
         ),
         (random_walk(states=0), "random-walk: states must be a whole number of at least 1, not 0"),
-        (random_walk(left_reward=np.nan), "random-walk: left_reward must be a finite number, not nan"),
+        (random_walk(left_reward=np.nan), "random-walk: left_reward must be finite, not nan"),
         (
             listed(1, 0, [(0.5, 2, 0)]),
             "FiniteMDP: the probabilities after (s, a) = (1, 0) add up to 0.5, not to 1",

@@ -50,13 +50,13 @@ class ManyTargets:
         help="pi_p(a | s) of each policy, float [P, S, A]; every row sums to 1, those of terminal states too."
     )
     behaviour: Table | None = field(
-        None,
+        default=None,
         help="The policy that acts, `policies.Table(b)` with b > 0 wherever some pi_p > 0; None: all actions "
         "are equally likely.",
     )
-    alpha: Rate = field(0.1, greater_than=0, help="Step size.")
-    gamma: float = field(1.0, at_least=0, at_most=1, help="Discount rate.")
-    q0: float = field(0.0, help="Initial value of every entry.")
+    alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
+    gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
+    q0: float = field(default=0.0, help="Initial value of every entry.")
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[str] = "transitions"
@@ -71,7 +71,9 @@ class ManyTargets:
             problem = f"targets must be numbers [P, S, A], not of shape {pi.shape}"
             raise InputError(problem, who="ManyTargets", field="targets")
         if (i := first(~is_distribution(pi))) is not None:
-            problem = f"the probabilities of policy {i[0]} in state {i[1]} are not a distribution: {shown(pi[i])}"
+            problem = (
+                f"the probabilities of policy {i[0]} in state {i[1]} are not a distribution: {shown(pi[i])}"
+            )
             raise InputError(problem, who="ManyTargets", field="targets")
         object.__setattr__(self, "targets", pi)
         for p, target in enumerate(pi):

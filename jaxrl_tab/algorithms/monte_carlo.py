@@ -61,7 +61,7 @@ class MonteCarlo(TDControl):
     """
 
     alpha: Rate = field(
-        sample_average(), help="Step size. By default 1/N(s, a): Q is the mean of the returns."
+        default=sample_average(), help="Step size. By default 1/N(s, a): Q is the mean of the returns."
     )
     first_visit: bool = static(
         default=False, help="Only the return from the first time that (s, a) occurs in an episode counts."

@@ -22,7 +22,7 @@ class OffPolicyControl(TDControl):
     """
 
     target: Policy | None = field(
-        None,
+        default=None,
         help="The policy that is learned about (see `policies`); if not given the greedy one, in Expected "
         "Sarsa the one that acts.",
     )

@@ -70,7 +70,7 @@ class OffPolicyMonteCarlo(OffPolicyControl):
     """
 
     alpha: Rate = field(
-        sample_average(),
+        default=sample_average(),
         help="Step size. By default 1/N(s, a): what is averaged counts equally. Weighted averages then have "
         "the book's W/C, with C = the sum of all W so far.",
     )

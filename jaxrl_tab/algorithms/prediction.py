@@ -41,7 +41,6 @@ from jaxrl_tab.core.types import (
 )
 from jaxrl_tab.exact import planning
 
-
 _FIRST_VISIT = "Only the return from the first time that a state occurs in an episode counts."
 
 
@@ -73,13 +72,13 @@ class Prediction:
     """What all share. A method says what kind of control it is."""
 
     pi: Any = field(
-        None,
+        default=None,
         help="The policy whose values are learned: probabilities float [S, A], or a policies.Table of them; "
         "None: all actions are equally likely.",
     )
-    alpha: Rate = field(0.1, greater_than=0, help="Step size.")
-    gamma: float = field(1.0, at_least=0, at_most=1, help="Discount rate.")
-    v0: float = field(0.0, help="Initial value of every entry of V.")
+    alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
+    gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
+    v0: float = field(default=0.0, help="Initial value of every entry of V.")
 
     acts_after_update: ClassVar[bool] = True
 
@@ -148,7 +147,7 @@ class NStepTD(Prediction):
 class TDLambda(Prediction):
     """TD(lambda) with eligibility traces (book, sections 12.2 and 12.5; Silver, lecture 4)."""
 
-    lam: float = field(0.9, at_least=0, at_most=1, help="lambda.")
+    lam: float = field(default=0.9, at_least=0, at_most=1, help="lambda.")
     trace: Literal["accumulating", "replacing", "dutch"] = static(
         default="accumulating", help="The kind of traces; with dutch ones it is true online TD(lambda)."
     )
@@ -174,7 +173,9 @@ class TDLambda(Prediction):
 class MonteCarloPrediction(Prediction):
     """V(S) <- V(S) + alpha [G - V(S)] at the end of the episode (book, section 5.1 and equation 6.1)."""
 
-    alpha: Rate = field(sample_average(), help="Step size. By default 1/N(s): V is the mean of the returns.")
+    alpha: Rate = field(
+        default=sample_average(), help="Step size. By default 1/N(s): V is the mean of the returns."
+    )
     first_visit: bool = static(default=False, help=_FIRST_VISIT)
 
     def control(self) -> Algorithm:
@@ -189,7 +190,7 @@ class OffPolicyPrediction(Prediction):
     """What the methods share that learn v_pi while another policy acts."""
 
     behaviour: Any = field(
-        None,
+        default=None,
         help="b, the policy that acts, as `pi` is given; b(a | s) > 0 wherever pi(a | s) > 0. None: all actions "
         "are equally likely.",
     )
@@ -245,7 +246,7 @@ class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
     """
 
     alpha: Rate = field(
-        sample_average(), help="Step size. By default 1/N(s): what is averaged counts equally."
+        default=sample_average(), help="Step size. By default 1/N(s): what is averaged counts equally."
     )
     weighting: Weighting = static(default="weighted", help="The kind of importance sampling.")
     first_visit: bool = static(default=False, help=_FIRST_VISIT)

@@ -53,7 +53,7 @@ class SarsaLambdaForward(TDControl):
     lambda = 1 is every-visit Monte Carlo.
     """
 
-    lam: float = field(0.9, at_least=0, at_most=1, help="lambda.")
+    lam: float = field(default=0.9, at_least=0, at_most=1, help="lambda.")
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ForwardState:
         q, clock = super().init(num_states, num_actions)

@@ -44,16 +44,16 @@ class TDState(NamedTuple):
 class TDControl:
     """One-step control with an epsilon-greedy, or any other, behaviour policy. A method adds its `update`."""
 
-    alpha: Rate = field(0.1, greater_than=0, help="Step size.")
-    epsilon: Rate = field(0.1, at_least=0, at_most=1, help="Probability of exploring.")
-    gamma: float = field(1.0, at_least=0, at_most=1, help="Discount rate.")
+    alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
+    epsilon: Rate = field(default=0.1, at_least=0, at_most=1, help="Probability of exploring.")
+    gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
     q0: float = field(
-        0.0,
+        default=0.0,
         help="Initial value of every entry of Q, or for one run a table of them [S, A]; above the true values "
         "it is optimistic (book, section 2.6).",
     )
     behaviour: Policy | None = field(
-        None, help="The policy that acts (see `policies`), instead of the epsilon-greedy one."
+        default=None, help="The policy that acts (see `policies`), instead of the epsilon-greedy one."
     )
 
     def __post_init__(self):

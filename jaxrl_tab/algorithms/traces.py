@@ -46,7 +46,7 @@ class TraceControl(TDControl):
     """
 
     lam: float = field(
-        0.9,
+        default=0.9,
         at_least=0,
         at_most=1,
         help="lambda: each step credits a pair gamma lambda times what the step before did.",

@@ -6,7 +6,7 @@ import difflib
 import os
 import reprlib
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self, TypeAlias, TypeVar, get_args, get_origin
@@ -257,7 +257,7 @@ def check_held(obj: Any) -> None:
 
 
 # --- what a field says of its values (see `pytree.field`) ---------------------------------------------
-Numbers: TypeAlias = "float | Sequence[float] | Float[np.ndarray, '...'] | Float[Array, '...']"
+Numbers: TypeAlias = float | Sequence[float] | np.ndarray | Array
 """A field of this type keeps a number, or an array, as a NumPy array; a tracer stays as it is."""
 
 LIMITS = {

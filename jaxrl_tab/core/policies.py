@@ -164,7 +164,9 @@ KINDS[Policy | None] = Kind(_check_policy)
 
 def _check_table(who: str, field: str, table: Any, num_states: int, num_actions: int) -> None:
     if (shape := np.shape(table)) != (num_states, num_actions):
-        problem = f"{field} are of shape {shape}, and the task has {num_states} states and {num_actions} actions"
+        problem = (
+            f"{field} are of shape {shape}, and the task has {num_states} states and {num_actions} actions"
+        )
         raise InputError(problem, who=who, field=field)
 
 
@@ -220,9 +222,9 @@ class Greedy(_Anywhere):
 class EpsilonGreedy(_Anywhere):
     """With probability epsilon any action, else a maximal one (book, section 2.2)."""
 
-    epsilon: Rate = field(0.1, at_least=0, at_most=1, help="Probability of exploring.")
+    epsilon: Rate = field(default=0.1, at_least=0, at_most=1, help="Probability of exploring.")
     available: Any = field(
-        None,
+        default=None,
         help="The actions to choose from in each state, bool [S, A]; None for all that there are. The values of "
         "the others are UNAVAILABLE, so that no target takes them for the best either. (What an environment "
         "says about its actions need not be said again.)",
@@ -269,7 +271,7 @@ class EpsilonGreedy(_Anywhere):
 class Softmax(_Anywhere):
     """Probabilities proportional to exp(Q(s, a) / temperature) (book, section 13.1)."""
 
-    temperature: Rate = field(1.0, greater_than=0, help="Near 0 it is greedy, large it is random.")
+    temperature: Rate = field(default=1.0, greater_than=0, help="Near 0 it is greedy, large it is random.")
 
     @property
     def by_visit(self) -> bool:
@@ -286,7 +288,7 @@ class UCB(_Anywhere):
     t = N(s) + 1 counts the choices made in s, this one included. An action that was never taken comes first.
     """
 
-    c: float = field(2.0, at_least=0, help="Width of the bound, in units of the action values.")
+    c: float = field(default=2.0, at_least=0, help="Width of the bound, in units of the action values.")
 
     @property
     def by_visit(self) -> bool:
@@ -373,7 +375,7 @@ def parse(text: str) -> Policy:
         raise InputError(f"{shown(text)} is not of the form {form(name)}")
     takes_schedule = field.type == Rate
     try:
-        if takes_schedule and schedules.is_named(number.partition(":")[0]):
+        if takes_schedule and schedules.is_named(number) and not number.startswith(":"):
             value = schedules.parse(number)
         else:
             value = float(number)

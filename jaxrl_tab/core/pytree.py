@@ -17,7 +17,9 @@ _SECTION = "\nAttributes:\n"
 
 
 def field(default: Any = dataclasses.MISSING, *, static: bool = False, help: str = "", **more: Any) -> Any:
-    """A field of a `pytree` class that says what it takes: `alpha: Rate = field(0.1, greater_than=0, help="Step size.")`.
+    """A field of a `pytree` class that says what it takes.
+
+        alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
 
     What is given is checked by that before `__post_init__` runs, by the type of the field: see `checks.KINDS`.
     A field that gives another default to that of a base class keeps what was said of it there.
@@ -25,7 +27,7 @@ def field(default: Any = dataclasses.MISSING, *, static: bool = False, help: str
     Args:
         default: its value where none is given.
         static: whether it shapes the program (a size, a rule), and so is not a leaf.
-        help: what it is, in whole sentences. What it takes need not be said: it is added.
+        help: what it is. What it takes need not be said: it is added.
         more: the limits of a number: at_least, greater_than, at_most, less_than; and what
             `dataclasses.field` takes.
     """

@@ -138,8 +138,8 @@ class Family:
 class Power(Family):
     """scale / n**power: harmonic for power 1, the book's 1/n (section 2.5)."""
 
-    power: float = field(1.0, greater_than=0, help="How fast it falls.")
-    scale: float = field(1.0, greater_than=0, help="Its value for n = 1.")
+    power: float = field(default=1.0, greater_than=0, help="How fast it falls.")
+    scale: float = field(default=1.0, greater_than=0, help="Its value for n = 1.")
     clock: ClockName = static(default="episode", help=_CLOCK)
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
@@ -158,7 +158,7 @@ class Harmonic(Family):
     (Silver, assignment Easy21, with N0 = 100).
     """
 
-    n0: float = field(100.0, greater_than=0, help="The count after which it is 1/2.")
+    n0: float = field(default=100.0, greater_than=0, help="The count after which it is 1/2.")
     clock: ClockName = static(default="visit", help=_CLOCK)
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
@@ -191,7 +191,7 @@ class Exponential(Family):
 
     start: float = field(greater_than=0, help="Its value for n = 1.")
     rate: float = field(greater_than=0, less_than=1, help="The ratio of each value to the one before.")
-    end: float = field(0.0, at_least=0, help="The value below which it never falls.")
+    end: float = field(default=0.0, at_least=0, help="The value below which it never falls.")
     clock: ClockName = static(default="episode", help=_CLOCK)
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
@@ -248,13 +248,12 @@ def parse(text: str) -> Family:
     except ValueError:
         given = {}
     needed = list(fields.values()).count(dataclasses.MISSING)
-    if clock not in CLOCKS:
+    if clock not in CLOCKS or len(given) < max(len(numbers), needed):
+        clocks = ", ".join(CLOCKS)
+        missing = "" if clock in CLOCKS else ": no clock stands at its end"
         raise InputError(
-            f"{shown(text)} does not end with a clock, which is one of {', '.join(CLOCKS)}; "
-            f"it is written {form(name)}"
+            f"{shown(text)} is not of the form {form(name)}, where CLOCK is one of {clocks}{missing}"
         )
-    if len(given) < max(len(numbers), needed):
-        raise InputError(f"{shown(text)} is not of the form {form(name)}")
     return build(FAMILIES[name], name, {**given, "clock": clock})
 
 
@@ -269,7 +268,9 @@ def read(text: str) -> float | Family:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"{shown(text)} is neither a number nor a schedule; a schedule is {forms()}") from None
+        raise InputError(
+            f"{shown(text)} is neither a number nor a schedule; a schedule is {forms()}"
+        ) from None
 
 
 def forms() -> str:
@@ -345,19 +346,15 @@ def check_single(what: str, obj: Any) -> None:
 
     But initial values of Q may be a table [S, A].
     """
-    for field in dataclasses.fields(obj):
-        value = getattr(obj, field.name)
-        if field.metadata.get("static"):
+    for f in dataclasses.fields(obj):
+        value = getattr(obj, f.name)
+        if f.metadata.get("static"):
             continue
         if dataclasses.is_dataclass(value):
-            check_single(f"{what}: {field.name}", value)
-        elif (
-            field.type in (float, Rate)
-            and (shape := np.shape(value))
-            and (field.name, len(shape)) != ("q0", 2)
-        ):
+            check_single(f"{what}: {f.name}", value)
+        elif f.type in (float, Rate) and (shape := np.shape(value)) and (f.name, len(shape)) != ("q0", 2):
             raise InputError(
-                f"{what}: {field.name} is an array of shape {shape}: one run takes one number; sweep(...) "
+                f"{what}: {f.name} is an array of shape {shape}: one run takes one number; sweep(...) "
                 "tries all of a list, and jax.vmap runs all of an array"
             )
 

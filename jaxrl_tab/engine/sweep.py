@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from numbers import Integral
 from typing import Any, NamedTuple, cast
 
@@ -342,24 +342,29 @@ def configurations(
         """A NumPy or JAX number as a Python number, and "glie" as the schedule that it is."""
         value = value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) else value
         is_text = isinstance(value, str) and parameter in fields
-        return checked(cls.__name__, fields[parameter], value) if is_text else value
+        return checked(name, fields[parameter], value) if is_text else value
 
     axes, single = {}, {}
     for parameter, values in spread(grid, num_draws, seed, name).items():
+        if isinstance(values, Set | Iterator):
+            problem = f"the grid of {parameter} must be a list, which has an order and a length, not {shown(values)}"
+            raise InputError(problem, field=parameter, wanted="a list", value=values)
         if _is_list(values):
             if any(map(_is_list, values)):
-                raise InputError(
+                problem = (
                     f"the grid of {parameter} must be a flat list, not {shown(values)}; "
                     "probabilities [S, A] are one value where they are a policies.Table"
                 )
+                raise InputError(problem, field=parameter)
             axes[parameter] = tuple(plain(parameter, value) for value in values)
         else:
             single[parameter] = plain(parameter, values)
     for parameter, values in axes.items():
         if not values:
-            raise InputError(f"the grid of {parameter} is empty")
+            raise InputError(f"the grid of {parameter} is empty", field=parameter)
         if parameter != DRAW and (again := repeated(map(label, values))):
-            raise InputError(f"the grid of {parameter} holds {one_line(str(again[0]))} more than once")
+            problem = f"the grid of {parameter} holds {one_line(str(again[0]))} more than once"
+            raise InputError(problem, field=parameter)
     sizes = [len(values) for values in axes.values()]
     check_settings(math.prod(sizes), f"{' x '.join(map(str, sizes))} values of {', '.join(axes)}")
     names = [name for name in axes if name != DRAW]

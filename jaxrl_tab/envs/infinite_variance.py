@@ -22,7 +22,7 @@ class InfiniteVariance(FixedStart):
     can batch it.
     """
 
-    back: Numbers = field(0.9, at_least=0, less_than=1, help="Probability that left leads back.")
+    back: Numbers = field(default=0.9, at_least=0, less_than=1, help="Probability that left leads back.")
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     @property

@@ -27,7 +27,9 @@ class KArmedTestbed(Bandit):
     """
 
     arms: int = static(default=10, at_least=1, help="Number of arms.")
-    means: Numbers = field(0.0, help="q*, the mean reward of each arm, [arms], or one number for all.")
+    means: Numbers = field(
+        default=0.0, help="q*, the mean reward of each arm, [arms], or one number for all."
+    )
 
     def __post_init__(self):
         if isinstance(self.means, np.ndarray) and self.means.ndim == 0:

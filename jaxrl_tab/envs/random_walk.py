@@ -24,7 +24,7 @@ class RandomWalk(FixedStart):
         help="Number of states between the ends, odd; 19 in example 7.1, 5 in example 6.2.",
     )
     left_reward: Numbers = field(
-        -1.0, help="Reward at the left end; -1 in example 7.1, 0 in example 6.2."
+        default=-1.0, help="Reward at the left end; -1 in example 7.1, 0 in example 6.2."
     )
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import TOLERANCE, InputError, Numbers, assign, first, unbatched, unfit
+from jaxrl_tab.core.checks import TOLERANCE, InputError, Numbers, assign, first, unbatched
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.envs.bandit import Bandit
 
@@ -21,14 +21,14 @@ class TwoDoors(Bandit):
     which is 2. Actions are left and right. All three rows are leaves: `vmap` can batch them.
     """
 
-    prizes: Numbers = field((0.0, 1.0, 2.0, 3.0, 6.0), at_least=0, help="The possible rewards, [K].")
+    prizes: Numbers = field(default=(0.0, 1.0, 2.0, 3.0, 6.0), at_least=0, help="The possible rewards, [K].")
     left: Numbers = field(
-        (0.5, 0.0, 0.0, 0.0, 0.5),
+        default=(0.5, 0.0, 0.0, 0.0, 0.5),
         at_least=0,
         help="The probability of each prize behind the left door, [K].",
     )
     right: Numbers = field(
-        (0.0, 0.25, 0.5, 0.25, 0.0),
+        default=(0.0, 0.25, 0.5, 0.25, 0.0),
         at_least=0,
         help="The probability of each prize behind the right door, [K].",
     )
@@ -36,7 +36,9 @@ class TwoDoors(Bandit):
     def __post_init__(self):
         who, shape = type(self).__name__, np.shape(self.prizes)
         if not shape or not shape[-1]:
-            raise unfit(who, "prizes", "a row of one number or more", self.prizes)
+            raise InputError(
+                f"prizes must be a row of one number or more, not of shape {shape}", who=who, field="prizes"
+            )
         left, right = (_door(who, what, getattr(self, what), shape[-1]) for what in ("left", "right"))
         assign(self, left=left, right=right)
 
@@ -50,7 +52,8 @@ class TwoDoors(Bandit):
 
     def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
         prizes, left, right = (
-            unbatched(type(self).__name__, what, getattr(self, what), ndim=1) for what in ("prizes", "left", "right")
+            unbatched(type(self).__name__, what, getattr(self, what), ndim=1)
+            for what in ("prizes", "left", "right")
         )
         return jnp.where(a == 0, left, right), prizes
 

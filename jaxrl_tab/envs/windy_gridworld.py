@@ -25,7 +25,7 @@ class WindyGridworld(Grid):
     """
 
     wind: Any = field(
-        (0, 0, 0, 1, 1, 1, 2, 2, 1, 0),
+        default=(0, 0, 0, 1, 1, 1, 2, 2, 1, 0),
         help="Strength of each column, whole numbers [columns], below 0 downwards.",
     )
     moves: Literal["four", "king", "king+stay"] = static(

@@ -44,7 +44,7 @@ def blame(names: Collection[str]) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        error.path = (error.field,) if error.field in names else ()
+        error.path = (error.field,) if error.field is not None and error.field in names else ()
         raise
 
 
