@@ -59,4 +59,4 @@ def test_a_bar_below_the_cell_of_a_notebook(monkeypatch):
     monkeypatch.setattr(display, "display", lambda html, display_id: handle)
     with reporting(None) as report:
         report(Progress("<mine>", 1, 2))
-    assert updates == ['<progress value="1" max="2"></progress> &lt;mine&gt; 1/2 runs']
+    assert updates == ['<progress value="1" max="2"></progress> &lt;mine&gt; 1/2 runs', ""]

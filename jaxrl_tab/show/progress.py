@@ -68,7 +68,8 @@ def reporting(progress: Report | Literal[False] | None) -> Iterator[Report]:
             f"progress must be a function of a Progress, or False for no bar, not {shown(progress)}"
         )
     elif progress is None and _in_notebook():
-        yield _notebook_bar()
+        with _notebook_bar() as report:
+            yield report
     elif progress is None and sys.stderr is not None and sys.stderr.isatty():
         with _terminal_bar() as report:
             yield report
@@ -83,8 +84,9 @@ def _in_notebook() -> bool:
     return shell is not None and hasattr(shell, "kernel")
 
 
-def _notebook_bar() -> Report:
-    """A bar below the cell, which the browser draws."""
+@contextlib.contextmanager
+def _notebook_bar() -> Iterator[Report]:
+    """A bar below the cell, which the browser draws. It goes away at the end, and is not saved with the notebook."""
     from IPython.display import HTML, display
 
     handle: Any = display(HTML(""), display_id=True)
@@ -94,7 +96,10 @@ def _notebook_bar() -> Report:
         text = html.escape(f"{state.label} {state.done}/{state.total} {state.details}")
         handle.update(HTML(f"{bar} {text}"))
 
-    return report
+    try:
+        yield report
+    finally:
+        handle.update(HTML(""))
 
 
 @contextlib.contextmanager
