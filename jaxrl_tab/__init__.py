@@ -34,7 +34,7 @@ from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core import policies, schedules, tables
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.experience import Experience
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome, Transition
 from jaxrl_tab.core.version import __version__ as __version__
 from jaxrl_tab.engine import batch, offline
@@ -127,6 +127,7 @@ __all__ = [
     "collect",
     "envs",
     "executors",
+    "field",
     "importance",
     "interop",
     "learn",

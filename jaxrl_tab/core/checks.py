@@ -57,7 +57,7 @@ class InputError(ValueError):
         return error
 
 
-def unfit(who: str, field: str, wanted: str, value: Any, hint: str = "") -> InputError:
+def unfit(who: str | None, field: str, wanted: str, value: Any, hint: str = "") -> InputError:
     """The error where `field` of `who` must be `wanted`, and is `value`; a `hint` is added to the message."""
     problem = f"{field} must be {wanted}, not {shown(value)}{hint}"
     return InputError(problem, who=who, field=field, wanted=wanted, value=value)
@@ -99,11 +99,12 @@ def numbers(name: str, what: str, value: Any) -> Any:
     return array
 
 
-def unbatched(name: str, what: str, value: Any, ndim: int, dtype: Any = float) -> Array:
-    """A leaf as a JAX array. Raises InputError where it has not its `ndim` axes but those of a batch."""
+def unbatched(env: Any, field: str, ndim: int, dtype: Any = float) -> Array:
+    """A leaf of an environment as a JAX array. Raises InputError where it has the axes of a batch, too."""
+    value = getattr(env, field)
     if np.ndim(value) != ndim:
-        problem = f"{what} of shape {np.shape(value)} is a batch; vmap over the environment"
-        raise InputError(problem, who=name, field=what)
+        problem = f"{field} of shape {np.shape(value)} is a batch; vmap over the environment"
+        raise InputError(problem, who=type(env).__name__, field=field)
     return jnp.asarray(value, dtype)
 
 
@@ -211,10 +212,11 @@ def is_whole(value: Any, least: int = 1) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) < 2**31
 
 
-def whole(name: str, what: str, value: Any, least: int = 1) -> int:
+def whole(name: str | None, what: str, value: Any, least: int = 1) -> int:
     """`value` as an int. Raises InputError unless it `is_whole`."""
     if not is_whole(value, least):
-        raise unfit(name, what, f"a whole number of at least {least}", value)
+        too_large = " and below 2**31" if isinstance(value, Integral) and int(value) >= 2**31 else ""
+        raise unfit(name, what, f"a whole number of at least {least}{too_large}", value)
     return int(value)
 
 

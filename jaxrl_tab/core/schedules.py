@@ -130,7 +130,8 @@ class Family:
     def _plain(self, name: str) -> float:
         value = concrete(getattr(self, name))
         if value is None or value.ndim:
-            raise InputError(f"{type(self).__name__}: {name} must be one plain number to tell this")
+            problem = f"{name} must be one plain number to tell this"
+            raise InputError(problem, who=type(self).__name__, field=name)
         return float(value)
 
 

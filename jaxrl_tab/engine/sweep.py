@@ -22,11 +22,11 @@ from jaxrl_tab.core.checks import (
     check_pytree,
     checked,
     foreign,
-    is_whole,
     nearest,
     one_line,
     repeated,
     shown,
+    whole,
 )
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
 from jaxrl_tab.engine import batch
@@ -221,10 +221,7 @@ def prepare(
         InputError: something given is wrong.
     """
     for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0), ("first_seed", first_seed, 0)):
-        if not is_whole(value, least):
-            raise InputError(
-                f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
-            )
+        whole(None, name, value, least)
     if not isinstance(env, Environment):
         raise InputError(
             f"env must be an environment such as make('windy-gridworld'), not {shown(env)}{foreign(env)}"

@@ -43,7 +43,7 @@ class InfiniteVariance(FixedStart):
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
         over, left = s == 1, a == 0
-        back = jnp.where(left, unbatched(type(self).__name__, "back", self.back, ndim=0), 0)
+        back = jnp.where(left, unbatched(self, "back", ndim=0), 0)
         s_next = jnp.where(over, 1, jnp.array([0, 1], jnp.int32))
         reward = jnp.where(left & ~over, jnp.array([0, 1], float), 0)
         return jnp.stack([back, 1 - back]), Outcome(s_next, reward, s_next == 1)

@@ -47,7 +47,7 @@ class KArmedTestbed(Bandit):
         return self.arms
 
     def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        means = unbatched(type(self).__name__, "means", self.means, ndim=1)
+        means = unbatched(self, "means", ndim=1)
         return jnp.ones(1), tables.entry(means, jnp.asarray(a, jnp.int32))[None]
 
     def step(self, key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:

@@ -46,7 +46,7 @@ class RandomWalk(FixedStart):
         return (self.states + 1) // 2
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
-        left_reward = unbatched(type(self).__name__, "left_reward", self.left_reward, ndim=0)
+        left_reward = unbatched(self, "left_reward", ndim=0)
         left, right = 0, self.states + 1
         s = jnp.asarray(s, jnp.int32)
         over = (s == left) | (s == right)

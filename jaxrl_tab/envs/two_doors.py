@@ -51,10 +51,7 @@ class TwoDoors(Bandit):
         return "left", "right"
 
     def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        prizes, left, right = (
-            unbatched(type(self).__name__, what, getattr(self, what), ndim=1)
-            for what in ("prizes", "left", "right")
-        )
+        prizes, left, right = (unbatched(self, what, ndim=1) for what in ("prizes", "left", "right"))
         return jnp.where(a == 0, left, right), prizes
 
     def lock_in_probability(self) -> float:

@@ -53,7 +53,7 @@ class WindyGridworld(Grid):
         return MOVES[self.moves]
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
-        wind = unbatched(type(self).__name__, "wind", self.wind, ndim=1, dtype=jnp.int32)
+        wind = unbatched(self, "wind", ndim=1, dtype=jnp.int32)
         lift, prob = wind[s % self.shape[1]], jnp.ones(1)
         if self.stochastic:
             gust = jnp.array([-1, 0, 1], jnp.int32)

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.core import clock, describe, policies, schedules
-from jaxrl_tab.core.checks import InputError, build, check_choice, is_whole, nearest, repeated, shown
+from jaxrl_tab.core.checks import InputError, build, check_choice, nearest, repeated, shown, whole
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.sweep import configurations
@@ -40,7 +40,7 @@ class Selection:
         with at("by"):
             check_choice("select", "by", self.by, CRITERIA)
         with at("fresh_seeds"):
-            whole("fresh_seeds", self.fresh_seeds, 1)
+            whole(None, "fresh_seeds", self.fresh_seeds)
 
 
 CRITERIA = ("score",)
@@ -267,7 +267,7 @@ def _axis(key: str, given: Any) -> Any:
     try:
         return cls(ends) if cls is axes.Choice else cls(*ends, **more)
     except InputError as error:
-        raise InputError(f"{key}: {error}") from None
+        raise error.renamed(key) from None
 
 
 def _value(key: str, given: Any, parameter: describe.Parameter) -> Any:
@@ -321,14 +321,6 @@ def _depth(value: Any) -> int:
 
 def _depth_of_lists(value: Any) -> int:
     return 1 + max(map(_depth_of_lists, value), default=0) if isinstance(value, list) else 0
-
-
-def whole(name: str, value: Any, least: int) -> int:
-    if not is_whole(value, least):
-        raise InputError(
-            f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
-        )
-    return int(value)
 
 
 def selection(given: Any, seeds: int) -> dict[str, Any]:

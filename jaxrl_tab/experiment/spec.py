@@ -36,13 +36,13 @@ import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError, as_path, build, nearest, one_line, shown
+from jaxrl_tab.core.checks import InputError, as_path, build, nearest, one_line, shown, whole
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.sweep import Part, prepare
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.places import Source, at, located, split_statements
-from jaxrl_tab.experiment.resolve import belongs, environments, grid_of, keys, methods, selection, whole
+from jaxrl_tab.experiment.resolve import belongs, environments, grid_of, keys, methods, selection
 
 MOST_BYTES = 2**26  # of a file
 TEMPLATE = Path(__file__).with_name("template.toml")
@@ -89,7 +89,7 @@ class Experiment:
             for name, least in (("seeds", 1), ("steps", 1), ("episodes", 1), ("log_every", 1), ("seed", 0)):
                 with at(name):
                     if name in ("seeds", "seed") or getattr(self, name) is not None:
-                        self._set(name, whole(name, getattr(self, name), least))
+                        self._set(name, whole(None, name, getattr(self, name), least))
             if (self.steps is None) == (self.episodes is None):
                 with at("episodes"):
                     raise InputError("give either steps or episodes: how long a run is")
