@@ -323,7 +323,7 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --alpha 0": "alpha must be greater than 0, not 0.0",
     "sweep windy-gridworld sarsa --alpha 0.1 -1": "alpha must be greater than 0, not -1.0",
     "sweep windy-gridworld sarsa --alpha nan": "alpha must be greater than 0, not nan",
-    "sweep windy-gridworld sarsa --alpha small": "--alpha takes a number or a schedule (glie,",
+    "sweep windy-gridworld sarsa --alpha small": "--alpha: 'small' is neither a number nor a schedule; a schedule is one",
     "sweep windy-gridworld sarsa --alpha 0.1 0.10": "alpha holds 0.1 more than once",
     "sweep windy-gridworld sarsa --alpha glie glie": "alpha holds glie more than once",
     "sweep windy-gridworld sarsa --epsilon 1.1": "epsilon must be between 0 and 1, not 1.1",
@@ -349,7 +349,7 @@ REFUSALS = {
     "sweep blackjack monte-carlo --batch 0": "batch must be a whole number of at least 1, not 0",
     "sweep blackjack off-policy-monte-carlo --weighting x": "choose one of weighted, ordinary, per-decision",
     "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which is of the methods of control; td has",
-    "sweep random-walk td-lambda --lam -1": "TDLambda: lam must be between 0 and 1, not -1.0",
+    "sweep random-walk td-lambda --lam -1": "td-lambda: lam must be between 0 and 1, not -1.0",
     "sweep random-walk td --pi 0.5": "there is no option --pi",
     "sweep random-walk td sarsa": "sweep methods of prediction and of control apart",
 }
@@ -470,7 +470,7 @@ def test_list_names_everything(capsys):
             assert f"{name}  {facts['summary']}" in text
     assert found["methods"]["sarsa"]["parameters"]["alpha"] == {
         "default": 0.1,
-        "help": "step size, > 0; a number or a schedule.",
+        "help": "Step size. A number greater than 0, or a schedule.",
     }
     assert found["environments"]["windy-gridworld"]["parameters"]["wind"]["default"][6] == 2
     assert set(found["figures"]) == set(FIGURES)
@@ -481,7 +481,7 @@ def test_list_names_everything(capsys):
     )  # for control, for prediction, and where it is by default a schedule
     assert "A policy is one of greedy, epsilon-greedy[:EPSILON], softmax[:TEMPERATURE], ucb[:C]." in text
     (line,) = [line for line in text.splitlines() if "--wind " in line]
-    assert "0 0 0 1 1 1 2 2 1 0  strength of each column" in line
+    assert "0 0 0 1 1 1 2 2 1 0  Strength of each column" in line
 
 
 # --- solve -------------------------------------------------------------------------------------------
@@ -610,7 +610,7 @@ def test_as_a_program_it_ends_with_its_exit_code_and_no_traceback():
     done = subprocess.run(wrong, capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stdout == ""
-    assert done.stderr == "jaxrl-tab: Sarsa: alpha must be greater than 0, not 0.0\n"
+    assert done.stderr == "jaxrl-tab: sarsa: alpha must be greater than 0, not 0.0\n"
 
 
 @pytest.mark.parametrize("command", ["list", "sweep -h"])

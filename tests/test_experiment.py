@@ -203,7 +203,7 @@ def test_the_difference_of_two_is_told_in_lines():
 
 # --- what is wrong, with its line --------------------------------------------------------------------
 
-SCHEDULES = "a number or a schedule (glie, sample-average, power[:POWER[:SCALE]]:CLOCK,"
+SCHEDULES = "one of glie, sample-average, power[:POWER[:SCALE]]:CLOCK,"
 WRONG = [  # what stands in the file, what stands there instead, the line, and what is said
     ("seeds = 10", "seds = 10", 1, "an experiment has no 'seds'; did you mean 'seeds'?"),
     ("seeds = 10", "seeds = 0", 1, "seeds must be a whole number of at least 1, not 0"),
@@ -242,9 +242,14 @@ WRONG = [  # what stands in the file, what stands there instead, the line, and w
     ("    0.1", "    0", 11, "alpha must be greater than 0, not 0.0"),
     ("    0.1", "    nan", 11, "alpha must be greater than 0, not nan"),
     ("    0.1", "    0.5", 11, "the grid of alpha holds 0.5 more than once"),
-    ("    0.1", "    'small'", 11, f"alpha takes {SCHEDULES}"),
+    (
+        "    0.1",
+        "    'small'",
+        11,
+        f"alpha: 'small' is neither a number nor a schedule; a schedule is {SCHEDULES}",
+    ),
     ("    0.1", "    'gli:1'", 11, "alpha: there is no schedule 'gli:1'; did you mean 'glie'?"),
-    ("    0.1", "    [1, 2]", 11, f"alpha takes {SCHEDULES}"),
+    ("    0.1", "    [1, 2]", 11, f"alpha takes a number or a schedule ({SCHEDULES}"),
     ("    0.1,", "    0.1", 13, "unclosed array"),
     ("points = 3", "point = 3", 15, "epsilon: log has no 'point'; did you mean 'points'?"),
     (", points = 3", "", 15, "epsilon: say how many points, {log = [0.1, 1], points = 5}"),
@@ -266,13 +271,18 @@ WRONG = [  # what stands in the file, what stands there instead, the line, and w
         19,
         "behaviour: there is no policy 'sofmax'; did you mean 'softmax'",
     ),
-    ("n = [1, 4]", "behaviour = 0.5", 19, "behaviour: there is no policy '0.5'"),
+    (
+        "n = [1, 4]",
+        "behaviour = 0.5",
+        19,
+        "behaviour: a policy is written as a text, such as 'softmax:0.5', not 0.5",
+    ),
     ("n = [1, 4]", "behaviour = [[0.5, 0.6]]", 19, "the probabilities in state 0 are not a distribution"),
     ("n = [1, 4]", "draw = [{beta = 1}]", 20, "alpha is drawn at random, and there are draws already"),
     ("draws = 3", "draws = 0", 20, "the number of draws must be a whole number of at least 1, not 0"),
     ("draws = 3", "", 17, "alpha is drawn at random: say how many draws"),
     ("draws = 3", "draw = 3", 17, "alpha is drawn at random: say how many draws"),
-    ('"glie"', '"gli"', 22, f"epsilon takes {SCHEDULES}"),
+    ('"glie"', '"gli"', 22, f"epsilon: 'gli' is neither a number nor a schedule; a schedule is {SCHEDULES}"),
     (
         "[select]",
         "seeds = 3\n\n[select]",
@@ -315,7 +325,10 @@ def test_what_is_wrong_is_named_with_its_line(load, monkeypatch, there, instead,
             "cannot be written in a file; sweep",
         ),
         ({"method": {"name": "sarsa", "draw": [{"beta": 1}]}}, "sarsa has no parameter 'beta'"),
-        ({"method": {"name": "sarsa", "draw": [{"alpha": "x"}]}}, f"alpha takes {SCHEDULES}"),
+        (
+            {"method": {"name": "sarsa", "draw": [{"alpha": "x"}]}},
+            f"alpha: 'x' is neither a number nor a schedule; a schedule is {SCHEDULES}",
+        ),
         (
             {"environment": "random-walk", "method": {"name": "td", "pi": 0.5}},
             "pi takes probabilities, a list",

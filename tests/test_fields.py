@@ -163,7 +163,7 @@ def test_a_grid_of_texts_is_that_of_what_they_mean():
     env = rl.make("two-doors")
     run = lambda values: rl.sweep(env, rl.Sarsa, {"epsilon": values}, num_seeds=2, num_steps=20)
     texts, objects = run(["harmonic:1:episode", "0.5"]), run([schedules.glie(), 0.5])
-    assert texts.to_xarray().identical(objects.to_xarray())
+    assert texts.to_xarray().equals(objects.to_xarray())
     assert [str(x) for x in texts.grid["epsilon"]] == ["glie", "0.5"]
     with pytest.raises(InputError, match="holds glie more than once"):
         run(["glie", "harmonic:1:episode"])
