@@ -275,4 +275,4 @@ def test_error(given, message):
     call = rl.make("blackjack").state if "player" in given else functools.partial(rl.make, "blackjack")
     with pytest.raises(rl.InputError) as error:
         call(**given)
-    assert str(error.value) == f"blackjack: {message}"
+    assert str(error.value) == f"Blackjack: {message}"

@@ -323,7 +323,7 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --alpha 0": "alpha must be greater than 0, not 0.0",
     "sweep windy-gridworld sarsa --alpha 0.1 -1": "alpha must be greater than 0, not -1.0",
     "sweep windy-gridworld sarsa --alpha nan": "alpha must be greater than 0, not nan",
-    "sweep windy-gridworld sarsa --alpha small": "--alpha: 'small' is neither a number nor a schedule; a schedule is one",
+    "sweep windy-gridworld sarsa --alpha small": "--alpha: 'small' is neither a number nor a schedule",
     "sweep windy-gridworld sarsa --alpha 0.1 0.10": "alpha holds 0.1 more than once",
     "sweep windy-gridworld sarsa --alpha glie glie": "alpha holds glie more than once",
     "sweep windy-gridworld sarsa --epsilon 1.1": "epsilon must be between 0 and 1, not 1.1",

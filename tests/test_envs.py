@@ -692,7 +692,10 @@ def reward_with(index, value, rewards=R):
             "FiniteMDP: no terminal state can be reached from start state s = 2; "
             "a task that is meant to go on for ever has no terminal states",
         ),
-        (mdp(max_steps=2**31), "FiniteMDP: max_steps must be a whole number of at least 1, not 2147483648"),
+        (
+            mdp(max_steps=2**31),
+            "FiniteMDP: max_steps must be a whole number of at least 1 and below 2**31, not 2147483648",
+        ),
     ],
 )
 def test_error(call, message):
