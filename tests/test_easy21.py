@@ -172,5 +172,5 @@ def test_error(env, place, message):
 
 
 def test_max_steps_must_be_a_number():
-    with pytest.raises(rl.InputError, match="Easy21: max_steps must be a whole number of at least 1, not 0"):
+    with pytest.raises(rl.InputError, match="easy21: max_steps must be a whole number of at least 1, not 0"):
         rl.make("easy21", max_steps=0)
