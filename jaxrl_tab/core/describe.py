@@ -75,7 +75,8 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
     Raises:
         InputError: it is of the wrong type, or a text that means nothing.
     """
-    name = given.replace("_", "-") if isinstance(given, str) else ""
+    before, optax, call = given.partition("optax:") if isinstance(given, str) else ("", "", "")
+    name = before.replace("_", "-") + optax + call  # the names of optax's functions are Python's
     if takes_policy(parameter):
         if not name and isinstance(given, policies.Policy):
             return given
@@ -103,7 +104,7 @@ _KINDS: dict[type, tuple[str, type]] = {
 
 def schedule_forms() -> str:
     """How a schedule may be typed."""
-    forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.FAMILIES)])
+    forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.NAMES)])
     return f"{forms}, where CLOCK is one of {', '.join(clock.CLOCKS)}"
 
 
