@@ -346,7 +346,7 @@ wind = [0, 0, 0, 1, 1, 1, 2, 2, 1, 0]
 name = "sarsa"
 label = "first"
 alpha = {log = [0.01, 1], points = 5}
-epsilon = [0.1, "glie"]
+epsilon = ["glie", "optax:linear_schedule(1, 0, 5)"]
 [[method]]
 name = "q-learning"
 draws = 3
