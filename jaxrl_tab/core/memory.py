@@ -104,8 +104,9 @@ def size(tree: Any) -> int:
 
 
 def free(devices: Sequence[Any] = ()) -> int:
-    """The bytes that are free on each of these devices, no limit where one does not say; on a CPU, or without any
-    devices, in the machine.
+    """The bytes that are free on each of these devices; on a CPU, or without any, in the machine.
+
+    There is no limit on a device that does not say.
     """
     if devices and devices[0].platform != "cpu":
         stats = [device.memory_stats() or {} for device in devices]
