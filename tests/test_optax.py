@@ -39,6 +39,7 @@ def test_values_by_hand():
         (LINEAR, LINEAR),
         (f"{COSINE}:step", COSINE),
         ("optax:exponential_decay( .5, 1e2, 1, staircase=True)", "optax:exponential_decay(0.5,100.0,1,staircase=True)"),
+        ("optax:linear-schedule(1, 0, 3, transition-begin=1e-1)", "optax:linear_schedule(1,0,3,transition_begin=0.1)"),
         ("optax:linear_schedule(+1, -0x10, 3):visit", "optax:linear_schedule(+1,-16,3):visit"),
     ],
 )  # fmt: skip
@@ -103,7 +104,7 @@ def test_nothing_can_be_told_about_its_limit():
 
 
 def test_a_policy_takes_it():
-    """Its underscores stay, while those before are hyphens: names in optax are Python's."""
+    """Names may be typed with hyphens or underscores. Broken once: hyphens left in the name -> fails."""
     policy = policies.parse(f"epsilon-greedy:{COSINE}:visit")
     assert str(policy) == f"epsilon-greedy:{COSINE}:visit"
     method = {"name": "sarsa", "behaviour": [f"epsilon_greedy:{COSINE}", "epsilon_greedy:sample_average"]}

@@ -75,8 +75,7 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
     Raises:
         InputError: it is of the wrong type, or a text that means nothing.
     """
-    before, optax, call = given.partition("optax:") if isinstance(given, str) else ("", "", "")
-    name = before.replace("_", "-") + optax + call  # the names of optax's functions are Python's
+    name = given.replace("_", "-") if isinstance(given, str) else ""
     if takes_policy(parameter):
         if not name and isinstance(given, policies.Policy):
             return given

@@ -4,6 +4,7 @@ import ast
 import contextlib
 import inspect
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -35,8 +36,9 @@ class Optax:
     def __post_init__(self):
         check_clock(self.clock)
         if isinstance(self.schedule, str):
-            _make(self.schedule)
-            call = ast.parse(self.schedule, mode="eval")
+            text = re.sub(r"(?<=[a-z])-(?=[a-z])", "_", self.schedule)  # names are typed with hyphens too
+            _make(text)
+            call = ast.parse(text, mode="eval")
             assign(self, schedule=ast.unparse(call).replace(" ", ""))  # one spelling, whatever was typed
         elif not callable(self.schedule):
             raise InputError(f"Optax: schedule must be a function of a count, not {shown(self.schedule)}")
