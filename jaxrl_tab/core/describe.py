@@ -103,7 +103,7 @@ _KINDS: dict[type, tuple[str, type]] = {
 
 def schedule_forms() -> str:
     """How a schedule may be typed."""
-    forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.FAMILIES)])
+    forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.NAMES)])
     return f"{forms}, where CLOCK is one of {', '.join(clock.CLOCKS)}"
 
 

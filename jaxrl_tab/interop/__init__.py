@@ -11,7 +11,7 @@ comes before it.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.checks import InputError, reason, shown
 
 if TYPE_CHECKING:
     from jaxrl_tab.interop.gymnasium import from_gymnasium, to_gymnasium
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["from_gymnasium", "from_gymnax", "make", "to_gymnasium", "to_gymnax"]
 
-LIBRARIES = ("gymnasium", "gymnax")
+# What pip installs of each: gymnax imports six, and does not declare it.
+LIBRARIES = {"gymnasium": "gymnasium", "gymnax": "gymnax six"}
 
 
 def make(name: str, **parameters: Any) -> Any:
@@ -30,7 +31,7 @@ def make(name: str, **parameters: Any) -> Any:
         parameters: what the library's own `make` takes.
 
     Raises:
-        InputError: the name is of no such form, the library is not installed, or it is as `from_gymnax` and
+        InputError: the name is of no such form, the library cannot be imported, or it is as `from_gymnax` and
             `from_gymnasium` say.
     """
     library, _, there = str(name).partition(":")
@@ -45,7 +46,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
         return getattr(importlib.import_module(f"{__name__}.{library}"), name)
-    except ModuleNotFoundError as error:
-        if error.name != library:
-            raise
-        raise InputError(f"{library} is not installed; python -m pip install {library}") from None
+    except Exception as error:  # of gymnax, a version that is too old for JAX raises an AttributeError
+        raise InputError(
+            f"{library} cannot be imported ({reason(error)}); python -m pip install --upgrade {LIBRARIES[library]}"
+        ) from None
