@@ -12,6 +12,7 @@ from jaxrl_tab.core import episode, tables
 from jaxrl_tab.core.checks import check_choice
 from jaxrl_tab.core.clock import Clock, Rate, at_visit, end_step
 from jaxrl_tab.core.coverage import check_coverage
+from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.episode import Episode
 from jaxrl_tab.core.policies import Greedy, Policy
 from jaxrl_tab.core.pytree import pytree, static
@@ -81,7 +82,7 @@ class OffPolicyMonteCarlo(OffPolicyControl):
     first_visit: bool = static(default=False)
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "episodes of b"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
     of_states: ClassVar[bool] = False  # the table has one entry a state; see `prediction`
 
     def __post_init__(self):
