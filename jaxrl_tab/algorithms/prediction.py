@@ -312,16 +312,12 @@ class _OfStates(OffPolicyMonteCarlo):
 def _as_table(obj: Any, name: str) -> None:
     """Makes the probabilities in field `name` a Table."""
     value, what = getattr(obj, name), f"{type(obj).__name__}: {name}"
-    if value is None or isinstance(value, Table):
-        return
-    if not isinstance(value, Sequence | np.ndarray | jax.Array):
+    if not isinstance(value, Table | Sequence | np.ndarray | jax.Array | None):
         raise InputError(
             f"{what} must be probabilities [S, A], or a policies.Table of them, not {shown(value)}"
         )
-    try:
-        object.__setattr__(obj, name, Table(value))
-    except InputError as error:
-        raise InputError(f"{what}: {str(error).partition(': ')[2]}") from None
+    if value is not None:
+        object.__setattr__(obj, name, policies.as_table(what, value))
 
 
 def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:

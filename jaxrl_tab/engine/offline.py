@@ -25,7 +25,7 @@ from jaxrl_tab.core import rng, tables
 from jaxrl_tab.core.checks import InputError, check_pytree, numbers, whole
 from jaxrl_tab.core.declared import LearnsFrom, of_method
 from jaxrl_tab.core.experience import Experience
-from jaxrl_tab.core.policies import Policy, Table
+from jaxrl_tab.core.policies import Policy, Table, as_table
 from jaxrl_tab.core.pytree import concrete, pytree
 from jaxrl_tab.core.types import (
     Algorithm,
@@ -233,7 +233,7 @@ def _method(behaviour: Any) -> Any:
             f"collect: {type(behaviour).__name__} chooses by Q, and nobody has learned one here; give its "
             "probabilities [S, A], such as planning.epsilon_greedy_policy(q, 0.1), or a method"
         )
-    return _Acts(behaviour=behaviour if isinstance(behaviour, Table) else Table(behaviour))
+    return _Acts(behaviour=as_table("behaviour", behaviour))
 
 
 @pytree
