@@ -13,6 +13,7 @@ from jaxrl_tab.algorithms.td import TDState, check_learning
 from jaxrl_tab.core import coverage, policies, tables
 from jaxrl_tab.core.checks import InputError, first, is_distribution, shown
 from jaxrl_tab.core.clock import Clock, Rate
+from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.pytree import as_array, pytree
 from jaxrl_tab.core.types import Transition, restricted
@@ -62,7 +63,7 @@ class ManyTargets:
     q0: float = 0.0
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
 
     def __post_init__(self):
         check_learning(self)

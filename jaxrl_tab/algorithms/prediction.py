@@ -26,6 +26,7 @@ from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import InputError, check_number, check_switches, shown
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
+from jaxrl_tab.core.declared import Learns, LearnsFrom
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.schedules import sample_average
@@ -81,6 +82,7 @@ class Prediction:
     gamma: float = 1.0
     v0: float = 0.0
 
+    learns: ClassVar[Learns] = Learns.STATES
     acts_after_update: ClassVar[bool] = True
 
     def __post_init__(self):
@@ -234,7 +236,7 @@ class OffPolicyTD(OffPolicyPrediction, TD):
 
     multiplies_returns: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions of b"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS_OF_B
 
     def update(self, key, state: ValueState, t: Transition):
         assert state.target is not None
@@ -267,7 +269,7 @@ class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
     first_visit: bool = static(default=False)
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "episodes of b"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
 
     @property
     def multiplies_returns(self) -> bool:
@@ -310,16 +312,12 @@ class _OfStates(OffPolicyMonteCarlo):
 def _as_table(obj: Any, name: str) -> None:
     """Makes the probabilities in field `name` a Table."""
     value, what = getattr(obj, name), f"{type(obj).__name__}: {name}"
-    if value is None or isinstance(value, Table):
-        return
-    if not isinstance(value, Sequence | np.ndarray | jax.Array):
+    if not isinstance(value, Table | Sequence | np.ndarray | jax.Array | None):
         raise InputError(
             f"{what} must be probabilities [S, A], or a policies.Table of them, not {shown(value)}"
         )
-    try:
-        object.__setattr__(obj, name, Table(value))
-    except InputError as error:
-        raise InputError(f"{what}: {str(error).partition(': ')[2]}") from None
+    if value is not None:
+        object.__setattr__(obj, name, policies.as_table(what, value))
 
 
 def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:

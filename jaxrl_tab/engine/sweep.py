@@ -27,6 +27,7 @@ from jaxrl_tab.core.checks import (
     repeated,
     shown,
 )
+from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
 from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.axes import DRAW, check_settings, spread, swept_names
@@ -35,7 +36,7 @@ from jaxrl_tab.engine.results import SweepResult, label, parameters
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.train import Log
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.progress import Progress, Report, reporting
 
@@ -109,17 +110,18 @@ class Part:
         """
         budget, env = self.budget, self.env
         steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps
-        sampled = isinstance(env, Finite) and type(env).step is Finite.step and not hasattr(env, "instance")
+        of_outcomes = samples_outcomes(env) and of_environment(env).instance is None
 
         @functools.cache
         def largest_return(gamma: float, anywhere: bool) -> float:
             return planning.largest_return(env, gamma, steps, anywhere)
 
         def largest(config: Any) -> float:
-            if not sampled or getattr(config, "multiplies_returns", False):
+            method = of_method(config)
+            if not of_outcomes or method.multiplies_returns:
                 return np.inf
-            first = abs(getattr(config, "q0", getattr(config, "v0", 0.0)))
-            return BEYOND * (first + largest_return(config.gamma, getattr(config, "exploring_starts", False)))
+            initial = abs(getattr(config, method.learns.initial, 0.0))
+            return BEYOND * (initial + largest_return(config.gamma, method.exploring_starts))
 
         return np.array([largest(config) for config in self.configs])
 
@@ -296,13 +298,15 @@ def compute(
 def result(part: Part, computed: Computed) -> SweepResult:
     """The result of a sweep from what all runs of it gave, in the order of their numbers."""
     axes, first = part.axes, part.configs[0]
+    method = of_method(first)
     # Where a behaviour policy is given epsilon is not looked at, and it would mislead to show it.
-    unused = {"epsilon"} if getattr(first, "behaviour", None) is not None else set()
+    unused = {"epsilon"} if method.behaviour is not None else set()
     shape = (*(len(values) for values in axes.values()), part.num_seeds)
     q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(
         environment=_name_in(ENVS, type(part.env)),
         algorithm=_name_in(METHODS, part.algorithm),
+        learns=method.learns,
         env=part.env,
         grid=axes,
         fixed={k: value for k, value in parameters(first).items() if k not in {*swept_names(axes), *unused}},
@@ -425,7 +429,7 @@ def _exact_value(
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
     """Those with this gamma whose exact values may differ: of control one, of prediction one for each pi."""
     same = [config for config in configs if config.gamma == gamma]
-    if not hasattr(same[0], "exact_value"):
+    if of_method(same[0]).learns is Learns.ACTIONS:
         return same[:1]
     by_pi: dict[int, Any] = {id(config.pi): config for config in cast(list[Any], same)}
     return list(by_pi.values())
@@ -433,12 +437,13 @@ def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
 
 def _judge(env: Environment, config: Any) -> float:
     """The exact value from the start of what `config` learns; NaN where there is no finite answer."""
-    if hasattr(env, "instance"):  # a problem for each run: an environment may know the mean over them
-        mean = getattr(env, "mean_optimal_value", None)
-        return np.nan if mean is None or hasattr(config, "exact_value") else mean(config.gamma)
+    of_states, declared = of_method(config).learns is Learns.STATES, of_environment(env)
+    if declared.instance is not None:  # a problem for each run: an environment may know the mean over them
+        mean = declared.mean_optimal_value
+        return np.nan if mean is None or of_states else mean(config.gamma)
     if not isinstance(env, FiniteEnvironment):
         return np.nan
-    if hasattr(config, "exact_value"):
+    if of_states:
         return config.exact_value(env)
     try:
         return planning.start_value(env, planning.value_iteration(env, config.gamma)[0])

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
+from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import clock, describe, policies, schedules
 from jaxrl_tab.core.checks import InputError, build, check_choice, is_whole, nearest, repeated, shown
+from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.sweep import configurations
@@ -106,14 +107,14 @@ def _values_of_environment(key: str, given: Any, parameter: describe.Parameter) 
 def methods(given: Any, seed: int, environments: int) -> list[dict[str, Any]]:
     """The plain data of each method."""
     tables = _tables("method", given, METHODS)
-    first = tables[0]["name"]
+    by_kind: dict[Learns, str] = {}
     for i, table in enumerate(tables):
         with at("method", i):
-            prediction, control = sorted([first, table["name"]], key=lambda name: name not in PREDICTION)
-            if prediction in PREDICTION and control not in PREDICTION:
+            by_kind.setdefault(of_method(METHODS[table["name"]]).learns, table["name"])
+            if len(by_kind) == 2:
                 raise InputError(
-                    f"{prediction} learns the values of a policy, and {control} a policy, which cannot be "
-                    "compared; sweep methods of prediction and of control apart"
+                    f"{by_kind[Learns.STATES]} learns the values of a policy, and {by_kind[Learns.ACTIONS]} a "
+                    "policy, which cannot be compared; sweep methods of prediction and of control apart"
                 )
     grids, settings = [], 0
     for i, table in enumerate(tables):

@@ -34,9 +34,10 @@ from typing import Any, Self
 import jax
 import numpy as np
 
-from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
+from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError, as_path, build, nearest, one_line, shown
+from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.sweep import Part, prepare
@@ -98,7 +99,8 @@ class Experiment:
                     raise InputError(f"exact must be true or false, not {shown(self.exact)}")
             self._set("environment", environments(self.environment))
             self._set("method", methods(self.method, self.seed, len(self.environment)))
-            prediction = all(method["name"] in PREDICTION for method in self.method)
+            classes = [METHODS[method["name"]] for method in self.method]
+            prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
             self._set("exact", bool(self.exact) or prediction)
             self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
             with at("select"):

@@ -13,6 +13,7 @@ from matplotlib.patches import Rectangle
 
 from jaxrl_tab import stats
 from jaxrl_tab.core import memory, policies
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs.base import COMPASS, Grid
 from jaxrl_tab.exact import planning
@@ -186,7 +187,8 @@ def greedy_actions(q: np.ndarray) -> np.ndarray:
 def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
     """Cells, hatched where nobody gets; where there is wind, its strength as a shade and in numbers below."""
     rows, columns = env.shape
-    wind = np.asarray(getattr(env, "wind", np.zeros(columns)))
+    wind = of_environment(env).wind
+    wind = np.zeros(columns) if wind is None else np.asarray(wind)
     strongest = max(1, np.abs(wind).max())
     for column, strength in enumerate(wind):
         shade = mpl.colormaps["Blues"](0.36 * abs(strength) / strongest)

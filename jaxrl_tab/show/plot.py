@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from jaxrl_tab import stats
 from jaxrl_tab.core.types import Environment
-from jaxrl_tab.envs.base import Finite, Grid
+from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.curves import (
     at_setting,
@@ -41,7 +41,14 @@ from jaxrl_tab.show.grids import (
     values,
     walk,
 )
-from jaxrl_tab.show.panels import action_values, panels, panels_canvas, state_values, uniform_values
+from jaxrl_tab.show.panels import (
+    action_values,
+    panels,
+    panels_canvas,
+    state_values,
+    tables_of,
+    uniform_values,
+)
 from jaxrl_tab.show.style import (
     ALARM,
     CELL,
@@ -59,6 +66,7 @@ from jaxrl_tab.show.style import (
     WIDTH,
     canvas,
     color_bar,
+    exact_line,
     head,
     legend,
     literal,
@@ -86,6 +94,7 @@ __all__ = [
     "changes",
     "color_bar",
     "episodes_against_steps",
+    "exact_line",
     "greedy_path",
     "head",
     "in_words",
@@ -118,7 +127,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
         env: the environment of all of them.
     """
     curves = _curves(datasets, env)
-    if isinstance(env, Grid) and not stats.is_prediction(*datasets.values()):
+    if isinstance(env, Grid) and not stats.learns_states(*datasets.values()):
         winner = stats.ranked(datasets)[0]
         curves["greedy_path"] = lambda ax: median_path(ax, env, winner, datasets[winner])
     columns = min(2, len(curves))
@@ -171,16 +180,15 @@ def save(figure: Figure, file: Path) -> None:
 
 def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
     """The figures of `save_all` by their names, but for the overview, in which they are again."""
-    prediction = stats.is_prediction(*datasets.values())
     figures = {}
     for name, draw in _curves(datasets, env).items():
         figure = canvas(NARROW, 4.2)
         draw(figure.subplots())
         _say_what_ran(figure, datasets, env, intervals=True)
         figures[name] = figure
-    if isinstance(env, Grid) and not prediction:
+    if isinstance(env, Grid) and not stats.learns_states(*datasets.values()):
         figures["greedy_path"] = _all_paths(datasets, env)
-    elif isinstance(env, Finite) and env.panels():
+    elif tables_of(env):
         figures["values"] = value_tables(datasets, env)
     return figures
 
@@ -199,12 +207,12 @@ def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], 
         key = f"sensitivity_{name}" if i else "sensitivity"
         line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
         curves[key] = lambda ax, name=name, line=line: sensitivity(ax, datasets, name, soft=line)
-    if prediction and not (isinstance(env, Finite) and env.panels()):
+    if stats.learns_states(*datasets.values()) and not tables_of(env):
         curves["values"] = lambda ax: state_values(ax, datasets, env)
     return curves
 
 
-def value_tables(datasets: Datasets, env: Finite) -> Figure:
+def value_tables(datasets: Datasets, env: Environment) -> Figure:
     """The panels of the environment: a row for what each method learned, and one for what is exact.
 
     What a method learned is the mean over seeds of its largest action value, and the action that is greedy
@@ -217,7 +225,7 @@ def value_tables(datasets: Datasets, env: Finite) -> Figure:
         value = sum(q.max(-1).sum(0, dtype=float) for q in tables_of_seeds(ds)) / ds.sizes["seed"]
         learned[f"{label}: mean of {seeds_in_words({label: ds})}"] = (
             value,
-            None if stats.is_prediction(ds) else best,
+            None if stats.learns_states(ds) else best,
         )
     limits = None
     if (exact := _exact_table(datasets, env)) is not None:
@@ -232,9 +240,9 @@ def value_tables(datasets: Datasets, env: Finite) -> Figure:
     return figure
 
 
-def _exact_table(datasets: Datasets, env: Finite) -> tuple[np.ndarray, np.ndarray | None] | None:
+def _exact_table(datasets: Datasets, env: Environment) -> tuple[np.ndarray, np.ndarray | None] | None:
     """v* and the optimal actions, or of prediction v_pi and None; None where there is no one such answer."""
-    if stats.is_prediction(*datasets.values()):
+    if stats.learns_states(*datasets.values()):
         v = uniform_values(datasets, env)
         return None if v is None else (v, None)
     if not np.isfinite(common_optimum(datasets)):

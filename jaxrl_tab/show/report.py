@@ -17,9 +17,10 @@ from jaxrl_tab.core import describe
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
-from jaxrl_tab.envs.base import Finite, Grid
+from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.show import plot, words
 from jaxrl_tab.show.html import embedded, render
+from jaxrl_tab.show.panels import tables_of
 from jaxrl_tab.show.rows import (
     AT_ONCE,
     Row,
@@ -217,7 +218,7 @@ def _pictures(
     label: str, datasets: Datasets, env: Environment, stars: Sequence[Row], view: View
 ) -> list[Picture]:
     figures = plot.pictures(datasets, env)
-    if isinstance(env, Grid) and not view.prediction:
+    if isinstance(env, Grid) and not stats.learns_states(*datasets.values()):
         figures["values"] = plot.value_tables(datasets, env)
     captions = CAPTIONS | (OF_PREDICTION if view.prediction else {})
     ends = ", ".join(f"{words.title_of(row.method)} {number(row.mean, view.decimals)}" for row in stars)
@@ -228,7 +229,7 @@ def _pictures(
     for name, figure in figures.items():
         kind, _, parameter = name.partition("_") if name.startswith("sensitivity") else (name, "", "")
         shown = _parameter(datasets, parameter)
-        texts = kind == "values" and isinstance(env, Finite) and bool(env.panels())  # hundreds of them
+        texts = kind == "values" and bool(tables_of(env))  # hundreds of them
         title = kind.replace("_", " ") + (f" to {shown}" if kind == "sensitivity" else "")
         pictures.append(
             Picture(
