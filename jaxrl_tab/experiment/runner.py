@@ -16,7 +16,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import jax
 import numpy as np
@@ -31,11 +31,12 @@ from jaxrl_tab.engine.train import Log
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import Outcome, chosen, write_files
-from jaxrl_tab.experiment.progress import Meter, Report
+from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, session, settings_of
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
 from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, RESOLVED, Store, warn
+from jaxrl_tab.show.progress import Report, reporting
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -47,7 +48,7 @@ def run(
     *,
     executor: Executor | None = None,
     memory: int | None = None,
-    progress: Report = lambda state: None,
+    progress: Report | Literal[False] | None = None,
     command: str | None = None,
 ) -> Outcome:
     """Runs an experiment, and leaves everything in a new folder. Where it is interrupted, `resume` goes on.
@@ -57,7 +58,7 @@ def run(
         folder: a new folder. Without one nothing is left but the outcome.
         executor: where it is computed, see `executors`; by default in this process.
         memory: how many bytes it may take, as in `sweep`; of each worker, where there are several.
-        progress: is called as shards are finished.
+        progress: is called with a `Progress` as shards are finished; by default a bar, as in `sweep`.
         command: what was typed, for the records; by default what started this process.
 
     Raises:
@@ -83,7 +84,7 @@ def resume(
     *,
     executor: Executor | None = None,
     memory: int | None = None,
-    progress: Report = lambda state: None,
+    progress: Report | Literal[False] | None = None,
     command: str | None = None,
     mixed: bool = False,
 ) -> Outcome:
@@ -130,7 +131,7 @@ def _go_on(
     experiment: Experiment,
     executor: Executor | None,
     limit: int | None,
-    report: Report,
+    progress: Report | Literal[False] | None,
     command: str,
     keep: bool = True,
     mixed: bool = False,
@@ -139,8 +140,9 @@ def _go_on(
     store = Store(path, experiment.fingerprint)
     _warn_of_what_was(store)
     records = _records(store)
-    job, meter, select = Job(json.dumps(experiment.data()), limit), Meter(report), experiment.select
-    with settings_of(store, records):
+    job, select = Job(json.dumps(experiment.data()), limit), experiment.select
+    with settings_of(store, records), reporting(progress) as report:
+        meter = Meter(report)
         origin = Origin.of(store, records, mixed)
         if _missing(store, job):
             origin.check(path)

@@ -38,8 +38,8 @@ from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError, as_path, build, nearest, one_line, shown
 from jaxrl_tab.core.types import init_learner
+from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.sweep import Part, prepare
-from jaxrl_tab.engine.train import default_log_every
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.places import Source, Wrong, at, located, split_statements
 from jaxrl_tab.experiment.resolve import belongs, environments, grid_of, keys, methods, selection, whole
@@ -100,7 +100,7 @@ class Experiment:
             self._set("method", methods(self.method, self.seed, len(self.environment)))
             prediction = all(method["name"] in PREDICTION for method in self.method)
             self._set("exact", bool(self.exact) or prediction)
-            self._set("log_every", self.log_every or default_log_every(self.steps))
+            self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
             with at("select"):
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
 
@@ -162,6 +162,7 @@ class Experiment:
             InputError: a method does not fit an environment.
         """
         found = {}
+        budget = Budget(self.steps, self.episodes, self.log_every, self.exact)
         with located(self.source):
             for environment in self.environment:
                 values = {key: x for key, x in environment.items() if key not in ("name", "label")}
@@ -172,12 +173,9 @@ class Experiment:
                             env,
                             method["name"],
                             grid_of(method, self.seed),
+                            budget,
                             num_seeds=self.seeds,
-                            num_steps=self.steps,
-                            num_episodes=self.episodes,
-                            log_every=self.log_every,
                             seed=self.seed,
-                            exact=self.exact,
                         )
                         for config, *_ in part.programs:  # policies in tables must be of the task's size
                             jax.eval_shape(partial(init_learner, part.configs[config], env))
