@@ -160,7 +160,7 @@ def _go_on(
                 new |= _compute(store, job, executor, meter, {}, origin)
                 fresh, _ = _collect(store, job, list(later), room)
                 fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
-            outcome = Outcome(datasets, fresh, envs, select["by"] if select else None)
+            outcome = Outcome(datasets, fresh, envs)
             if keep and (new or not store.files):
                 if origin.changed and not new:
                     warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
