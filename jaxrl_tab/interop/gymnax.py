@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -157,6 +158,12 @@ def _rows(x: np.ndarray, number: np.ndarray, num_states: int) -> np.ndarray:
     table = np.zeros((num_states, *x.shape[1:]), x.dtype)
     table[number] = x
     return table
+
+
+def arguments(name: str) -> dict[str, Any]:
+    """The keyword arguments of a registered environment, with their defaults."""
+    keywords = inspect.signature(type(_made(name, None, {})[0])).parameters.values()
+    return {keyword.name: keyword.default for keyword in keywords if keyword.default is not keyword.empty}
 
 
 def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environment.Environment, Any]:
