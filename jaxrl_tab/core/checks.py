@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import inspect
 import os
 import reprlib
 import sys
@@ -113,6 +114,10 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
     except InputError:
         raise
     except Exception as error:
+        try:
+            inspect.signature(cls).bind(**parameters)
+        except TypeError as missing:
+            raise InputError(f"{name}: {missing}") from None
         if is_ours:
             raise  # a defect
         raise InputError(f"{name} refuses its parameters: {type(error).__name__}: {reason(error)}") from error

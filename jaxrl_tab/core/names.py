@@ -241,11 +241,11 @@ def remember(cls: type, label: str, refusal: str) -> Reference:
     return _here.setdefault((found.name, None), found)
 
 
-def forget(references: Iterable[Reference]) -> None:
-    """From now on their classes are those in the files, and no longer those that this process has."""
-    for one in references:
-        if one.file:
-            _here.pop((one.name, one.file.sha256), None)
+def forget(files: Iterable[File]) -> None:
+    """From now on the classes of these files are what the files say, and no longer what this process has."""
+    checksums = {file.sha256 for file in files}
+    for key in [key for key in _here if key[1] in checksums]:
+        del _here[key]
 
 
 def keep(files: Iterable[File]) -> None:

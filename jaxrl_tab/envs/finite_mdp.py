@@ -171,7 +171,8 @@ class FiniteMDP(Finite):
         if np.ndim(self.successors) != 3:
             raise InputError(f"{NAME}: a batch of environments cannot be saved; save them one by one")
         content = io.BytesIO()
-        np.savez(content, **{name: np.asarray(getattr(self, name)) for name in _SAVED})
+        arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in _SAVED}
+        np.savez(content, **arrays)
         return content.getvalue()
 
     @classmethod
