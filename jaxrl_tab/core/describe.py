@@ -74,7 +74,10 @@ def kind(parameter: Parameter) -> type:
         return float
     if parameter.default is dataclasses.MISSING:  # it must be given
         return parameter.type if parameter.type in _KINDS else float
-    return type(parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default)
+    entry = parameter.default
+    while isinstance(entry, tuple):
+        entry = entry[0] if entry else 0.0
+    return type(entry)
 
 
 def value(what: str, given: Any, parameter: Parameter) -> Any:

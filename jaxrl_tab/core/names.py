@@ -275,9 +275,10 @@ def _file(path: Path, sha256: str | None) -> File:
 
 
 def load(file: File) -> ModuleType:
-    """The module that a file gives, which is run once for each content."""
+    """The module that a file gives, which is run once for each place and content."""
     stem = re.sub(r"\W", "_", Path(file.path).stem)
-    name = f"{PACKAGE}_file_{stem}_{file.sha256[:16]}"
+    of_both = hashlib.sha256(f"{file.path} {file.sha256}".encode(errors="surrogateescape")).hexdigest()
+    name = f"{PACKAGE}_file_{stem}_{of_both[:16]}"
     if name not in sys.modules:
         module = sys.modules[name] = ModuleType(name)
         module.__file__ = file.path

@@ -226,6 +226,7 @@ def prepare(
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
     axes, configs = configurations(cls, {} if grid is None else grid, num_draws, seed)
+    check_pytree(cls.__name__, configs[0])
     if len(configs) * num_seeds >= 2**31:
         raise InputError(
             f"{len(configs):,} settings x {num_seeds:,} seeds are more than the 2**31 runs that can be numbered: "

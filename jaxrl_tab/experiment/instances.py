@@ -1,5 +1,6 @@
 """Environments and methods that are given as instances: as tables from which the same ones are made again."""
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping
 from typing import Any
@@ -43,30 +44,32 @@ def table_of(kind: names.Kind, instance: Any) -> dict[str, Any]:
         file = file._replace(path=f"FiniteMDP-{file.sha256[:8]}.npz")
         names.keep([file])
         return {"name": file.path, "label": "FiniteMDP", "sha256": file.sha256}
-    reference = names.reference(kind, cls)
-    fields = {field.name: getattr(instance, field.name) for field in dataclasses.fields(cls)}
-    fields = {name: value for name, value in fields.items() if value is not None}
-    try:
-        if kind is ENVIRONMENT:
-            fields = {name: _plain(value) for name, value in fields.items()}
-            _check_same(made(cls, reference.label, fields), instance)
-        else:
-            fields = {name: _one_value(value) for name, value in fields.items()}
-    except (InputError, TypeError):
-        reference = names.remember(
-            names.made_by(lambda: instance, cls.__name__, {}),
-            reference.label,
-            f"this {cls.__name__} cannot be made again from its class and its fields: {names.OWN_FILE}",
-        )
-        return {"name": reference.name}
-    return {"name": cls, **fields}
+    label, every = names.reference(kind, cls).label, dataclasses.fields(cls)
+    fields = {f.name: value for f in every if (value := getattr(instance, f.name)) is not None}
+    # What is given as a tuple may be kept as an array: then the tuple makes the same again, and is shorter.
+    as_lists = [f.name for f in every if isinstance(f.default, tuple)]
+    for listed in (as_lists, []) if kind is ENVIRONMENT else ():
+        with contextlib.suppress(InputError, TypeError):
+            plain = {name: _plain(value, name in listed) for name, value in fields.items()}
+            _check_same(made(cls, label, plain), instance)
+            return {"name": cls, **plain}
+    if kind is not ENVIRONMENT:
+        with contextlib.suppress(TypeError):
+            return {"name": cls, **{name: _one_value(value) for name, value in fields.items()}}
+    stand_in = names.made_by(lambda: instance, cls.__name__, {})
+    refusal = f"this {cls.__name__} cannot be made again from its class and its fields: {names.OWN_FILE}"
+    return {"name": names.remember(stand_in, label, refusal).name}
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any, as_list: bool = False) -> Any:
     """A field of an environment as JSON has it. Raises TypeError where it has no such form."""
     if isinstance(value, np.ndarray | np.generic | jax.Array):
         array = np.asarray(value)
-        return {ARRAY: array.tolist(), "dtype": str(array.dtype)} if array.ndim else array.item()
+        return (
+            {ARRAY: array.tolist(), "dtype": str(array.dtype)}
+            if array.ndim and not as_list
+            else array.tolist()
+        )
     if isinstance(value, list | tuple):
         return [_plain(x) for x in value]
     if isinstance(value, bool | int | float | str):

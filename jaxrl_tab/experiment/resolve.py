@@ -205,6 +205,11 @@ def _tables(
         axes.check_settings(len(given) if several else 1, f"so many tables [[{key}]]")
     for i, table in enumerate(given if several else [given]):
         with at(key, i):
+            if not isinstance(table, Mapping | str | type) and not dataclasses.is_dataclass(table):
+                raise InputError(
+                    f"{key} must be a name, a class, an instance, or a table with one of them as its name, not "
+                    f"{shown(table)}"
+                )
             table = dict(table) if isinstance(table, Mapping) else {"name": table}
             if "name" not in table:
                 raise InputError(f"the {key} has no name: one of {', '.join(kind.registry)}")

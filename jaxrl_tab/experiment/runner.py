@@ -250,7 +250,7 @@ def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = T
             sources.write(new, experiment.references)
             names.forget(experiment.files)
             forget_parts()
-            experiment = Experiment.from_data(experiment.data())
+            experiment = Experiment(**experiment.data(), source=source)
         _check_room(experiment.parts(), limit, new)
         storage.write(new / GIVEN, source.text if source else experiment.to_toml())
         storage.write_json(new / RESOLVED, experiment.data())

@@ -62,7 +62,7 @@ def _module(library: str) -> Any:
 def _class_of(library: str, name: str) -> type:
     """The class of an environment of a library, with the keyword arguments that it has there as parameters."""
     module = _module(library)
-    make = functools.partial(getattr(module, f"from_{library}"), name)
+    make = functools.partial(module.by_name, name)
     return names.made_by(make, name, module.arguments(name), f"{name} of {library}.")
 
 

@@ -96,6 +96,9 @@ def arguments(name: str) -> dict[str, Any]:
     }
 
 
+by_name = from_gymnasium
+
+
 def _make(name: str | EnvSpec, parameters: Mapping[str, Any]) -> gymnasium.Env:
     try:
         return gymnasium.make(name, **parameters)
