@@ -17,6 +17,7 @@ from benchmarks import problems
 from benchmarks.rounds import Round, Timing
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine import room
+from jaxrl_tab.engine.budget import Budget
 
 Outcome = Callable[[rl.Log], np.ndarray]
 
@@ -81,7 +82,7 @@ def on_devices(method: str, lanes: int, steps: int, devices: int) -> Round:
     env = rl.make("windy-gridworld")
     one = jax.tree.map(np.float32, rl.ALGORITHMS[method](**CONTROL))
     algorithms = jax.tree.map(lambda x: np.full(lanes, x), one)
-    budget = room.Budget(num_steps=steps, num_episodes=None, log_every=None, exact=False)
+    budget = Budget(num_steps=steps, num_episodes=None, log_every=None, exact=False)
     used = jax.devices()[:devices]
     if len(used) < devices:
         raise RuntimeError(f"{devices} devices were asked for, and there are {len(used)}")

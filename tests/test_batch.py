@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab.engine import room
+from jaxrl_tab.engine.budget import Budget
 
-BUDGET = room.Budget(num_steps=500, num_episodes=None, log_every=100, exact=False)
+BUDGET = Budget(num_steps=500, num_episodes=None, log_every=100, exact=False)
 ALPHAS = np.array([0.1, 0.3, 0.7, 1.0], np.float32)  # not dyadic: any other rounding would show
 
 

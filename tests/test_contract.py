@@ -11,7 +11,7 @@ from jaxrl_tab import planning, policies, schedules
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, Transition
-from jaxrl_tab.engine import room
+from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.sweep import _same_program
 
 
@@ -33,7 +33,7 @@ def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
     def run(seeds):
         algorithm = rl.ALGORITHMS[method]()
         many = jax.tree.map(lambda x: (x + 0.01 * seeds).astype(np.float32), algorithm)
-        budget = room.Budget(num_steps=200, num_episodes=None, log_every=100, exact=False)
+        budget = Budget(num_steps=200, num_episodes=None, log_every=100, exact=False)
         return batches.run(env, many, seeds, budget)
 
     (q, log), (few_q, few_log) = run(np.arange(200) % 50), run(np.array([33, 7]))

@@ -11,6 +11,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.sweep import BEYOND, prepare
 from jaxrl_tab.envs.base import Finite
@@ -95,16 +96,16 @@ def test_values_beyond_any_return_have_diverged():
 
 def test_what_is_not_judged():
     """Noise that the outcomes do not tell, problems drawn for each run, and returns times ratios."""
-    budget = {"num_seeds": 1, "num_steps": 50}
+    budget = Budget(num_steps=50)
     for env, method, grid in (
         (rl.MaximizationBias(), "sarsa", {}),
         (rl.KArmedTestbed(), "sarsa", {}),
         (rl.RandomWalk(), "off-policy-td", {}),
         (rl.InfiniteVariance(), "off-policy-monte-carlo-prediction", {"weighting": "ordinary"}),
     ):
-        assert prepare(env, method, grid, **budget).largest_values.tolist() == [np.inf]
+        assert prepare(env, method, grid, budget, num_seeds=1).largest_values.tolist() == [np.inf]
     judged = prepare(
-        rl.InfiniteVariance(), "off-policy-monte-carlo-prediction", {"v0": [0.0, -7.0]}, **budget
+        rl.InfiniteVariance(), "off-policy-monte-carlo-prediction", {"v0": [0.0, -7.0]}, budget, num_seeds=1
     )
     assert judged.largest_values.tolist() == [BEYOND, 8 * BEYOND]
 

@@ -13,10 +13,11 @@ from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli import main
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.policies import EpsilonGreedy, Softmax, Table
-from jaxrl_tab.engine import room
+from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.sweep import compute, result
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.plan import plan
+from jaxrl_tab.experiment.progress import seconds_left
 from jaxrl_tab.experiment.resolve import Selection
 from jaxrl_tab.experiment.spec import Experiment, difference, template
 
@@ -370,7 +371,7 @@ def test_parts_are_every_method_in_every_environment_with_its_grid(parts):
     assert sarsa.axes == {"alpha": (0.1, 0.5), "epsilon": (0.01, 0.1, 1.0)}
     assert list(n_step.axes) == ["n", "draw"]
     assert (n_step.runs, n_step.num_seeds, n_step.seed) == (60, 10, 0)
-    assert n_step.budget == room.Budget(800, None, 100, False)
+    assert n_step.budget == Budget(800, None, 100, False)
 
 
 def test_the_plan_counts_programs_runs_blocks_and_bytes(parts):
@@ -409,11 +410,12 @@ def test_the_plan_says_what_a_run_takes(parts):
 def test_the_time_left_goes_by_what_was_measured(parts):
     found = plan(parts)
     first, second, *_ = found.parts
-    assert found.seconds_left({}) is None
-    assert found.seconds_left({first: (0, 3.0)}) is None  # compiling
-    assert found.seconds_left({first: (30, 2.0)}) == pytest.approx(2 + 3 * 4)
-    assert found.seconds_left({first: (60, 4.0), second: (30, 1.0)}) == pytest.approx(1 + 2 * 60 * 5 / 90)
-    assert found.seconds_left(dict.fromkeys(found.parts, (60, 1.0))) == 0
+    runs = {name: x.runs for name, x in found.parts.items()}
+    assert seconds_left(runs, {}) is None
+    assert seconds_left(runs, {first: (0, 3.0)}) is None  # compiling
+    assert seconds_left(runs, {first: (30, 2.0)}) == pytest.approx(2 + 3 * 4)
+    assert seconds_left(runs, {first: (60, 4.0), second: (30, 1.0)}) == pytest.approx(1 + 2 * 60 * 5 / 90)
+    assert seconds_left(runs, dict.fromkeys(found.parts, (60, 1.0))) == 0
 
 
 # --- on the command line -----------------------------------------------------------------------------

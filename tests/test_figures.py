@@ -88,7 +88,7 @@ BY_HAND = ("bias-variance", "importance-sampling", "blackjack", "blackjack-regre
 
 
 def run(figure):
-    return {name: run(lambda done, total: None) for name, run in figure.experiment().items()}
+    return {name: run(lambda state: None) for name, run in figure.experiment().items()}
 
 
 def check_drawing(figure, datasets, file):

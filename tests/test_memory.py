@@ -13,6 +13,7 @@ from jaxrl_tab import batch
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import room
+from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.experiment import shards
 
 BUDGET = {"num_steps": 200, "log_every": 100}
@@ -25,10 +26,10 @@ def chain(states):
 
 
 SHAPES = {  # tables and log; traces in many states; episodes and their memory; a linear system in each row
-    "sarsa": ("windy-gridworld", rl.Sarsa(), room.Budget(8000, None, 100, exact=False)),
-    "sarsa-lambda": (chain(1000), rl.SarsaLambda(), room.Budget(2000, None, 100, exact=False)),
-    "monte-carlo": ("blackjack", rl.MonteCarlo(), room.Budget(None, 1000, 1, exact=False)),
-    "exact": ("windy-gridworld", rl.Sarsa(), room.Budget(800, None, 100, exact=True)),
+    "sarsa": ("windy-gridworld", rl.Sarsa(), Budget(8000, None, 100, exact=False)),
+    "sarsa-lambda": (chain(1000), rl.SarsaLambda(), Budget(2000, None, 100, exact=False)),
+    "monte-carlo": ("blackjack", rl.MonteCarlo(), Budget(None, 1000, 1, exact=False)),
+    "exact": ("windy-gridworld", rl.Sarsa(), Budget(800, None, 100, exact=True)),
 }
 
 

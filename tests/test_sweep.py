@@ -12,6 +12,7 @@ from jaxrl_tab.core.policies import Softmax, Table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.schedules import glie
 from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.sweep import _exact_value, compute, configurations, prepare, result
 from jaxrl_tab.envs.base import Finite
@@ -102,14 +103,16 @@ def test_some_runs_alone_give_what_they_give_among_all(windy):
     Broken once: results in the order of the programs, or seeds counted from 0 -> fails.
     """
     grid = {"epsilon": [0.25, glie(), 0.5], "alpha": [0.3, 0.7]}
-    part = prepare(windy, "sarsa", grid, num_seeds=3, **BUDGET)
+    part = prepare(windy, "sarsa", grid, Budget(**BUDGET), num_seeds=3)
     assert part.runs == 18 and [list(p) for p in part.programs] == [[0, 1, 4, 5], [2, 3]]
     whole = compute(part)
     runs = np.array([17, 3, 8, 7, 0])
     some = compute(part, runs)
     for x, y in zip(jax.tree.leaves(some[:2]), jax.tree.leaves(whole[:2]), strict=True):
         np.testing.assert_array_equal(x, y[runs])
-    later = result(late := prepare(windy, "sarsa", grid, num_seeds=2, first_seed=1, **BUDGET), compute(late))
+    later = result(
+        late := prepare(windy, "sarsa", grid, Budget(**BUDGET), num_seeds=2, first_seed=1), compute(late)
+    )
     np.testing.assert_array_equal(later.q, result(part, whole).q[:, :, 1:])
     assert later.to_xarray().seed.values.tolist() == [1, 2]
 

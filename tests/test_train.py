@@ -238,3 +238,14 @@ def test_rewards_that_float32_cannot_hold_are_refused():
         rl.train(jax.random.key(0), rl.Sarsa(), env, num_steps=10)
     with pytest.raises(rl.InputError, match=said):
         rl.sweep(env, rl.Sarsa, num_seeds=2, num_steps=10)
+
+
+def test_method_and_environment_may_stand_in_either_order(windy):
+    """Broken once: without the exchange in `train`, and in `sweep` -> each fails."""
+    key = jax.random.key(1)
+    state, log = rl.train(key, rl.Sarsa(), windy, num_steps=50)
+    other, again = rl.train(key, windy, rl.Sarsa(), num_steps=50)
+    np.testing.assert_array_equal(state.q, other.q)
+    np.testing.assert_array_equal(log.rewards, again.rewards)
+    results = [rl.sweep(*pair, num_seeds=2, num_steps=50) for pair in ((windy, "sarsa"), (rl.Sarsa, windy))]
+    np.testing.assert_array_equal(*(result.q for result in results))

@@ -6,16 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeElapsedColumn,
-)
 from rich.table import Table
 from tyro.conf import Positional, arg
 
@@ -29,6 +20,7 @@ from jaxrl_tab.experiment import storage
 from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
 from jaxrl_tab.figures.page import cells, page
+from jaxrl_tab.show.progress import reporting
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -47,26 +39,12 @@ def make_runs(
 
     about = {"command": shlex.join([PROG, *command]), "version": __version__}
     datasets = {}
-    columns = (
-        SpinnerColumn(finished_text="✓"),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("runs"),
-        TimeElapsedColumn(),
-    )
-    stderr = Console(stderr=True)
-    with Progress(*columns, console=stderr, disable=quiet or not stderr.is_terminal) as bars:
-        for name, run in runs.items():
-            group = within + name
-            bar = bars.add_task(f"{group}, compiling", total=None)
-
-            def progress(done: int, total: int, bar=bar, group=group) -> None:
-                bars.update(bar, description=group, completed=done, total=total)
-
-            datasets[name] = run(progress)
-            if folder:
-                save(datasets[name], group, folder / storage.DATA, about)
+    for name, run in runs.items():
+        group = within + name
+        with reporting(False if quiet else None) as report:
+            datasets[name] = run(lambda state, group=group: report(state._replace(label=group)))
+        if folder:
+            save(datasets[name], group, folder / storage.DATA, about)
     return datasets
 
 

@@ -2,14 +2,12 @@
 
 import contextlib
 import dataclasses
-import datetime
 import shlex
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 from tyro.conf import Positional, arg
 
 from jaxrl_tab.cli.common import (
@@ -36,9 +34,8 @@ from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.executors import Executor
 from jaxrl_tab.experiment.plan import plan
-from jaxrl_tab.experiment.progress import Progress as State
-from jaxrl_tab.experiment.progress import Report
 from jaxrl_tab.experiment.spec import Experiment, template
+from jaxrl_tab.show.progress import Report, reporting
 
 
 @dataclasses.dataclass
@@ -182,8 +179,12 @@ def _conduct(experiment: Experiment, executor: Executor, options: Any, command: 
         else:
             print(found.text())
         return 0
+    if not options.quiet and sys.stderr.isatty():
+        with busy("planning"):
+            text = plan(experiment.parts(), options.memory).text()
+        print(text, file=sys.stderr)
     given = {"memory": options.memory, "command": shlex.join([PROG, *command])}
-    with _watched(options, experiment) as progress:
+    with _watched(options) as progress:
         outcome = runner.run(experiment, options.out, executor=executor, progress=progress, **given)
     return show_outcome(outcome, options.out, options)
 
@@ -270,36 +271,13 @@ def resume_command(argv: list[str]) -> int:
 
 
 @contextlib.contextmanager
-def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[Report]:
+def _watched(options: Any) -> Iterator[Report]:
     """What a run reports its progress to: a bar. Where it is interrupted, it says how to go on."""
     import pandas  # noqa: F401  Now, while there is nothing yet that Ctrl-C could wait for.
 
-    stderr = Console(stderr=True)
-    columns = (
-        SpinnerColumn(finished_text="✓"),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("runs{task.fields[more]}"),
-    )
-    quiet = options.quiet or not stderr.is_terminal
     try:
-        with interruptible(), Progress(*columns, console=stderr, disable=quiet) as bars:
-            bar = bars.add_task("planning", total=None, more="")
-
-            def progress(state: State) -> None:
-                if experiment is not None and not quiet and state.steps == 0 and state.done == 0:
-                    text = plan(experiment.parts(), options.memory).text()
-                    stderr.print(text, markup=False, highlight=False, soft_wrap=True)
-                bars.update(
-                    bar,
-                    description=state.label,
-                    completed=state.done,
-                    total=state.total,
-                    more=_more(state),
-                )
-
-            yield progress
+        with interruptible(), reporting(False if options.quiet else None) as report:
+            yield report
     except InputError:
         raise
     except BaseException as stop:
@@ -310,15 +288,3 @@ def _watched(options: Any, experiment: Experiment | None = None) -> Iterator[Rep
             raise type(stop)("; ".join([*map(str, stop.args), kept])) from None
         stop.add_note(kept)
         raise
-
-
-def _more(state: State) -> str:
-    """The numbers beside the bar."""
-    said = [""]
-    if state.steps:
-        said.append(f"{state.steps / state.seconds / 1e6:.1f} million steps/s")
-    if state.left and state.done < state.total:
-        said.append(f"{datetime.timedelta(seconds=round(state.left))} left")
-    if state.diverged:
-        said.append(f"{state.diverged} diverged")
-    return ", ".join(said)

@@ -12,23 +12,14 @@ from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
 from jaxrl_tab.engine import programs, provenance
-from jaxrl_tab.engine.train import Record, bytes_of_words, default_log_every, in_full, unchecked
+from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.train import bytes_of_words, in_full, unchecked
 from jaxrl_tab.exact import planning
 
 LANES = 64
 BLOCKS = 16  # of a device in one call, at most
 FEWEST_LANES = 8  # on a CPU, where memory runs out: with fewer, exact values would differ in the last bit
 CALL_BYTES = 2**28  # that it takes on a device, at most, unless one block alone is larger
-
-
-class Budget(NamedTuple):
-    """How long a run is and what it records: the keyword arguments of `train`."""
-
-    num_steps: int | None
-    num_episodes: int | None
-    log_every: int | None
-    exact: bool
-    record: Record | None = None
 
 
 class Plan(NamedTuple):
@@ -249,8 +240,7 @@ def traced_program(budget: Budget, signature: Signature) -> Any:
     def one(root, seed, given_algorithm, given_env):
         (algorithm, exact_algorithm), (env, exact_env) = given_algorithm, given_env
         full = (exact_algorithm, exact_env) if budget.exact else None
-        length = budget.num_steps, budget.num_episodes, budget.log_every
-        state, log = unchecked(jax.random.fold_in(root, seed), algorithm, env, full, *length, budget.record)
+        state, log = unchecked(jax.random.fold_in(root, seed), algorithm, env, full, budget)
         return (state.q, log), state
 
     return jax.jit(one).trace(*signature.arguments)
@@ -268,7 +258,7 @@ def _working(env: Environment, budget: Budget, carried: int) -> int:
     """The bytes with which one run works: what its loop carries, random words, and exact values."""
     if budget.num_episodes:  # a chunk of steps may have to be taken back: see `train._run_until`
         carried *= 2
-    carried += bytes_of_words(budget.num_steps, budget.log_every)
+    carried += bytes_of_words(budget)
     if not budget.exact:
         return carried
     # In float64: the matrix [S, S] that is solved, the weights of all outcomes four times, and three tables.
@@ -276,7 +266,6 @@ def _working(env: Environment, budget: Budget, carried: int) -> int:
         weight = jax.eval_shape(planning.enumerate_model, env).prob
     table = weight.dtype.itemsize * env.num_states * env.num_actions
     matrix = weight.dtype.itemsize * env.num_states**2
-    log_every = budget.log_every or default_log_every(budget.num_steps)
-    if budget.num_steps and budget.num_steps % log_every:  # a last, shorter row has its own
+    if budget.num_steps and budget.num_steps % budget.row:  # a last, shorter row has its own
         matrix *= 2
     return carried + matrix + 4 * memory.size(weight) + 3 * table

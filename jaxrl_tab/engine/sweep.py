@@ -4,9 +4,10 @@ import dataclasses
 import functools
 import itertools
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral
-from typing import Any, NamedTuple, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import jax
 import numpy as np
@@ -26,14 +27,16 @@ from jaxrl_tab.core.checks import (
     shown,
 )
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
-from jaxrl_tab.engine import batch, room
+from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.axes import DRAW, check_settings, spread, swept_names
+from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.results import SweepResult, label, parameters
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.engine.train import Log, Record, check_budget, default_log_every
+from jaxrl_tab.engine.train import Log
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.exact import planning
+from jaxrl_tab.show.progress import Progress, Report, reporting
 
 BEYOND = 10  # times the largest possible return: step sizes above 1 and traces go beyond it, and come back
 FRESH = 2**32 - 1  # what is folded into a root for the root of its fresh seeds
@@ -82,7 +85,7 @@ class Part:
     num_seeds: int
     first_seed: int
     seed: int
-    budget: room.Budget
+    budget: Budget
     fresh: bool = False
 
     @property
@@ -139,7 +142,7 @@ def sweep(
     exact: bool = False,
     record: Record | None = None,
     memory: int | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Report | Literal[False] | None = None,
 ) -> SweepResult:
     """Runs a method with every combination of hyperparameters, each over the same seeds.
 
@@ -148,7 +151,8 @@ def sweep(
 
     Args:
         env: the environment.
-        algorithm: a class such as `Sarsa`, or its name: "sarsa", "mine.py:Mine" (see `core.names`).
+        algorithm: a class such as `Sarsa`, or its name: "sarsa", "mine.py:Mine" (see `core.names`). It may also
+            stand before the environment, as in `train`.
         grid: for each hyperparameter a list of values (an axis of the result) or a single value. A value
             is a number, a schedule or a policy. Besides lists there are grids in steps and random draws,
             such as `LogGrid(0.01, 1, 5)` and `LogUniform(0.01, 1)`: see `axes`. What is not named keeps its
@@ -160,47 +164,54 @@ def sweep(
         memory: how many bytes it may take, at least 1: results and what is being computed. By default half
             of what is free. It changes no number: with less, fewer runs are under way at a time, and results
             that do not fit are in files of the temporary folder (`TMPDIR`), which go away with them.
-        progress: is called with the number of runs finished and of all runs, as blocks of them finish.
+        progress: a function that is called with a `Progress` as blocks of runs finish; by default a bar where
+            a person looks on, in a terminal or a notebook; False for none.
 
     Raises:
         InputError: something given is wrong; nothing was compiled.
     """
+    if isinstance(algorithm, Environment):
+        env, algorithm = algorithm, cast(Any, env)
     if memory is not None and (not isinstance(memory, Integral) or memory < 1):
         raise InputError(f"memory must be a number of bytes, at least 1, not {shown(memory)}")
     part = prepare(
         env,
         algorithm,
         grid,
+        Budget(num_steps, num_episodes, log_every, bool(exact), record),
         num_seeds=num_seeds,
         num_draws=num_draws,
-        num_steps=num_steps,
-        num_episodes=num_episodes,
-        log_every=log_every,
         seed=seed,
-        exact=exact,
-        record=record,
     )
-    return result(part, compute(part, memory=memory, progress=lambda done: progress(done, part.runs)))
+    state = Progress(f"{_name_in(METHODS, part.algorithm)} in {_name_in(ENVS, type(env))}", 0, part.runs)
+    with reporting(progress) as report:
+        begun = time.perf_counter()
+
+        def tell(done: int, steps: int) -> None:
+            seconds = time.perf_counter() - begun
+            left = seconds * (part.runs - done) / done
+            report(state._replace(done=done, steps=steps, seconds=seconds, left=left))
+
+        report(state)
+        computed = compute(part, memory=memory, progress=tell)
+    return result(part, computed)
 
 
 def prepare(
     env: Environment,
     algorithm: type[Algorithm] | str,
-    grid: Mapping[str, Any] | None = None,
+    grid: Mapping[str, Any] | None,
+    budget: Budget,
     *,
     num_seeds: int,
     num_draws: int | None = None,
-    num_steps: int | None = None,
-    num_episodes: int | None = None,
-    log_every: int | None = None,
     seed: int = 0,
     first_seed: int = 0,
-    exact: bool = False,
-    record: Record | None = None,
 ) -> Part:
     """All checks of a sweep; nothing is compiled.
 
     Args:
+        budget: how long each run is and what it records.
         first_seed: the first of the `num_seeds` seeds, which follow each other.
         Others: as in `sweep`.
 
@@ -208,7 +219,6 @@ def prepare(
         InputError: something given is wrong.
     """
     names.check_not_importing()
-    check_budget(num_steps, num_episodes, log_every)
     for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0), ("first_seed", first_seed, 0)):
         if not is_whole(value, least):
             raise InputError(
@@ -220,7 +230,7 @@ def prepare(
         )
     check_pytree("env", env)
     check_held(env)
-    if exact:
+    if budget.exact:
         planning.check_finite(env)
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
@@ -235,7 +245,6 @@ def prepare(
     available = available_actions(env)
     for config in configs:
         restricted(config, available)  # only to refuse what cannot be
-    budget = room.Budget(num_steps, num_episodes, log_every, bool(exact), record)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
 
@@ -244,14 +253,15 @@ def compute(
     runs: np.ndarray | None = None,
     *,
     memory: int | None = None,
-    progress: Callable[[int], None] = lambda done: None,
+    progress: Callable[[int, int], None] = lambda done, steps: None,
 ) -> Computed:
     """What some runs of a part give, in the order of `runs`; bitwise what they are among all runs.
 
     Args:
         runs: their numbers, int [n]; all by default.
         memory: as in `sweep`.
-        progress: is called with the number of runs finished, as blocks of them finish.
+        progress: is called with the number of runs finished and of the steps they took, as blocks of them
+            finish.
 
     Raises:
         InputError: there is not enough memory; nothing was compiled.
@@ -261,7 +271,13 @@ def compute(
     total = part.runs if runs is None else len(runs)
     results, room = plan(part.env, instances, root, total, part.budget, memory)
     config, place = np.divmod(np.arange(total) if runs is None else runs, part.num_seeds)
-    done, running, compiling = 0, 0.0, 0.0
+    done, steps, running, compiling = 0, 0, 0.0, 0.0
+
+    def keep(finished: np.ndarray, tables_and_log: Any) -> None:
+        nonlocal steps
+        results.write(at[finished], tables_and_log)
+        steps += int(tables_and_log[1].steps.sum(dtype=np.int64))
+
     for members in part.programs:
         at = np.flatnonzero(np.isin(config, members))
         if not len(at):
@@ -271,8 +287,7 @@ def compute(
         seeds = part.first_seed + np.arange(part.num_seeds, dtype=np.uint32)
         seeds = np.broadcast_to(seeds, (len(members), part.num_seeds))
         within = np.searchsorted(members, config[at]) * part.num_seeds + place[at]
-        keep = lambda finished, given, at=at: results.write(at[finished], given)
-        report = lambda n, done=done: progress(done + n)
+        report = lambda n, done=done: progress(done + n, steps)
         seconds = batch.run(part.env, stacked, root, seeds, part.budget, keep, report, room, runs=within)
         done, running, compiling = done + len(at), running + seconds.running, compiling + seconds.compiling
     q, log = results.arrays
@@ -301,7 +316,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
         fresh=part.fresh,
         num_steps=part.budget.num_steps,
         num_episodes=part.budget.num_episodes,
-        log_every=part.budget.log_every or default_log_every(part.budget.num_steps),
+        log_every=part.budget.row,
         seconds=computed.seconds.running,
         compile_seconds=computed.seconds.compiling,
     )

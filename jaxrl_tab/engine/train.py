@@ -7,7 +7,7 @@ words of a step (`rng`) depend on its number alone, so the learner's path does n
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import policies, rng, schedules, tables
-from jaxrl_tab.core.checks import InputError, check_held, check_pytree, is_whole, shown
+from jaxrl_tab.core.checks import InputError, check_held, check_pytree
 from jaxrl_tab.core.pytree import concrete
 from jaxrl_tab.core.types import (
     Algorithm,
@@ -28,6 +28,7 @@ from jaxrl_tab.core.types import (
     restricted,
     said_of_update,
 )
+from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import Finite
 from jaxrl_tab.exact import planning
@@ -110,7 +111,6 @@ INSTANCE = 6
 
 
 Step: TypeAlias = Callable[[_Run, _Decisions], tuple[_Run, Log]]
-Record: TypeAlias = Callable[[Any], dict[str, Array]]
 Measured: TypeAlias = Callable[[Any], dict[str, Any]]
 
 
@@ -130,7 +130,7 @@ def train(
     Args:
         key: a JAX key; the run is a function of it and of the hyperparameters.
         algorithm: the method with its hyperparameters.
-        env: the environment.
+        env: the environment. It may also stand before the method, as in `sweep`.
         num_steps: how many steps to take. Give this or `num_episodes`.
         num_episodes: how many episodes to finish.
         log_every: steps in a row of the log (100), or episodes in a row (1). The last row may be shorter.
@@ -149,7 +149,9 @@ def train(
     Raises:
         InputError: a number is out of range, or `exact` is asked of an environment without `outcomes`.
     """
-    check_budget(num_steps, num_episodes, log_every)
+    if isinstance(algorithm, Environment):
+        algorithm, env = cast(Any, env), algorithm
+    budget = Budget(num_steps, num_episodes, log_every, bool(exact), record)
     rng.check_key(key)
     check_pytree("algorithm", algorithm, METHODS)
     if is_dataclass(algorithm):
@@ -160,37 +162,33 @@ def train(
     if exact:
         planning.check_finite(env)
     full = in_full((algorithm, env)) if exact else None
-    return unchecked(key, algorithm, env, full, num_steps, num_episodes, log_every, record)
+    return unchecked(key, algorithm, env, full, budget)
 
 
 # Compiled by itself where nobody else does, so that a second call is quick; inlined where somebody does.
-@partial(jax.jit, static_argnums=(4, 5, 6, 7), inline=True)
+@partial(jax.jit, static_argnums=4, inline=True)
 def unchecked(
     key: Key[Array, ""],
     algorithm: Any,
     env: Any,
     full: Any,
-    num_steps: int | None,
-    num_episodes: int | None,
-    log_every: int | None,
-    record: Record | None,
+    budget: Budget,
 ) -> tuple[Any, Log]:
     """`train` without its checks. `full` is `in_full((algorithm, env))` for exact values, or None."""
-    log_every = log_every or default_log_every(num_steps)
     stream = rng.stream(key)
     if hasattr(env, "instance"):
         env = env.instance(rng.as_key(rng.word(stream, jnp.int32(0), INSTANCE)))
         full = full and (full[0], env)  # it is drawn in the precision of the program
-    measure = _make_measure(algorithm, env, full, record)
+    measure = _make_measure(algorithm, env, full, budget.record)
     algorithm = restricted(algorithm, available_actions(env))
     start = _make_start(algorithm, env)
     step = _make_step(algorithm, env, start)
     run = _start(stream, algorithm, env, start)
-    if num_steps is not None:
-        run, log = _run_steps(stream, step, run, num_steps, log_every, measure)
+    if budget.num_steps is not None:
+        run, log = _run_steps(stream, step, run, budget.num_steps, budget.row, measure)
     else:
-        assert num_episodes is not None
-        run, log = _run_episodes(stream, step, run, num_episodes, log_every, measure)
+        assert budget.num_episodes is not None
+        run, log = _run_episodes(stream, step, run, budget.num_episodes, budget.row, measure)
     return run.learner, log
 
 
@@ -217,20 +215,6 @@ def _restored(full: T, given: T) -> T:
         return x if same or not planning.has_double() else lax.bitcast_convert_type(words, jnp.float64)
 
     return jax.tree.map(number, full, given)
-
-
-def default_log_every(num_steps: int | None) -> int:
-    """A row of the log is 100 steps, or, where the budget is in episodes, one episode."""
-    return 1 if num_steps is None else 100
-
-
-def check_budget(num_steps: int | None, num_episodes: int | None, log_every: int | None) -> None:
-    """Raises InputError unless exactly one budget is given and all numbers are whole and at least 1."""
-    if (num_steps is None) == (num_episodes is None):
-        raise InputError("give either num_steps or num_episodes")
-    for name, value in (("num_steps", num_steps), ("num_episodes", num_episodes), ("log_every", log_every)):
-        if value is not None and not is_whole(value):
-            raise InputError(f"{name} must be a whole number of at least 1, not {shown(value)}")
 
 
 # --- one step ----------------------------------------------------------------------------------------
@@ -339,10 +323,9 @@ def _drawn_together(number: int) -> int:
     return -(-number // -(-number // DRAWN_TOGETHER))
 
 
-def bytes_of_words(num_steps: int | None, log_every: int | None) -> int:
+def bytes_of_words(budget: Budget) -> int:
     """The bytes of the random words that a run holds, at most: those of no decision are never drawn."""
-    per_row = log_every or default_log_every(num_steps)
-    number = max(CHUNKS, default=1) if num_steps is None else min(num_steps, per_row)
+    number = max(CHUNKS, default=1) if budget.num_steps is None else min(budget.num_steps, budget.row)
     return len(IN_A_STEP) * rng.bytes_of_words(_drawn_together(number))
 
 

@@ -59,26 +59,6 @@ class Plan(NamedTuple):
         ]
         return "\n".join([*lines, f"on {self.devices}"])
 
-    def seconds_left(self, done: Mapping[str, tuple[int, float]]) -> float | None:
-        """How much longer it will take, as far as its parts so far tell; None before there is any.
-
-        A part goes on as fast as it went; one that has not begun as fast as the others on average, per step.
-
-        Args:
-            done: for each part that has begun, how many of its runs are finished, and in how many seconds.
-        """
-        each = {name: x.work / x.runs for name, x in self.parts.items()}
-        begun = {name: (each[name] * runs, seconds) for name, (runs, seconds) in done.items() if runs}
-        if not begun:
-            return None
-        work, seconds = map(sum, zip(*begun.values(), strict=True))
-        left = 0.0
-        for name, x in self.parts.items():
-            own_work, own_seconds = begun.get(name, (0, 0.0))
-            pace = own_seconds / own_work if own_work else seconds / work
-            left += pace * (x.work - own_work)
-        return left
-
 
 def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[Any] | None = None) -> Plan:
     """What these parts of an experiment will take; nothing is compiled.

@@ -1,35 +1,31 @@
 """How far an experiment is, and how long it will go on."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
-from jaxrl_tab.experiment.plan import PartPlan, Plan
 from jaxrl_tab.experiment.shards import Job, Shard
 from jaxrl_tab.experiment.storage import Store
+from jaxrl_tab.show.progress import Progress, Report
 
-Report = Callable[["Progress"], None]
 
+def seconds_left(runs: Mapping[str, int], took: Mapping[str, tuple[int, float]]) -> float | None:
+    """How much longer an experiment will take, as far as what is done tells; None before anything is.
 
-class Progress(NamedTuple):
-    """How far an experiment is.
+    A part goes on as fast as it went; one that has not begun, as fast as the others on average, per run.
 
-    Attributes:
-        label: what is under way: a part of the experiment, or what is written.
-        done, total: runs.
-        steps: steps taken since it began, or was resumed.
-        seconds: the time since then.
-        left: how many more seconds it will take, about; None where nothing can be said yet.
-        diverged: runs in which a number became infinite or NaN, or grew beyond any possible return.
+    Args:
+        runs: for each part, how many runs are to be done in all.
+        took: for each part that has begun, how many of them are finished, and in how many seconds.
     """
-
-    label: str
-    done: int
-    total: int
-    steps: int
-    seconds: float
-    left: float | None
-    diverged: int
+    finished = {part: (n, seconds) for part, (n, seconds) in took.items() if n}
+    if not finished:
+        return None
+    all_runs, all_seconds = map(sum, zip(*finished.values(), strict=True))
+    left = 0.0
+    for part, total in runs.items():
+        n, seconds = finished.get(part, (0, 0.0))
+        left += (total - n) * (seconds / n if n else all_seconds / all_runs)
+    return left
 
 
 class Meter:
@@ -38,7 +34,7 @@ class Meter:
     def __init__(self, report: Report):
         self._report, self._begun = report, time.perf_counter()
         self._last = self._begun
-        self._state = Progress("", 0, 0, 0, 0.0, None, 0)
+        self._state = Progress("planning")
         self._todo: dict[str, int] = {}  # runs of each part
         self._took: dict[str, tuple[int, float]] = {}  # how many of them are done, and in how many seconds
         self._missing: dict[int, Shard] = {}
@@ -75,7 +71,6 @@ class Meter:
         """Reports; `label` says what is under way where it is not a shard."""
         if label is None:
             label = next((shard.part for shard in self._missing.values()), self._state.label)
-        runs = {name: PartPlan(1, n, 1, n, 0, 0) for name, n in self._todo.items() if n}
-        left = Plan(runs, "runs", "").seconds_left(self._took)
+        left = seconds_left(self._todo, self._took)
         self._state = self._state._replace(label=label, seconds=time.perf_counter() - self._begun, left=left)
         self._report(self._state)

@@ -17,7 +17,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import jax
 import numpy as np
@@ -33,11 +33,12 @@ from jaxrl_tab.engine.train import Log
 from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import Outcome, chosen, write_files
-from jaxrl_tab.experiment.progress import Meter, Report
+from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, session, settings_of
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, forget_parts, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
 from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, RESOLVED, Store, warn
+from jaxrl_tab.show.progress import Report, reporting
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -49,7 +50,7 @@ def run(
     *,
     executor: Executor | None = None,
     memory: int | None = None,
-    progress: Report = lambda state: None,
+    progress: Report | Literal[False] | None = None,
     command: str | None = None,
 ) -> Outcome:
     """Runs an experiment, and leaves everything in a new folder. Where it is interrupted, `resume` goes on.
@@ -59,7 +60,7 @@ def run(
         folder: a new folder. Without one nothing is left but the outcome.
         executor: where it is computed, see `executors`; by default in this process.
         memory: how many bytes it may take, as in `sweep`; of each worker, where there are several.
-        progress: is called as shards are finished.
+        progress: is called with a `Progress` as shards are finished; by default a bar, as in `sweep`.
         command: what was typed, for the records; by default what started this process.
 
     Raises:
@@ -85,7 +86,7 @@ def resume(
     *,
     executor: Executor | None = None,
     memory: int | None = None,
-    progress: Report = lambda state: None,
+    progress: Report | Literal[False] | None = None,
     command: str | None = None,
     mixed: bool = False,
 ) -> Outcome:
@@ -132,7 +133,7 @@ def _go_on(
     experiment: Experiment,
     executor: Executor | None,
     limit: int | None,
-    report: Report,
+    progress: Report | Literal[False] | None,
     command: str,
     keep: bool = True,
     mixed: bool = False,
@@ -142,8 +143,9 @@ def _go_on(
     _warn_of_what_was(store)
     records = _records(store)
     job = Job(json.dumps(experiment.data()), limit, files=experiment.files)
-    meter, select = Meter(report), experiment.select
-    with settings_of(store, records):
+    select = experiment.select
+    with settings_of(store, records), reporting(progress) as report:
+        meter = Meter(report)
         origin = Origin.of(store, records, mixed)
         if _missing(store, job):
             origin.check(path)

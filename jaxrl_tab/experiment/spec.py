@@ -38,8 +38,8 @@ from jaxrl_tab.algorithms.prediction import METHODS, learns_states
 from jaxrl_tab.core import memory, names
 from jaxrl_tab.core.checks import InputError, as_path, nearest, one_line, shown
 from jaxrl_tab.core.types import init_learner
+from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.sweep import Part, prepare
-from jaxrl_tab.engine.train import default_log_every
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.instances import made
 from jaxrl_tab.experiment.places import Source, Wrong, at, located, split_statements
@@ -118,7 +118,7 @@ class Experiment:
             self._set("method", methods(self.method, source, references, self.seed, count))
             prediction = all(learns_states(references[method["name"]].cls) for method in self.method)
             self._set("exact", bool(self.exact) or prediction)
-            self._set("log_every", self.log_every or default_log_every(self.steps))
+            self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
             with at("select"):
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
 
@@ -190,6 +190,7 @@ class Experiment:
             InputError: a method does not fit an environment.
         """
         found = {}
+        budget = Budget(self.steps, self.episodes, self.log_every, self.exact)
         with located(self.source):
             for environment in self.environment:
                 values = {key: x for key, x in environment.items() if key not in ABOUT}
@@ -201,12 +202,9 @@ class Experiment:
                             env,
                             cls,
                             grid_of(method, cls, self.seed),
+                            budget,
                             num_seeds=self.seeds,
-                            num_steps=self.steps,
-                            num_episodes=self.episodes,
-                            log_every=self.log_every,
                             seed=self.seed,
-                            exact=self.exact,
                         )
                         for config, *_ in part.programs:  # policies in tables must be of the task's size
                             jax.eval_shape(partial(init_learner, part.configs[config], env))

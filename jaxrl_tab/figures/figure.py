@@ -9,14 +9,14 @@ import numpy as np
 
 from jaxrl_tab.core.types import Algorithm, Environment
 from jaxrl_tab.engine.sweep import sweep
+from jaxrl_tab.show.progress import Report
 
 if TYPE_CHECKING:
     import matplotlib.figure
     import xarray as xr
 
     Datasets = Mapping[str, xr.Dataset]
-    Progress = Callable[[int, int], None]
-    Run = Callable[[Progress], xr.Dataset]
+    Run = Callable[[Report], xr.Dataset]
 
 MOST_APART = 4.0  # standard errors
 EXACT = 1e-6  # how far an exact number may be rounded
@@ -87,7 +87,8 @@ class Figure:
     Attributes:
         title: what it shows.
         source: where it was published.
-        experiment: what to run, by name: each gets a `progress(done, total)` to call, and gives a dataset.
+        experiment: what to run, by name: each gets a function to call with its `Progress`, and gives a
+            dataset.
             Most are sweeps, see `swept`. Its keyword arguments, all with defaults, are its budget.
         small: such arguments for a trial run: quick, with every number there, and none of any worth.
         numbers: what it must show.

@@ -1,0 +1,45 @@
+"""How long a run is, and what is recorded of it: one object from `train` to the experiment."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+from jaxtyping import Array
+
+from jaxrl_tab.core.checks import InputError, is_whole, shown
+
+Record: TypeAlias = Callable[[Any], dict[str, Array]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Budget:
+    """How long a run is, and what is recorded of it.
+
+    Attributes:
+        num_steps: how many steps to take. Give this or `num_episodes`.
+        num_episodes: how many episodes to finish.
+        log_every: steps in a row of the log, or episodes where they are the budget; see `row`.
+        exact: whether exact values are recorded at the end of every row.
+        record: a function from the state of the learner to a dict of arrays, recorded there as well.
+
+    Raises:
+        InputError: neither or both of the lengths are given, or a number is not whole or below 1.
+    """
+
+    num_steps: int | None = None
+    num_episodes: int | None = None
+    log_every: int | None = None
+    exact: bool = False
+    record: Record | None = None
+
+    def __post_init__(self):
+        if (self.num_steps is None) == (self.num_episodes is None):
+            raise InputError("give either num_steps or num_episodes")
+        for name in ("num_steps", "num_episodes", "log_every"):
+            if (value := getattr(self, name)) is not None and not is_whole(value):
+                raise InputError(f"{name} must be a whole number of at least 1, not {shown(value)}")
+
+    @property
+    def row(self) -> int:
+        """How many steps, or episodes, a row of the log sums up: 100 steps, or 1 episode, by default."""
+        return self.log_every or (1 if self.num_steps is None else 100)
