@@ -248,7 +248,7 @@ def test_entry_points_are_read_when_a_name_is_not_built_in(here, monkeypatch, ca
 
 
 def test_a_table_in_a_file(here, capsys):
-    """Broken once: without the check of what is loaded, a table with another start -> fails."""
+    """Broken once: without the check of what is loaded -> fails, for a successor is no state."""
     mdp = rl.interop.from_gymnasium("FrozenLake-v1")
     mdp.save("lake.npz")
     again = rl.make("lake.npz")
@@ -443,7 +443,7 @@ def test_what_cannot_be_saved_is_refused_where_there_is_a_folder(here, monkeypat
 
 
 def test_a_script_is_saved_by_its_file_and_must_be_guarded(here):
-    """Broken once: without the check a script runs itself again, and writes over what it wrote."""
+    """Broken once: without the check the script runs itself a second time -> fails."""
     run = "rl.run(rl.Experiment(Coin(), Hasty, seeds=2, steps=20), 'run')"
     Path("guarded.py").write_text(f"{OWN}\nif __name__ == '__main__':\n    {run}\n")
     Path("unguarded.py").write_text(f"{OWN}\n{run}\n")
