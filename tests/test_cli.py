@@ -422,7 +422,7 @@ def test_a_new_method_brings_its_options(monkeypatch, asked, capsys):
     monkeypatch.setitem(ALGORITHMS, "eager", Eager)
     call("sweep windy-gridworld eager --recall 0 0.5 --traces accumulating --no-cut --patience 3")
     given = {"recall": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
-    assert ({"name": "eager"} | given).items() <= asked[0]["method"][0].items()
+    assert ({"label": "eager"} | given).items() <= asked[0]["method"][0].items()
     capsys.readouterr()
 
     error = refused(capsys, "sweep windy-gridworld sarsa --recall 0.5")

@@ -396,7 +396,7 @@ class Given(Unregistered):
     ("env", "message"),
     [
         (Sampled(), "Sampled can only be sampled"),
-        (Unregistered(), "Unregistered is no JAX pytree"),
+        (Unregistered(), "Unregistered is not a JAX pytree"),
         (Given(prob=0.9), r"the outcomes of \(s, a\) = \(0, 0\) are not a distribution"),
         (Given(s_next=2), r"outcome of \(s, a\) = \(0, 0\) is not one of the states 0 to 1"),
         (Given(reward_at_end=1.0), "state 1 is terminal, so action 0 must lead back"),

@@ -22,11 +22,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
-from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.checks import InputError, check_number, check_switches, shown
+from jaxrl_tab.core import names, policies, tables
+from jaxrl_tab.core.checks import InputError, check_number, check_switches, nearest, shown
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
-from jaxrl_tab.core.declared import Learns, LearnsFrom
+from jaxrl_tab.core.declared import Learns, LearnsFrom, of_method
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.schedules import sample_average
@@ -331,7 +331,7 @@ def _probabilities(table: Table | None, num_states: int, num_actions: int) -> Fl
     return jnp.asarray(table.probabilities, float)
 
 
-PREDICTION = {
+PREDICTION: dict[str, type] = {
     "td": TD,
     "n-step-td": NStepTD,
     "td-lambda": TDLambda,
@@ -340,3 +340,13 @@ PREDICTION = {
     "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,
 }
 METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__
+
+
+METHOD = names.Kind(
+    noun="a method",
+    registry=METHODS,
+    group="jaxrl_tab.methods",
+    needs=("gamma", "init", "policy", "update"),
+    add=lambda name, cls: (PREDICTION if of_method(cls).learns is Learns.STATES else ALGORITHMS).__setitem__(name, cls),
+    hint=lambda name: nearest(name, METHODS),
+)

@@ -10,10 +10,21 @@ from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from jaxrl_tab.cli.common import ENVIRONMENT, PROG, Switch, make_environment, new_folder, start_jax
+from jaxrl_tab.cli.common import (
+    ENVIRONMENT,
+    PROG,
+    Switch,
+    find,
+    named_in,
+    new_folder,
+    parameters_of,
+    start_jax,
+    with_own,
+)
 from jaxrl_tab.cli.options import parse, place, real, words
 from jaxrl_tab.cli.screen import busy, console, print_json, say_where
 from jaxrl_tab.core import policies
+from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.envs.base import Grid, Panel
 from jaxrl_tab.exact import planning
@@ -27,11 +38,12 @@ class Solve:
     Examples:
       jaxrl-tab solve windy-gridworld
       jaxrl-tab solve windy-gridworld --moves king --epsilon 0.1 --out runs/king
+      jaxrl-tab solve mdp.npz
       jaxrl-tab solve random-walk --states 5 --left-reward 0 --json
     """
 
     env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
-    """Name of the environment; see `jaxrl-tab list`."""
+    """Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv, mdp.npz, gymnasium:NAME."""
     gamma: Annotated[float, real(0, 1)] = 1.0
     """Discount rate, in [0, 1]."""
     epsilon: Annotated[float | None, real(0, 1), arg(help_behavior_hint="")] = None
@@ -43,8 +55,10 @@ class Solve:
 
 
 def solve_command(argv: list[str]) -> int:
-    options = parse(f"{PROG} solve", Solve, argv, environment=ENVIRONMENT)
-    env = make_environment(options.env, options.environment)
+    group = with_own(ENVIRONMENT, named_in(argv)[0])
+    options = parse(f"{PROG} solve", Solve, argv, environment=group)
+    cls = find(group, options.env)
+    env = build(cls, options.env, parameters_of(options.env, options.environment, group))
     start_jax()
     with new_folder(options.out) as folder, busy("solving"):
         solutions = {"optimal": planning.policy_iteration(env, options.gamma)}

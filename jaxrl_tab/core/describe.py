@@ -3,10 +3,12 @@
 And what a person may give for one of them: a number, or text such as "glie" and "softmax:0.5".
 """
 
+import contextlib
 import dataclasses
 import inspect
 import re
 import sys
+import typing
 from collections.abc import Callable
 from fractions import Fraction
 from numbers import Integral, Real
@@ -14,6 +16,8 @@ from typing import Any, NamedTuple
 
 from jaxrl_tab.core import clock, policies, schedules
 from jaxrl_tab.core.checks import InputError, shown
+
+Plain = bool | int | float | str | list | tuple | None  # of a parameter that another library checks
 
 _ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
 
@@ -24,7 +28,7 @@ class Parameter(NamedTuple):
     Attributes:
         name: of the field.
         type: its annotation, as written.
-        default: its value if it is not given.
+        default: its value if it is not given; `dataclasses.MISSING` where it must be.
         help: one line, from the section "Attributes" of the class, or of the nearest base that has it there.
     """
 
@@ -44,7 +48,14 @@ def parameters(cls: type) -> list[Parameter]:
     told: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         told |= _attributes(base.__dict__.get("__doc__") or "")
-    return [Parameter(f.name, f.type, f.default, told.get(f.name, "")) for f in dataclasses.fields(cls)]
+    types: dict[str, Any] = {}
+    if any(isinstance(f.type, str) for f in dataclasses.fields(cls)):  # from __future__ import annotations
+        with contextlib.suppress(Exception):  # what they name need not be there
+            types = typing.get_type_hints(cls)
+    return [
+        Parameter(f.name, types.get(f.name, f.type), f.default, told.get(f.name, ""))
+        for f in dataclasses.fields(cls)
+    ]
 
 
 def takes_schedule(parameter: Parameter) -> bool:
@@ -59,8 +70,14 @@ def takes_policy(parameter: Parameter) -> bool:
 
 def kind(parameter: Parameter) -> type:
     """The type of its value, or of the entries of its value: that of its default; float for a schedule."""
-    like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
-    return float if takes_schedule(parameter) else type(like)
+    if takes_schedule(parameter):
+        return float
+    if parameter.default is dataclasses.MISSING:  # it must be given
+        return parameter.type if parameter.type in _KINDS else float
+    entry = parameter.default
+    while isinstance(entry, tuple):
+        entry = entry[0] if entry else 0.0
+    return type(entry)
 
 
 def value(what: str, given: Any, parameter: Parameter) -> Any:
@@ -75,6 +92,8 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
     Raises:
         InputError: it is of the wrong type, or a text that means nothing.
     """
+    if parameter.type == Plain:
+        return given
     name = given.replace("_", "-") if isinstance(given, str) else ""
     if takes_policy(parameter):
         if not name and isinstance(given, policies.Policy):

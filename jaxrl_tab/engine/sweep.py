@@ -13,8 +13,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core import rng
+from jaxrl_tab.algorithms.prediction import METHOD, METHODS
+from jaxrl_tab.core import names, rng
 from jaxrl_tab.core.checks import (
     InputError,
     build,
@@ -22,7 +22,6 @@ from jaxrl_tab.core.checks import (
     check_pytree,
     foreign,
     is_whole,
-    nearest,
     one_line,
     repeated,
     shown,
@@ -154,8 +153,8 @@ def sweep(
 
     Args:
         env: the environment.
-        algorithm: a class such as `Sarsa`, or its name in `ALGORITHMS` or `PREDICTION`. It may also stand before
-            the environment, as in `train`.
+        algorithm: a class such as `Sarsa`, or its name: "sarsa", "mine.py:Mine" (see `core.names`). It may also
+            stand before the environment, as in `train`.
         grid: for each hyperparameter a list of values (an axis of the result) or a single value. A value
             is a number, a schedule or a policy. Besides lists there are grids in steps and random draws,
             such as `LogGrid(0.01, 1, 5)` and `LogUniform(0.01, 1)`: see `axes`. What is not named keeps its
@@ -221,6 +220,7 @@ def prepare(
     Raises:
         InputError: something given is wrong.
     """
+    names.check_not_importing()
     for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0), ("first_seed", first_seed, 0)):
         if not is_whole(value, least):
             raise InputError(
@@ -238,6 +238,7 @@ def prepare(
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
     axes, configs = configurations(cls, {} if grid is None else grid, num_draws, seed)
+    check_pytree(cls.__name__, configs[0])
     if len(configs) * num_seeds >= 2**31:
         raise InputError(
             f"{len(configs):,} settings x {num_seeds:,} seeds are more than the 2**31 runs that can be numbered: "
@@ -326,20 +327,12 @@ def result(part: Part, computed: Computed) -> SweepResult:
 
 
 def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
-    if isinstance(algorithm, str):
-        if algorithm not in METHODS:
-            raise InputError(f"no method is called {shown(algorithm)}; {nearest(algorithm, METHODS)}")
-        return METHODS[algorithm]
-    if (
-        not isinstance(algorithm, type)
-        or not dataclasses.is_dataclass(algorithm)
-        or not hasattr(algorithm, "update")
-    ):
-        raise InputError(
-            "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
-            f"(got {shown(algorithm)})"
-        )
-    return algorithm
+    if isinstance(algorithm, str | type):
+        return names.find(METHOD, algorithm).cls
+    raise InputError(
+        "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
+        f"(got {shown(algorithm)})"
+    )
 
 
 def configurations(
@@ -372,11 +365,11 @@ def configurations(
             raise InputError(f"the grid of {parameter} holds {one_line(str(again[0]))} more than once")
     sizes = [len(values) for values in axes.values()]
     check_settings(math.prod(sizes), f"{' x '.join(map(str, sizes))} values of {', '.join(axes)}")
-    names = [name for name in axes if name != DRAW]
+    swept = [name for name in axes if name != DRAW]
 
     def instance(point: tuple) -> Algorithm:
         *values, trial = point if DRAW in axes else (*point, {})
-        return build(cls, name, single | dict(zip(names, values, strict=True)) | trial)
+        return build(cls, name, single | dict(zip(swept, values, strict=True)) | trial)
 
     return axes, [instance(point) for point in itertools.product(*axes.values())]
 

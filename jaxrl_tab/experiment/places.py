@@ -4,8 +4,9 @@ import bisect
 import contextlib
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from jaxrl_tab.core.checks import InputError, one_line
@@ -17,12 +18,14 @@ class Source(NamedTuple):
     """Where an experiment was read from.
 
     Attributes:
-        path: the file.
+        path: the file. Paths in it start from its folder.
         text: what stood in it.
+        pinned: names in it whose meaning is settled -> that, as `sources.read` gives it.
     """
 
     path: Path
     text: str
+    pinned: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
 
     def __str__(self) -> str:
         return one_line(str(self.path))

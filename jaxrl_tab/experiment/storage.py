@@ -395,10 +395,15 @@ def _empty(fingerprint: str) -> dict[str, Any]:
     return {"fingerprint": fingerprint, "shards": {}, "files": {}}
 
 
-def _own_folder(path: Path) -> Path:
-    """A folder in the folder, made if need be. Raises InputError where it is a link: that leads out of it."""
+def check_no_link(path: Path) -> None:
+    """Raises InputError where a folder in the folder is a link: that leads out of it."""
     if path.is_symlink():
         raise InputError(f"{one_line(str(path))} is a link: put the folder that it leads to in its place")
+
+
+def _own_folder(path: Path) -> Path:
+    """A folder in the folder, made if need be. Raises InputError where it is a link."""
+    check_no_link(path)
     with said(path):
         path.mkdir(exist_ok=True)
     return path
