@@ -104,7 +104,7 @@ def test_what_is_worked_out_is_handed_on(outcome, kept, monkeypatch, capsys):
 
     best = settings.Settings.__dict__["best"]
     count(best, "func")
-    for name in ("iqm_interval", "median_interval", "tolerance_interval", "soft_optimum", "differences_of"):
+    for name in ("iqm_interval", "median_interval", "tolerance_interval", "soft_optimum", "differences"):
         count(columns, name)
     for name in ("seeds_wanted", "mean_interval", "is_prediction"):
         count(settings, name)
@@ -113,4 +113,4 @@ def test_what_is_worked_out_is_handed_on(outcome, kept, monkeypatch, capsys):
     assert capsys.readouterr().out.count("With ε = 0.1 and γ = 1") == 2
     once = ("func", "iqm_interval", "median_interval", "tolerance_interval", "seeds_wanted", "mean_interval")
     assert {name: counts[name] for name in once} == dict.fromkeys(once, len(METHODS))
-    assert counts["soft_optimum"] == counts["differences_of"] == 1  # all explore alike
+    assert counts["soft_optimum"] == counts["differences"] == 1  # all explore alike

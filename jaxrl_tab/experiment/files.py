@@ -76,13 +76,12 @@ class Outcome:
         import pandas as pd
 
         from jaxrl_tab import stats
-        from jaxrl_tab.stats.settings import selected
 
         rows = []
         for name, fresh in self.fresh.items():
             environment, _, method = name.partition("/")
             own = self.methods[environment].settings[method]
-            setting, chosen, again, _ = selected(own, fresh)
+            setting, chosen, again, _ = stats.selection(own, fresh)
             row = {"environment": environment, "method": method, **stats.named(own.ds, setting)}
             for kind, found in (("chosen", chosen), ("fresh", again)):
                 row |= {f"{kind}_score": float(found.estimate)}

@@ -130,7 +130,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
     methods = Methods.of(datasets, env)
     curves = _curves(methods, env)
     if isinstance(env, Grid) and not methods.prediction:
-        winner = methods.settings[methods.ranked[0]]
+        winner = methods.settings[stats.ranked(methods.settings)[0]]
         curves["greedy_path"] = lambda ax: median_path(ax, env, winner)
     columns = min(2, len(curves))
     rows = -(-len(curves) // columns)

@@ -31,7 +31,7 @@ from jaxrl_tab.stats.measures import (
     sound_runs,
     unfinished,
 )
-from jaxrl_tab.stats.settings import Settings, at_edge, differences_of, ranking
+from jaxrl_tab.stats.settings import Settings, at_edge, differences
 
 Text = str | tuple[str, str]  # the same for control and for prediction, or one for each
 
@@ -52,11 +52,6 @@ class Method(Settings):
     def __init__(self, ds: xr.Dataset, name: str, among: "Methods") -> None:
         super().__init__(ds)
         self.name, self.among = name, among
-
-    @cached_property
-    def tied(self) -> xr.DataArray:
-        """Which settings cannot be told apart from the best one, bool [*hyperparameters]."""
-        return self.tied_at(0.95)
 
     @cached_property
     def unfinished(self) -> xr.DataArray:
@@ -96,6 +91,12 @@ class Method(Settings):
         nowhere = Difference(Interval(*[xr.DataArray(np.nan)] * 4), *[xr.DataArray(np.nan)] * 2)
         return self.among.differences.get(self.name, nowhere)
 
+    @property
+    def episodes_within_steps(self) -> xr.DataArray | None:
+        """Episodes of the runs that did not diverge, mean; None where episodes were the budget, the same for all."""
+        within = "num_steps" in self.ds.attrs
+        return sound_runs(self.ds.episodes.sum("row"), self.ds).mean("seed") if within else None
+
     def at_the_end(self, name: str) -> xr.DataArray | None:
         """What was recorded in the last row, NaN for runs that diverged; None where it was not recorded."""
         return sound_runs(self.ds[name].isel(row=-1), self.ds) if name in self.ds else None
@@ -109,44 +110,37 @@ class Column:
         name: its name in a `Row`.
         value: works it out, [*hyperparameters] or less; an `Interval` where it has one; None where the method
             has no such number.
-        in_summary: its name in `summary.csv`, "" if it is not there. An interval has two columns more, which
-            end in `_low` and `_high`.
+        in_summary: its name in `summary.csv`, by default `name`; "" if it is not there. An interval has two
+            columns more, which end in `_low` and `_high`.
         screen, report: its heading on the screen, and in the tables of the report; "" if it is not there.
         tables: which tables of the report have it: of the chosen settings, of all settings, or both.
         written: how people read it: with as many decimals as the score has, of an interval also without its
             middle ("range"); with six significant digits ("exact"); as a count; or with one decimal.
         scale: the screen shows so many times the number.
-        always: whether it is shown also where there is nothing to tell: no number, or no count but 0.
         help: what it means, for who reads the report; a sentence that follows the heading.
     """
 
     name: str
     value: "Callable[[Method], Interval | xr.DataArray | float | None]"
     _: KW_ONLY
-    in_summary: Text = ""
+    in_summary: Text | None = None
     screen: Text = ""
     report: Text = ""
     tables: Literal["chosen", "all", "both"] = "both"
     written: Literal["score", "range", "exact", "count", "tenths"] = "score"
     scale: float = 1
-    always: bool = False
     help: str = ""
 
     def tells(self, rows: "Sequence[Row]") -> bool:
-        """Whether it has anything to tell of these rows."""
-        numbers = [x for row in rows for x in np.ravel(row[self.name]) if x == x]
-        return self.always or (any(numbers) if self.written == "count" else bool(numbers))
+        """Whether it has anything to tell of these rows: a number, or a count that is not 0."""
+        numbers = [row[self.name] for row in rows if self.name in row.numbers]
+        return any(numbers) if self.written == "count" else bool(numbers)
 
 
 # In the order in which people see them.
 COLUMNS = [
     Column(
-        "episodes",
-        lambda own: own.ds.episodes.sum("row").mean("seed"),
-        in_summary="episodes",
-        screen="episodes",
-        written="tenths",
-        always=True,
+        "episodes", lambda own: own.ds.episodes.sum("row").mean("seed"), screen="episodes", written="tenths"
     ),
     Column(
         "late_return",
@@ -158,7 +152,6 @@ COLUMNS = [
         lambda own: own.interval,
         in_summary=("last_tenth_return", "v_error"),
         screen=("mean return,\nlast tenth", "RMS error,\nwhole run"),
-        always=True,
     ),
     Column(
         "median", lambda own: median_interval(own.score), in_summary=("last_tenth_median", "v_error_median")
@@ -171,15 +164,14 @@ COLUMNS = [
     Column(
         "runs",
         lambda own: possible(tolerance_interval(own.score), own.score, own.ds),
+        in_summary="",
         report="9 of 10 runs",
         written="range",
-        always=True,
     ),
-    Column("seeds", lambda own: own.score.notnull().sum("seed"), in_summary="seeds", written="count"),
+    Column("seeds", lambda own: own.score.notnull().sum("seed"), written="count"),
     Column(
         "unfinished",
         lambda own: own.unfinished,
-        in_summary="unfinished",
         screen="unfinished\nruns",
         report="unfinished",
         written="count",
@@ -188,42 +180,33 @@ COLUMNS = [
     Column(
         "diverged",
         lambda own: own.ds.diverged.sum("seed") if "diverged" in own.ds else None,
-        in_summary="diverged",
         report="diverged",
         written="count",
         help="a run whose numbers became infinite, or grew beyond any possible return, mostly because the "
         "step size is too large. It scores as the worst run of its method, of prediction infinitely badly, "
         "and is left out of the pictures.",
     ),
-    Column("seeds_wanted", lambda own: own.seeds_wanted, in_summary="seeds_wanted", written="count"),
-    Column("best", lambda own: own.is_best, in_summary="best"),
-    Column("tied", lambda own: own.tied, in_summary="tied"),
-    Column(
-        "difference",
-        lambda own: Interval(*map(own.only_at_best, own.difference.interval)),
-        in_summary="difference",
-    ),
-    Column("p", lambda own: own.only_at_best(own.difference.p), in_summary="p"),
+    Column("seeds_wanted", lambda own: own.seeds_wanted, written="count"),
+    Column("best", lambda own: own.is_best),
+    Column("tied", lambda own: own.tied_at(0.95)),
+    Column("difference", lambda own: Interval(*map(own.only_at_best, own.difference.interval))),
+    Column("p", lambda own: own.only_at_best(own.difference.p)),
     Column(
         "final_v_error",
         lambda own: None if (x := own.at_the_end("v_error")) is None else mean_interval(x).estimate,
-        in_summary="final_v_error",
         screen="RMS error\nat the end",
         report="error at the end",
     ),
     Column(
         "steps_per_second",
         lambda own: own.ds.attrs.get("steps_per_second", np.nan),
-        in_summary="steps_per_second",
         screen="million\nsteps/s",
         written="tenths",
         scale=1e-6,
-        always=True,
     ),
     Column(
         "greedy_value",
         lambda own: None if (x := own.at_the_end("greedy_value")) is None else x.median("seed"),
-        in_summary="greedy_value",
         screen="worth of the\ngreedy policy",
         report="worth of the greedy policy",
         written="exact",
@@ -231,19 +214,17 @@ COLUMNS = [
         "seeds. −∞: it goes round for ever.",
     ),
     Column(
-        "episodes_within_steps",  # where episodes were the budget all runs have the same
-        lambda own: (
-            sound_runs(own.ds.episodes.sum("row"), own.ds).mean("seed")
-            if "num_steps" in own.ds.attrs
-            else np.nan
-        ),
+        "episodes_within_steps",
+        lambda own: own.episodes_within_steps,
+        in_summary="",
         report="episodes",
         tables="all",
         written="tenths",
     ),
     Column(
         "soft",
-        lambda own: own.only_at_best(own.soft),
+        lambda own: None if np.isnan(own.soft) else own.only_at_best(own.soft),
+        in_summary="",
         report="best ε-soft",
         tables="chosen",
         written="exact",
@@ -251,11 +232,9 @@ COLUMNS = [
     Column(
         "optimum",
         lambda own: optimum(own.ds),
-        in_summary="optimum",
         screen=("exact\noptimum", "value of\nthe policy"),
         report=("exact optimum", "exact value"),
         written="exact",
-        always=True,
     ),
 ]
 # The last columns of `summary.csv`, in this order, which programs that read it may rely on.
@@ -323,14 +302,9 @@ class Methods(Mapping[str, xr.Dataset]):
         return all(own.prediction for own in self.settings.values())
 
     @cached_property
-    def ranked(self) -> list[str]:
-        """The names of the methods, the best first."""
-        return ranking(self.settings)
-
-    @cached_property
     def differences(self) -> dict[str, Difference]:
         """How the best settings differ from that of the best method: see the function of this name."""
-        return differences_of(self.settings)
+        return differences(self.settings)
 
     def soft_optimum(self, setting: Mapping[str, Any]) -> float:
         """What the best policy earns that explores as `setting` does; NaN where that is not known."""
@@ -381,7 +355,8 @@ def _summarised(row: Row) -> dict[str, Any]:
     """What `summary.csv` tells of a setting, by the names there."""
     told = {}
     for column in COLUMNS:
-        if (name := text(column.in_summary, row.own.prediction)) and column.name in row.numbers:
+        name = column.name if column.in_summary is None else text(column.in_summary, row.own.prediction)
+        if name and column.name in row.numbers:
             stem, x = name.removesuffix("_return"), row[column.name]
             parts = x if isinstance(x, tuple) else (x,)
             told |= dict(zip((name, f"{stem}_low", f"{stem}_high"), parts, strict=False))

@@ -40,6 +40,11 @@ class Settings:
     def __init__(self, ds: xr.Dataset, by: Measure = score) -> None:
         self.ds, self.by, self.prediction = ds, by, is_prediction(ds)
 
+    @classmethod
+    def of(cls, ds: "Sweep", by: Measure = score) -> "Settings":
+        """The settings of a sweep; or those given, of which something may have been worked out already."""
+        return ds if isinstance(ds, Settings) else cls(ds, by)
+
     @cached_property
     def score(self) -> xr.DataArray:
         """The measure, [*hyperparameters, seed]."""
@@ -109,6 +114,9 @@ class Settings:
         return ~(difference.low > 0).transpose(*lost.dims) & (lost == lost.min())
 
 
+Sweep = xr.Dataset | Settings
+
+
 def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
     """The combination of hyperparameters with the best mean `score`: the highest return, the lowest error.
 
@@ -159,14 +167,10 @@ def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
     return {name: given.get(name, found.get(name)) for name in names}
 
 
-def ranked(datasets: Mapping[str, xr.Dataset]) -> list[str]:
+def ranked(datasets: Mapping[str, Sweep]) -> list[str]:
     """The names of the methods, that whose best setting is the best of all first: by the rule of `best`."""
 
-    return ranking({name: Settings(ds) for name, ds in datasets.items()})
-
-
-def ranking(methods: Mapping[str, Settings]) -> list[str]:
-    """`ranked`, of settings that may have been worked out already."""
+    methods = {name: Settings.of(ds) for name, ds in datasets.items()}
 
     def rank(name: str) -> tuple[int, float]:
         settings = methods[name]
@@ -247,7 +251,7 @@ def score_interval(ds: xr.Dataset, confidence: float = 0.95, by: Measure = score
     return Settings(ds, by).interval_at(confidence)
 
 
-def differences(datasets: Mapping[str, xr.Dataset], confidence: float = 0.95) -> dict[str, Difference]:
+def differences(datasets: Mapping[str, Sweep], confidence: float = 0.95) -> dict[str, Difference]:
     """How the best setting of each method differs from that of the best method, seed by seed: x - best.
 
     The settings, and the method to compare with, were chosen for being good on these very seeds. So p-values
@@ -269,18 +273,14 @@ def differences(datasets: Mapping[str, xr.Dataset], confidence: float = 0.95) ->
         `standstill` has it; for the first itself there is none, it is left out. Empty where there is but one
         method, or where their seeds are not the same.
     """
-    return differences_of({name: Settings(ds) for name, ds in datasets.items()}, confidence)
-
-
-def differences_of(methods: Mapping[str, Settings], confidence: float = 0.95) -> dict[str, Difference]:
-    """`differences`, of settings that may have been worked out already."""
+    methods = {name: Settings.of(ds) for name, ds in datasets.items()}
     prediction = all(settings.prediction for settings in methods.values())
     seeds = [settings.ds.seed.values for settings in methods.values()]
     if len(methods) < 2 or any(not np.array_equal(seeds[0], other) for other in seeds[1:]):
         return {}
     pairs = pairs_to_correct([own.merit.size // own.merit.sizes["seed"] for own in methods.values()])
     at = {name: own.merit.sel(own.best).reset_coords(drop=True) for name, own in methods.items()}
-    first, *others = ranking(methods)
+    first, *others = ranked(methods)
     worst = min(float(standstill(settings.ds).min()) for settings in methods.values())
     found = {}
     for name in others:
@@ -314,7 +314,7 @@ class Selection(NamedTuple):
     bias: Interval
 
 
-def selection(ds: xr.Dataset, fresh: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> Selection:
+def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> Selection:
     """Selection without bias: the setting that is best in `ds`, and how good it is on the seeds of `fresh`.
 
     Args:
@@ -327,11 +327,7 @@ def selection(ds: xr.Dataset, fresh: xr.Dataset, by: Measure = score, confidence
         InputError: `fresh` has no such setting, or shares a seed with `ds`: one of the same number under the
             same root. (What was run with `sweep.Part.fresh` has a root of its own.)
     """
-    return selected(Settings(ds, by), fresh, confidence)
-
-
-def selected(settings: Settings, fresh: xr.Dataset, confidence: float = 0.95) -> Selection:
-    """`selection`, of settings that may have been worked out already."""
+    settings = Settings.of(ds, by)
     ds, setting = settings.ds, settings.best
     same_root = all(ds.attrs.get(key, 0) == fresh.attrs.get(key, 0) for key in ("root_seed", "fresh_seeds"))
     if same_root and (again := np.intersect1d(ds.seed, fresh.seed)).size:
