@@ -46,12 +46,18 @@ class OfMethod(NamedTuple):
     """What a method declares.
 
     Attributes:
-        learns: "actions" or "states": see `Learns`. A method that learns "states" also has `measurer(env)` and
-            `exact_value(env)`, as `prediction.Prediction` has them, and the policy `pi` that they go by.
-        learns_from: see `LearnsFrom`; to be declared by the class that defines `update`.
+        learns: "actions" in control, "states" in prediction. A method of prediction also has the policy `pi`, and
+            `measurer(env)` and `exact_value(env)` for its values, as `prediction.Prediction` has them.
+        learns_from: what experience of somebody else `update` learns rightly from (see `offline`):
+            "transitions", any of them in any order; "transitions of b", where the method is told the policy b
+            that acted, as a table in its field `behaviour`; "episodes of b", in order; or only from "itself".
+            The class that defines `update` declares it.
         acts_after_update: whether `update` draws A' as its last act, as `policy(key, new state, S')`, and
-            learns nothing from it; to be declared by the class that defines `update`.
-        multiplies_returns: whether returns are multiplied by ratios of importance sampling.
+            learns nothing from it. The driver then draws A' itself, together with the first actions of
+            episodes, which makes a step a quarter faster and changes no decision. The class that defines
+            `update` declares it.
+        multiplies_returns: whether returns are multiplied by ratios of importance sampling. What is learned may
+            then be greater than any return, and is no sign that the method diverges.
         exploring_starts: whether episodes start in any state with any action.
         behaviour: the policy that acts, where the method was given one.
     """

@@ -128,22 +128,7 @@ class Algorithm(Protocol[L]):
     Attributes:
         gamma: the discount rate, in [0, 1].
 
-    What else there is to know about it, it declares by attributes of its class (`declared.OfMethod`):
-
-    `learns = "states"` makes it a method of prediction, which learns V; without it, it learns Q.
-
-    A method whose `update` draws A' as its last act, as `policy(key, new state, S')`, and learns nothing from
-    it, may say so by `acts_after_update = True` in the class that defines `update`. The driver then draws A'
-    itself, together with the first actions of episodes, which makes a step a quarter faster and changes no
-    decision.
-
-    In the same place `learns_from` says what experience of somebody else `update` learns rightly from (see
-    `offline`): "transitions", any of them in any order; "transitions of b", where the method is told the
-    policy b that acted, as a table in its field `behaviour`; or "episodes of b", in order. A method that does
-    not say can learn only from what it did itself.
-
-    A method that multiplies returns by ratios of importance sampling says `multiplies_returns = True`: what
-    it learns may be greater than any return, and is no sign that it diverges.
+    What else there is to know about it, it declares by attributes of its class: see `declared.OfMethod`.
 
     Where the environment says which actions are `available`, the method is asked for one like itself that takes
     and counts no others: `restricted_to(available) -> Algorithm`, available bool [S, A].
