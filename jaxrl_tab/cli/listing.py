@@ -82,5 +82,6 @@ def _parameter_table(shown: Sequence[describe.Parameter]) -> Table:
 
 
 def _facts(cls: type) -> dict[str, Any]:
-    facts = {p.name: {"default": label(p.default), "help": p.help} for p in describe.parameters(cls)}
+    default = lambda p: None if p.default is dataclasses.MISSING else label(p.default)
+    facts = {p.name: {"default": default(p), "help": p.help} for p in describe.parameters(cls)}
     return {"summary": describe.summary(cls), "parameters": facts}
