@@ -347,6 +347,8 @@ METHOD = names.Kind(
     registry=METHODS,
     group="jaxrl_tab.methods",
     needs=("gamma", "init", "policy", "update"),
-    add=lambda name, cls: (PREDICTION if of_method(cls).learns is Learns.STATES else ALGORITHMS).__setitem__(name, cls),
+    add=lambda name, cls: (PREDICTION if of_method(cls).learns is Learns.STATES else ALGORITHMS).__setitem__(
+        name, cls
+    ),
     hint=lambda name: nearest(name, METHODS),
 )
