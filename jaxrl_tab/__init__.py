@@ -34,6 +34,7 @@ from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core import policies, schedules, tables
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.experience import Experience
+from jaxrl_tab.core.names import register
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome, Transition
 from jaxrl_tab.core.version import __version__ as __version__
@@ -137,6 +138,7 @@ __all__ = [
     "policies",
     "prediction",
     "pytree",
+    "register",
     "replay",
     "resume",
     "run",

@@ -28,6 +28,7 @@ from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import shards
 from jaxrl_tab.figures import FIGURES, figure
+from jaxrl_tab.stats.columns import Methods
 
 TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
 
@@ -129,7 +130,7 @@ def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
     for name in ("returns", "episodes"):
         ds[name][0] = ds[name][1].roll(seed=1)
     ds["returns"][0] += 0.1 * ds.episodes[0]
-    screen._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    screen.print_summary("windy", Methods({"sarsa": ds}, windy))
     out = capsys.readouterr().out
     marks = [line.split("│")[1].strip() for line in out.splitlines() if "│ sarsa" in line]
     assert marks == ["sarsa *", "sarsa ~"]
@@ -138,7 +139,7 @@ def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
     assert "! Sarsa: the median is -1" in out
     assert "With ε = 0.1 and γ = 1, no policy that goes on exploring is worth more than -17.0483." in out
     ds = everything.isel(alpha=[0, 2])
-    screen._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    screen.print_summary("windy", Methods({"sarsa": ds}, windy))
     assert "The best α of Sarsa is the largest that was tried" in capsys.readouterr().out
 
 
@@ -421,7 +422,7 @@ def test_a_new_method_brings_its_options(monkeypatch, asked, capsys):
     monkeypatch.setitem(ALGORITHMS, "eager", Eager)
     call("sweep windy-gridworld eager --recall 0 0.5 --traces accumulating --no-cut --patience 3")
     given = {"recall": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
-    assert ({"name": "eager"} | given).items() <= asked[0]["method"][0].items()
+    assert ({"label": "eager"} | given).items() <= asked[0]["method"][0].items()
     capsys.readouterr()
 
     error = refused(capsys, "sweep windy-gridworld sarsa --recall 0.5")

@@ -542,11 +542,11 @@ def reward_with(index, value, rewards=R):
     [
         (
             lambda: make("windy-gridwold"),
-            "no environment is called 'windy-gridwold'; did you mean 'windy-gridworld'?",
+            "'windy-gridwold' is not an environment; did you mean 'windy-gridworld'?",
         ),
         (
             lambda: make("pong"),
-            f"no environment is called 'pong'; choose one of {', '.join(ENVS)}",
+            f"'pong' is not an environment; choose one of {', '.join(ENVS)}",
         ),
         (windy(move="king"), "windy-gridworld has no parameter 'move'; did you mean 'moves'?"),
         (windy(max_step=3), "windy-gridworld has no parameter 'max_step'; did you mean 'max_steps'?"),

@@ -314,7 +314,10 @@ def test_what_is_wrong_is_named_with_its_line(load, monkeypatch, there, instead,
     ("given", "message"),
     [
         ({"method": []}, "there is no method: name one or more of sarsa,"),
-        ({"method": [3]}, "method must be a name, or tables with a name each, not 3"),
+        (
+            {"method": [3]},
+            "method must be a name, a class, an instance, or a table with one of them",
+        ),
         ({"method": "sara"}, "'sara' is not a method; did you mean 'sarsa'?"),
         ({"environment": "windy"}, "'windy' is not an environment"),
         ({"seeds": None}, "seeds must be a whole number"),

@@ -15,6 +15,7 @@ import random
 import sys
 import tempfile
 import time
+import tomllib
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -346,7 +347,7 @@ wind = [0, 0, 0, 1, 1, 1, 2, 2, 1, 0]
 name = "sarsa"
 label = "first"
 alpha = {log = [0.01, 1], points = 5}
-epsilon = [0.1, "glie"]
+epsilon = ["glie", "optax:linear_schedule(1, 0, 5)"]
 [[method]]
 name = "q-learning"
 draws = 3
@@ -399,11 +400,24 @@ def test_what_is_absurd_is_refused_before_it_is_expanded(idle, text, message):
     assert message in said(message, Experiment.load, "x.toml")
 
 
-def test_a_line_of_a_long_file_is_found_without_reading_it_again_for_each(idle):
-    """2000 methods, and a mistake in the last one."""
-    methods = "".join(f'[[method]]\nname = "sarsa"\nlabel = "m{i}"\n' for i in range(2000))
-    Path("x.toml").write_text(SMALL.partition("[[method]]")[0] + methods + "alhpa = 1\n")
-    assert "x.toml, line 6007: m1999 has no parameter 'alhpa'" in said("alhpa", Experiment.load, "x.toml")
+@pytest.mark.parametrize(
+    ("method", "mistake", "message", "most"),
+    [
+        (1999, "alhpa = 1", "line 6007: m1999 has no parameter 'alhpa'", 15),
+        (1000, "alpha = -1", "line 3010: Sarsa: alpha must be greater than 0, not -1", 15),
+        (1000, "alpha = = 1", "line 3010: invalid value", 1),
+        (1999, "alpha = [\n0.1,", "line 6007: invalid value", 1),
+    ],
+)
+def test_a_mistake_in_a_long_file_is_found_in_few_parses(idle, monkeypatch, method, mistake, message, most):
+    """2000 methods: to read it, to look for the keys, and log2(6007) times. Broken once: no bisection -> fails."""
+    parses, loads = [], tomllib.loads
+    monkeypatch.setattr(tomllib, "loads", lambda text: parses.append(text) or loads(text))
+    methods = [f'[[method]]\nname = "sarsa"\nlabel = "m{i}"\n' for i in range(2000)]
+    methods[method] += f"{mistake}\n"
+    Path("x.toml").write_text(SMALL.partition("[[method]]")[0] + "".join(methods))
+    assert f"x.toml, {message}" in said(mistake, Experiment.load, "x.toml")
+    assert len(parses) <= most
 
 
 # --- functions ---------------------------------------------------------------------------------------

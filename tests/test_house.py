@@ -1,6 +1,7 @@
 """The house rules: dependencies point one way, and importing the package stays cheap."""
 
 import ast
+import graphlib
 import subprocess
 import sys
 from pathlib import Path
@@ -44,6 +45,34 @@ def test_imports_go_down_the_floors_only():
             if WINGS.index(other) > WINGS.index(wing):
                 wrong.append(f"{path.relative_to(ROOT)} imports {used}")
     assert not wrong
+
+
+def modules():
+    """name -> the modules that it imports when it is imported itself: functions may import later."""
+    paths = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in ROOT.rglob("*.py")}
+    paths = {name.removesuffix(".__init__"): path for name, path in paths.items()}
+    for name, path in paths.items():
+        used = set()
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("jaxrl_tab."):
+                module = node.module.removeprefix("jaxrl_tab.")
+                used |= {m if (m := f"{module}.{a.name}") in paths else module for a in node.names}
+        yield name, used - {name}
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    """Broken once: `core.schedules` imports `core.policies`, which imports it -> fails."""
+    graph = dict(modules())
+    list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the circle
+
+
+def test_no_file_is_long():
+    """A file is what one can hold in one's head; a longer one holds one thing that takes as much."""
+    one_thing = {"interop/draws.py", "interop/gymnax.py", "experiment/storage.py"}
+    lengths = {
+        path.relative_to(ROOT).as_posix(): len(path.read_text().splitlines()) for path in ROOT.rglob("*.py")
+    }
+    assert {name for name, lines in lengths.items() if lines > 470} == one_thing
 
 
 def test_importing_the_package_is_cheap_and_starts_nothing():

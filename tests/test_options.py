@@ -159,7 +159,7 @@ def test_help_says_how_a_schedule_is_typed(capsys):
     with pytest.raises(SystemExit):
         main(["sweep", "--help"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    for name in schedules.FAMILIES:
+    for name in schedules.NAMES:
         assert schedules.form(name) in text
     assert "where CLOCK is one of step, episode, visit" in text
     assert text.count("A schedule is one of glie, sample-average,") == 1  # the environment takes none

@@ -13,6 +13,7 @@ from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import coverage, policies, tables
 from jaxrl_tab.core.checks import InputError, as_array, first, is_distribution, shown, unfit
 from jaxrl_tab.core.clock import Clock, Rate
+from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Transition, restricted
@@ -59,7 +60,7 @@ class ManyTargets:
     q0: float = field(default=0.0, help="Initial value of every entry.")
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
 
     def __post_init__(self):
         if not isinstance(self.behaviour, Table | None):

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrl_tab.algorithms.td import Learner, TDControl
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.coverage import check_coverage
-from jaxrl_tab.core.policies import Policy, Table
+from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import restricted
 
@@ -29,8 +29,10 @@ class OffPolicyControl(TDControl):
 
     def __post_init__(self):
         super().__post_init__()
-        if isinstance(self.selection, Table) or getattr(self.selection, "available", None) is not None:
-            check_coverage(type(self).__name__, self.pi, self.selection)
+        acting = self.selection
+        some = isinstance(acting, EpsilonGreedy) and acting.available is not None
+        if isinstance(acting, Table) or some:
+            check_coverage(type(self).__name__, self.pi, acting)
 
     @property
     def pi(self) -> Policy:

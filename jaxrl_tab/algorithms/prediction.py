@@ -23,10 +23,11 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
 from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
-from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.checks import InputError, unfit
+from jaxrl_tab.core import names, policies, tables
+from jaxrl_tab.core.checks import InputError, nearest, unfit
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
+from jaxrl_tab.core.declared import Learns, LearnsFrom, of_method
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
@@ -80,6 +81,7 @@ class Prediction:
     gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
     v0: float = field(default=0.0, help="Initial value of every entry of V.")
 
+    learns: ClassVar[Learns] = Learns.STATES
     acts_after_update: ClassVar[bool] = True
 
     def __post_init__(self):
@@ -222,7 +224,7 @@ class OffPolicyTD(OffPolicyPrediction, TD):
 
     multiplies_returns: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions of b"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS_OF_B
 
     def update(self, key, state: ValueState, t: Transition):
         assert state.target is not None
@@ -252,7 +254,7 @@ class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
     first_visit: bool = static(default=False, help=_FIRST_VISIT)
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "episodes of b"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
 
     @property
     def multiplies_returns(self) -> bool:
@@ -295,14 +297,11 @@ class _OfStates(OffPolicyMonteCarlo):
 def _as_table(obj: Any, name: str) -> None:
     """Makes the probabilities in field `name` a Table."""
     value, who = getattr(obj, name), type(obj).__name__
-    if value is None or isinstance(value, Table):
+    if value is None:
         return
-    if not isinstance(value, Sequence | np.ndarray | jax.Array):
+    if not isinstance(value, Table | Sequence | np.ndarray | jax.Array):
         raise unfit(who, name, "probabilities [S, A], or a policies.Table of them", value)
-    try:
-        object.__setattr__(obj, name, Table(value))
-    except InputError as error:
-        raise error.renamed(who, name) from None
+    object.__setattr__(obj, name, policies.as_table(f"{who}: {name}", value))
 
 
 def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:
@@ -316,7 +315,7 @@ def _probabilities(table: Table | None, num_states: int, num_actions: int) -> Fl
     return jnp.asarray(table.probabilities, float)
 
 
-PREDICTION = {
+PREDICTION: dict[str, type] = {
     "td": TD,
     "n-step-td": NStepTD,
     "td-lambda": TDLambda,
@@ -325,3 +324,15 @@ PREDICTION = {
     "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,
 }
 METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__
+
+
+METHOD = names.Kind(
+    noun="a method",
+    registry=METHODS,
+    group="jaxrl_tab.methods",
+    needs=("gamma", "init", "policy", "update"),
+    add=lambda name, cls: (PREDICTION if of_method(cls).learns is Learns.STATES else ALGORITHMS).__setitem__(
+        name, cls
+    ),
+    hint=lambda name: nearest(name, METHODS),
+)

@@ -91,8 +91,8 @@ class TDControl:
         for policy in self.all_policies:
             policy.check(num_states, num_actions)
         q = jnp.full((num_states, num_actions), self.q0, dtype=float)
-        if (there := getattr(self.selection, "available", None)) is not None:
-            q = policies.among(q, there)
+        if isinstance(acting := self.selection, EpsilonGreedy) and acting.available is not None:
+            q = policies.among(q, acting.available)
         by_visit = clock.goes_by_visit(self.alpha) or any(policy.by_visit for policy in self.all_policies)
         return TDState(q, clock.start(num_states, num_actions, by_visit))
 

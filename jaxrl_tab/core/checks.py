@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import difflib
+import inspect
 import os
 import reprlib
 import sys
@@ -158,18 +159,28 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
     """`cls(**parameters)`, where `name` is what a person calls the class.
 
     Raises:
-        InputError: a parameter is unknown, with the nearest right one; or `cls` refuses a value.
+        InputError: a parameter is unknown, with the nearest right one, or missing; or `cls` refuses a value.
     """
-    known = [f.name for f in dataclasses.fields(cls)]  # pyright: ignore[reportArgumentType]
+    fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
+    known = [f.name for f in fields]
     for parameter in parameters:
         if parameter not in known:
             wanted = nearest(parameter, known)
             problem = f"{name} has no parameter {shown(parameter)}; {wanted}"
             raise InputError(problem, field=parameter, wanted=wanted)
+    is_ours = cls.__module__.partition(".")[0] == __name__.partition(".")[0]
     try:
         return cls(**parameters)
     except InputError as error:
         raise (error.renamed(name) if error.who == cls.__name__ else error) from None
+    except Exception as error:
+        try:
+            inspect.signature(cls).bind(**parameters)
+        except TypeError as missing:
+            raise InputError(f"{name}: {missing}") from None
+        if is_ours:
+            raise  # a defect
+        raise InputError(f"{name} refuses its parameters: {type(error).__name__}: {reason(error)}") from error
 
 
 def as_path(what: str, given: Any) -> Path:
@@ -233,7 +244,7 @@ def check_pytree(what: str, obj: Any, registry: Mapping[str, type] | None = None
     if hint := foreign(obj):
         raise InputError(f"{what} must be an environment of jaxrl_tab, not {shown(obj)}{hint}")
     if jax.tree_util.all_leaves([obj]):
-        raise InputError(f"{what} is no JAX pytree: decorate its class with jaxrl_tab.core.types.pytree")
+        raise InputError(f"{what} is not a JAX pytree: decorate its class with jaxrl_tab.pytree")
 
 
 def foreign(obj: Any) -> str:

@@ -3,15 +3,19 @@
 And what a person may give for one of them: a number, or text such as "glie" and "softmax:0.5".
 """
 
+import contextlib
 import dataclasses
 import inspect
 import sys
+import typing
 from fractions import Fraction
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 from jaxrl_tab.core import clock, policies, schedules
 from jaxrl_tab.core.checks import InputError, explained, shown
+
+Plain = bool | int | float | str | list | tuple | None  # of a parameter that another library checks
 
 
 class Parameter(NamedTuple):
@@ -20,7 +24,7 @@ class Parameter(NamedTuple):
     Attributes:
         name: of the field.
         type: its annotation, as written.
-        default: its value if it is not given.
+        default: its value if it is not given; `dataclasses.MISSING` where it must be.
         help: what it is and what it takes, in one line.
     """
 
@@ -37,7 +41,13 @@ def summary(cls: type) -> str:
 
 def parameters(cls: type) -> list[Parameter]:
     """The parameters of a registered class, in their order."""
-    return [Parameter(f.name, f.type, f.default, explained(f)) for f in dataclasses.fields(cls)]
+    types: dict[str, Any] = {}
+    if any(isinstance(f.type, str) for f in dataclasses.fields(cls)):  # from __future__ import annotations
+        with contextlib.suppress(Exception):  # what they name need not be there
+            types = typing.get_type_hints(cls)
+    return [
+        Parameter(f.name, types.get(f.name, f.type), f.default, explained(f)) for f in dataclasses.fields(cls)
+    ]
 
 
 def takes_schedule(parameter: Parameter) -> bool:
@@ -52,8 +62,14 @@ def takes_policy(parameter: Parameter) -> bool:
 
 def kind(parameter: Parameter) -> type:
     """The type of its value, or of the entries of its value: that of its default; float for a schedule."""
-    like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
-    return float if takes_schedule(parameter) else type(like)
+    if takes_schedule(parameter):
+        return float
+    if parameter.default is dataclasses.MISSING:  # it must be given
+        return parameter.type if parameter.type in _KINDS else float
+    entry = parameter.default
+    while isinstance(entry, tuple):
+        entry = entry[0] if entry else 0.0
+    return type(entry)
 
 
 def value(what: str, given: Any, parameter: Parameter) -> Any:
@@ -68,6 +84,8 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
     Raises:
         InputError: it is of the wrong type, or a text that means nothing.
     """
+    if parameter.type == Plain:
+        return given
     rate, policy = takes_schedule(parameter), takes_policy(parameter)
     try:
         if policy:

@@ -341,6 +341,21 @@ class Table:
         return tables.row(jnp.asarray(self.probabilities, float), s)
 
 
+def as_table(name: str, policy: Any, shape: tuple[int, ...] | None = None) -> Table:
+    """A Table, or the probabilities [S, A] of one, as a Table; of this shape, where one is given.
+
+    Raises:
+        InputError: it is none; the message calls it `name`.
+    """
+    try:
+        table = policy if isinstance(policy, Table) else Table(policy)
+        if shape is not None:
+            table.check(*shape)
+    except InputError as error:
+        raise InputError(f"{name}: {str(error).partition(': ')[2]}") from None
+    return table
+
+
 def uniform(available: Bool[Array, "S A"]) -> Table:
     """The policy that takes all actions of a state that are available with equal probability."""
     there = jnp.asarray(available, float)

@@ -9,14 +9,14 @@ Wherever a method takes `alpha` or `epsilon` it takes a number or a schedule. A 
 
 The families `Power`, `Harmonic`, `Linear` and `Exponential` are written as they are typed on the command
 line (`str`, `parse`), and `is_glie` and `is_robbins_monro` tell whether they meet the conditions under which
-control converges. Any other function is a schedule too (`Optax`), but nothing can be told about its limit.
+control converges. A schedule of optax can be typed too, and any other function is a schedule (`Optax`), but
+nothing can be told about their limits.
 """
 
 import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -31,7 +31,6 @@ from jaxrl_tab.core.checks import (
     concrete,
     nearest,
     shown,
-    unfit,
 )
 from jaxrl_tab.core.clock import (
     CLOCKS,
@@ -48,6 +47,7 @@ from jaxrl_tab.core.clock import (
     start,
     step_size,
 )
+from jaxrl_tab.core.optax import Optax
 from jaxrl_tab.core.pytree import field, pytree, static
 
 __all__ = [
@@ -210,6 +210,7 @@ FAMILIES: dict[str, type[Family]] = {
     "exponential": Exponential,
 }
 
+NAMES = (*FAMILIES, "optax")  # with which a schedule begins as it is typed
 SHORT = {"glie": "harmonic:1:episode", "sample-average": "harmonic:1:visit"}
 
 
@@ -225,14 +226,15 @@ def sample_average() -> Harmonic:
 
 def is_named(text: str) -> bool:
     """Whether `text` is meant to be a schedule: it has numbers with colons, or a schedule's name."""
-    return ":" in text or text in SHORT or text in FAMILIES
+    return ":" in text or text in SHORT or text in NAMES
 
 
-def parse(text: str) -> Family:
+def parse(text: str) -> Family | Optax:
     """A schedule from what is typed: "glie", "sample-average", or a family, its numbers and its clock.
 
     So "harmonic:100:visit", "power:0.8:episode", "linear:1:0.05:500:step". Numbers that have a default may be
-    left off at the end; the clock may not.
+    left off at the end; the clock may not. A schedule of optax is a call, "optax:cosine_decay_schedule(0.5,
+    8000):episode", and goes by steps where no clock follows it.
 
     Raises:
         InputError: `text` is none of these; the message says what would be right.
@@ -241,8 +243,13 @@ def parse(text: str) -> Family:
         raise InputError(f"a schedule is written as a text, such as 'glie', not {shown(text)}")
     text = text.replace("_", "-")
     name, *numbers = SHORT.get(text, text).split(":")
-    if name not in FAMILIES:
-        raise InputError(f"there is no schedule {shown(text)}; {nearest(name, [*SHORT, *FAMILIES])}")
+    if name not in NAMES:
+        raise InputError(f"there is no schedule {shown(text)}; {nearest(name, [*SHORT, *NAMES])}")
+    wrong = f"{shown(text)} is not of the form {form(name)}, where CLOCK is one of {', '.join(CLOCKS)}"
+    if name == "optax":
+        if len(numbers) not in (1, 2):
+            raise InputError(wrong)
+        return build(Optax, name, dict(zip(("schedule", "clock"), numbers, strict=False)))
     fields, clock = _numbers(FAMILIES[name]), numbers.pop() if numbers else None
     try:
         given = dict(zip(fields, map(float, numbers), strict=False))
@@ -250,15 +257,12 @@ def parse(text: str) -> Family:
         given = {}
     needed = list(fields.values()).count(dataclasses.MISSING)
     if clock not in CLOCKS or len(given) < max(len(numbers), needed):
-        clocks = ", ".join(CLOCKS)
         missing = "" if clock in CLOCKS else ": no clock stands at its end"
-        raise InputError(
-            f"{shown(text)} is not of the form {form(name)}, where CLOCK is one of {clocks}{missing}"
-        )
+        raise InputError(wrong + missing)
     return build(FAMILIES[name], name, {**given, "clock": clock})
 
 
-def read(text: str) -> float | Family:
+def read(text: str) -> float | Family | Optax:
     """A number or a schedule from what is typed: "0.5", "glie".
 
     Raises:
@@ -291,7 +295,9 @@ def typed(rate: Rate) -> str | None:
 
 
 def form(name: str) -> str:
-    """How a schedule of the family `name` is typed: "power[:POWER[:SCALE]]:CLOCK"."""
+    """How a schedule that begins with `name` is typed: "power[:POWER[:SCALE]]:CLOCK"."""
+    if name == "optax":
+        return "optax:NAME(NUMBERS)[:CLOCK]"
     numbers = _numbers(FAMILIES[name])
     needed = [f":{n.upper()}" for n, default in numbers.items() if default is dataclasses.MISSING]
     spare = [f"[:{n.upper()}" for n, default in numbers.items() if default is not dataclasses.MISSING]
@@ -304,23 +310,7 @@ def _numbers(cls: type[Family]) -> dict[str, Any]:
     return {f.name: f.default for f in fields if f.name != "clock"}
 
 
-# --- any function ------------------------------------------------------------------------------------
-@pytree
-class Optax:
-    """Any optax schedule, or any function of a count that starts at 0 and is written in jax.numpy."""
-
-    schedule: Callable[[Any], Any] = static()
-    clock: ClockName = static(default="step", help=_CLOCK)
-
-    def __post_init__(self):
-        if not callable(self.schedule):
-            raise unfit("Optax", "schedule", "a function of a count", self.schedule)
-
-    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
-        with jax.numpy_dtype_promotion("standard"):  # the function is somebody else's
-            return jnp.asarray(self.schedule(n - 1), float)
-
-
+# --- what a method takes ------------------------------------------------------------------------------
 def _check_rate(who: str, field: dataclasses.Field, value: Any) -> Any:
     """`value` where it is a schedule, a tracer, or numbers within the limits of the field; text as it is read."""
     if isinstance(value, Schedule) and not isinstance(value, type):

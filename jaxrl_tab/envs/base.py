@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from numbers import Integral
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -94,6 +94,11 @@ class Finite:
             return Outcome(into >> 1, tables.entry(reward, i), (into & 1) == 1)
 
         return step
+
+
+def samples_outcomes(env: Any) -> TypeGuard[Finite]:
+    """Whether `step` is nothing but a draw from `outcomes`, as `Finite` has it."""
+    return isinstance(env, Finite) and type(env).step is Finite.step
 
 
 class FixedStart(Finite):

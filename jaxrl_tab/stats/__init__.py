@@ -33,6 +33,7 @@ bad: they never reach a threshold (`time_to_threshold`), and with `final_return`
 
 from jaxrl_tab.stats.along import MEMORY, Interval
 from jaxrl_tab.stats.bootstrap import RESAMPLES, bootstrap_interval, iqm, iqm_interval
+from jaxrl_tab.stats.columns import summary
 from jaxrl_tab.stats.comparisons import (
     Difference,
     holm,
@@ -64,6 +65,7 @@ from jaxrl_tab.stats.measures import (
     is_prediction,
     last_tenth,
     learning_curve,
+    learns_states,
     mean_return,
     merge_rows,
     named,
@@ -85,7 +87,6 @@ from jaxrl_tab.stats.settings import (
     ranked,
     score_interval,
     selection,
-    summary,
     tied,
 )
 
@@ -115,6 +116,7 @@ __all__ = [
     "is_prediction",
     "last_tenth",
     "learning_curve",
+    "learns_states",
     "mean_interval",
     "mean_return",
     "median_interval",
