@@ -352,7 +352,7 @@ def as_table(name: str, policy: Any, shape: tuple[int, ...] | None = None) -> Ta
         if shape is not None:
             table.check(*shape)
     except InputError as error:
-        raise InputError(f"{name}: {str(error).partition(': ')[2]}") from None
+        raise error.renamed(name) from None
     return table
 
 
