@@ -91,13 +91,16 @@ from jaxrl_tab.stats.settings import (
 )
 
 __all__ = [
+    "COLUMNS",
     "MEMORY",
     "NOT_SWEPT",
     "RESAMPLES",
     "SOFT_STATES",
+    "Column",
     "Difference",
     "Interval",
     "Measure",
+    "Methods",
     "Selection",
     "area_under_curve",
     "at_edge",
