@@ -81,6 +81,10 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'jaxrl_tab' has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    return sorted([*__all__, *_LATER])
+
+
 __all__ = [
     "ALGORITHMS",
     "ENVS",

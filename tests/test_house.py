@@ -97,3 +97,15 @@ def test_what_takes_long_to_import_is_there_when_it_is_used():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True"] * 5 + ["False"]
+
+
+def test_tab_completion_shows_public_names_alone():
+    """Also what is loaded when it is first used. Broken once: without `__dir__` in `stats.export` -> fails."""
+    assert {"stats", "plot", "figures", "export", "report", "sweep", "Sarsa", "register"} <= set(
+        dir(jaxrl_tab)
+    )
+    for name in ("stats", "plot", "figures", "export", "report"):
+        module = getattr(jaxrl_tab, name)
+        assert dir(module) == sorted(module.__all__)
+        assert all(hasattr(module, public) for public in dir(module))
+    assert not {"np", "Any", "importlib"} & set(dir(jaxrl_tab))

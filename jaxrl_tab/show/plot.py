@@ -288,3 +288,7 @@ def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, *, inter
         [f"mean over {seeds_in_words(datasets)}, and its 95% interval at each point"] if intervals else []
     )
     head(figure, "\n".join(lines).replace("\xa0", " "))
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -39,6 +39,8 @@ from jaxrl_tab.show.words import counts_in_words, listed, number
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods, Row, by_environment, text
 
+__all__ = ["write"]
+
 FILE = "report.html"
 
 CAPTIONS = {
@@ -273,3 +275,7 @@ def _speed(name: str, ds: xr.Dataset) -> list[str]:
     known = [float(ds.attrs.get(key, np.nan)) for key in ("seconds", "compile_seconds", "steps_per_second")]
     known[2] /= 1e6
     return [name, f"{steps:,}".replace(",", " "), *(number(x, 1) for x in known)]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -149,3 +149,7 @@ __all__ = [
     "unfinished",
     "unseen",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__
