@@ -298,7 +298,7 @@ REFUSALS = {
     "list --jsn": "did you mean '--json'?",
     "solve": "name an environment: windy-gridworld",
     "solve windy-gridwrld": "did you mean 'windy-gridworld'?",
-    "solve windy-gridworld more": "'more' is one word too many",
+    "solve windy-gridworld more": "unexpected argument 'more'",
     "solve windy-gridworld --gamma 1.5": "--gamma must be a number between 0 and 1, not '1.5'",
     "solve windy-gridworld --gamma x": "--gamma must be a number between 0 and 1, not 'x'",
     "solve windy-gridworld --epsilon -0.1": "--epsilon must be a number between 0 and 1, not '-0.1'",
@@ -307,8 +307,8 @@ REFUSALS = {
     "solve windy-gridworld --wind 0.5": "--wind takes a whole number, not '0.5'",
     "solve windy-gridworld --shape 7": "shape must be (rows, columns)",
     "solve windy-gridworld --moves": "Missing value for argument '--moves'",
-    "solve windy-gridworld --moves king four": "'four' is one word too many",
-    "solve cliff-walking --moves king": "cliff-walking has no --moves, which is of windy-gridworld; "
+    "solve windy-gridworld --moves king four": "unexpected argument 'four'",
+    "solve cliff-walking --moves king": "cliff-walking has no --moves, which belongs to windy-gridworld; "
     "cliff-walking has --shape, --max-steps",
     "solve random-walk --states 4": "states must be odd",
     "figure": "name a figure: " + ", ".join(FIGURES),
@@ -341,7 +341,7 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --behaviour sofmax:1": "did you mean 'softmax'?",
     "sweep windy-gridworld sarsa --behaviour ucb:2 --epsilon 0.2": "give epsilon or behaviour, not both",
     "sweep windy-gridworld sarsa --behaviour ucb:2 ucb": "behaviour holds ucb:2 more than once",
-    "sweep windy-gridworld sarsa --target greedy": "sarsa has no --target, which is of expected-sarsa,",
+    "sweep windy-gridworld sarsa --target greedy": "sarsa has no --target, which belongs to expected-sarsa,",
     "sweep windy-gridworld sarsa-lambda --lam 0.5 2": "lam must be between 0 and 1, not 2.0",
     "sweep windy-gridworld sarsa-lambda --trace x": "choose one of accumulating, replacing, dutch",
     "sweep windy-gridworld sarsa-lambda --offline --trace dutch": "accumulating traces only, not dutch",
@@ -349,7 +349,7 @@ REFUSALS = {
     "sweep windy-gridworld n-step-sarsa --n 1.5": "--n takes a whole number, not '1.5'",
     "sweep blackjack monte-carlo --batch 0": "batch must be a whole number of at least 1, not 0",
     "sweep blackjack off-policy-monte-carlo --weighting x": "choose one of weighted, ordinary, per-decision",
-    "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which is of the methods of control; td has",
+    "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which belongs to the methods of control; td has",
     "sweep random-walk td-lambda --lam -1": "td-lambda: lam must be between 0 and 1, not -1.0",
     "sweep random-walk td --pi 0.5": "there is no option --pi",
     "sweep random-walk td sarsa": "sweep methods of prediction and of control apart",
@@ -426,7 +426,9 @@ def test_a_new_method_brings_its_options(monkeypatch, asked, capsys):
     capsys.readouterr()
 
     error = refused(capsys, "sweep windy-gridworld sarsa --recall 0.5")
-    assert "sarsa has no --recall, which is of eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
+    assert (
+        "sarsa has no --recall, which belongs to eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
+    )
     error = refused(capsys, "sweep windy-gridworld eager --patience x")
     assert "--patience takes a whole number, not 'x'" in error
 

@@ -254,7 +254,7 @@ WRONG = [  # what stands in the file, what stands there instead, the line, and w
     ("points = 3", "point = 3", 15, "epsilon: log has no 'point'; did you mean 'points'?"),
     (", points = 3", "", 15, "epsilon: say how many points, {log = [0.1, 1], points = 5}"),
     ("points = 3", "points = 1", 15, "epsilon: points must be a whole number of at least 2, not 1"),
-    ("{log =", "{lg =", 15, "is no way to try values; did you mean 'log'?"),
+    ("{log =", "{lg =", 15, "is not a way to give values to try; did you mean 'log'?"),
     ("[0.01, 1]", "[0, 1]", 15, "epsilon: the ends must be above 0 on a logarithmic scale, not 0"),
     ("[0.01, 1]", "[0.01, 1.5]", 15, "epsilon must be between 0 and 1, not 1.5"),
     ("[0.01, 1]", "0.01", 15, "epsilon: log must be the two ends, such as [0.1, 1], not 0.01"),
@@ -476,11 +476,17 @@ def _is_toml(line):
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        ("x.toml sarsa", "sarsa beside a file: what is run is said in x.toml alone"),
-        ("x.toml --seeds 3", "--seeds beside a file: what is run is said in x.toml alone"),
-        ("x.toml --log-every 3", "--log-every beside a file: what is run is said in x.toml alone"),
-        ("x.toml --alpha 0.1", "--alpha beside a file: what is run is said in x.toml alone"),
-        ("x.toml --moves king", "--moves beside a file: what is run is said in x.toml alone"),
+        ("x.toml sarsa", "sarsa cannot be given together with a file: x.toml alone says what is run"),
+        ("x.toml --seeds 3", "--seeds cannot be given together with a file: x.toml alone says what is run"),
+        (
+            "x.toml --log-every 3",
+            "--log-every cannot be given together with a file: x.toml alone says what is run",
+        ),
+        ("x.toml --alpha 0.1", "--alpha cannot be given together with a file: x.toml alone says what is run"),
+        (
+            "x.toml --moves king",
+            "--moves cannot be given together with a file: x.toml alone says what is run",
+        ),
         ("none.toml", "none.toml cannot be read: No such file or directory"),
         ("--write-template no/x.toml", "no/x.toml cannot be written: No such file or directory"),
     ],

@@ -390,7 +390,7 @@ def test_damaged_files_are_read_or_refused_in_one_line(idle):
         (SMALL + "x = " + "9" * 5000, "a whole number has more digits than Python reads"),
         (SMALL.replace('"first"', f'"{"x" * 10_000}"'), "line 9: a label may have 200 characters"),
         (SMALL.replace('"first"', '"a\\u0085b"'), "a label must be a text in one line"),
-        ("#" * (2**26 + 1), "is larger than 67.1 MB: that is no experiment"),
+        ("#" * (2**26 + 1), "is larger than 67.1 MB: that is not an experiment"),
     ],
     ids=lambda x: x[-60:],
 )

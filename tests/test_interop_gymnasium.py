@@ -133,7 +133,7 @@ def test_a_state_that_ends_and_goes_on_gets_two_numbers():
             "FrozenLake-v1: Expect the `max_episode_steps` to be positive",
         ),
         ("no_such_module:Lake-v0", {}, "no_such_module:Lake-v0: .*no_such_module"),
-        ("Taxi-v4", {"fickle_passenger": True}, "Taxi-v4: the moods of a fickle passenger"),
+        ("Taxi-v4", {"fickle_passenger": True}, "Taxi-v4: fickle_passenger changes what happens"),
         (Odd(), {"slip": 1}, "slip: parameters go with the name"),
         (7, {}, "env must be the name of an environment of Gymnasium, or one, not 7"),
     ],

@@ -145,10 +145,12 @@ def test_an_option_goes_to_all_methods_that_have_it():
     found = options.values(["td", "n-step-td"], {"--n": ("1", "4"), "--alpha": ("0.5",)}, HYPERPARAMETERS)
     assert found == {"td": {"alpha": [0.5]}, "n-step-td": {"alpha": [0.5], "n": [1, 4]}}
     with pytest.raises(
-        rl.InputError, match=r"none of td, sarsa has --n, which is of n-step-sarsa, n-step-td$"
+        rl.InputError, match=r"none of td, sarsa has --n, which belongs to n-step-sarsa, n-step-td$"
     ):
         options.values(["td", "sarsa"], {"--n": ("1",)}, HYPERPARAMETERS)
-    with pytest.raises(rl.InputError, match="td has no --q0, which is of the methods of control; td has --a"):
+    with pytest.raises(
+        rl.InputError, match="td has no --q0, which belongs to the methods of control; td has --a"
+    ):
         options.values(["td"], {"--q0": ("1",)}, HYPERPARAMETERS)
 
 

@@ -201,7 +201,7 @@ def test_clusters_that_do_not_let_us_in_are_refused_soon(listens, monkeypatch, r
     """A token is needed; a server that is not Ray's; another version."""
     monkeypatch.setattr(ray_executor, "_PATIENCE", 2)
     monkeypatch.setattr(ray_executor, "_TRY", ray_does)
-    with pytest.raises(RunError, match=f"^no way into the Ray cluster at .*: {said}[^\n]*$"):
+    with pytest.raises(RunError, match=f"^cannot connect to the Ray cluster at .*: {said}[^\n]*$"):
         executors.get("ray", address=listens(GRPC))
 
 

@@ -369,7 +369,7 @@ def test_both_changed_alike_are_still_refused(folder):
 
 def test_folders_without_an_experiment_are_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    for name, said in {"x": "there is no folder", "file": "is no folder", ".": "no experiment in"}.items():
+    for name, said in {"x": "there is no folder", "file": "is not a folder", ".": "no experiment in"}.items():
         with pytest.raises(InputError, match=said):
             rl.resume(tmp_path / name)
     with pytest.raises(InputError, match="exists already"):

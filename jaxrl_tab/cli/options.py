@@ -169,7 +169,7 @@ def parse(prog: str, command: type, argv: Sequence[str], **groups: Group) -> Any
         raise InputError(f"{one_line(_plain(complaint.getvalue()))} (see `{prog} --help`)") from None
     for token in unknown:
         if not token.startswith("-"):
-            raise InputError(f"{shown(token)} is one word too many")
+            raise InputError(f"unexpected argument {shown(token)}")
         hints = [typing.get_type_hints(cls, include_extras=True) for cls in (command, *types.values())]
         known = [_spell(f) for h in hints for f, kind in h.items() if Positional not in _notes(kind)]
         raise InputError(f"there is no option {one_line(token)}; {nearest(token.partition('=')[0], known)}")
@@ -197,7 +197,7 @@ def values(
             who, *others = names
             has_no = f"none of {', '.join(names)} has" if others else f"{who} has no"
             hint = "" if others else f"; {who} has {', '.join(known[who])}"
-            raise InputError(f"{has_no} {option}, which is of {group.owners(owners)}{hint}")
+            raise InputError(f"{has_no} {option}, which belongs to {group.owners(owners)}{hint}")
     return {name: _values(owned, given, group) for name, owned in known.items()}
 
 

@@ -69,7 +69,7 @@ def _executor(options: Any) -> Iterator[Executor]:
     for option in given:
         if option not in own[name]:
             owners = ", ".join(other for other, names in own.items() if option in names)
-            raise InputError(f"--{option} is of --executor {owners}, and this one is {name}")
+            raise InputError(f"--{option} belongs to --executor {owners}, and the executor here is {name}")
     if name == "slurm":
         if options.out is None:
             raise InputError("--executor slurm needs --out: a folder that all machines see")
@@ -199,7 +199,9 @@ def _experiment(options: Any, hyperparameters: Group, environment: Group) -> Exp
     if is_file and options.env not in ENVS and not is_from_outside(options.env):
         others = [*options.methods, *options.environment, *options.hyperparameters]
         if said := [*others, *("--" + name.replace("_", "-") for name in typed)]:
-            raise InputError(f"{said[0]} beside a file: what is run is said in {options.env} alone")
+            raise InputError(
+                f"{said[0]} cannot be given together with a file: {options.env} alone says what is run"
+            )
         return Experiment.load(options.env)
     find(environment, options.env)
     env = {"name": options.env} | parameters_of(options.env, options.environment, environment)

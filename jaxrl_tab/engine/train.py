@@ -435,7 +435,7 @@ def _recorded(record: Record, learner: Any) -> dict[str, Array]:
     if not isinstance(found, dict):
         raise InputError("record must be a function from the state of the learner to a dict of arrays")
     if taken := sorted({*Log._fields, "q", "seed", "row"} & set(found)):
-        raise InputError(f"record: {taken[0]!r} is a name in the results already; take another")
+        raise InputError(f"record: {taken[0]!r} is already a name in the results; choose another one")
     return jax.tree.map(jnp.asarray, found)
 
 

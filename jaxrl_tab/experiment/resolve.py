@@ -299,7 +299,7 @@ def _axis(key: str, given: Any) -> Any:
     if len(kinds) != 1:
         known = ", ".join(axes.WRITTEN)
         hint = nearest(next(iter(given)), axes.WRITTEN) if given and not kinds else f"one of {known}"
-        raise InputError(f"{key}: {shown(dict(given))} is no way to try values; {hint}")
+        raise InputError(f"{key}: {shown(dict(given))} is not a way to give values to try; {hint}")
     (kind,) = kinds
     cls, ends = axes.WRITTEN[kind], given[kind]
     more = {name: x for name, x in given.items() if name != kind}

@@ -110,7 +110,7 @@ def resume(
     path = _path(folder)
     if not os.path.isdir(path):
         name = one_line(str(path))
-        raise InputError(f"{name} is no folder" if os.path.exists(path) else f"there is no folder {name}")
+        raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
     if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
     command = _typed(command)

@@ -145,10 +145,10 @@ class Experiment:
         except OSError as error:
             raise InputError(f"{one_line(str(path))} cannot be read: {error.strerror}") from None
         except UnicodeDecodeError:
-            raise InputError(f"{one_line(str(path))} is no text in UTF-8") from None
+            raise InputError(f"{one_line(str(path))} is not UTF-8 text") from None
         if len(content) > MOST_BYTES:
             raise InputError(
-                f"{one_line(str(path))} is larger than {memory.words(MOST_BYTES)}: that is no experiment"
+                f"{one_line(str(path))} is larger than {memory.words(MOST_BYTES)}: that is not an experiment"
             )
         source = Source(path, text.replace("\r\n", "\n"), pinned or {})
         return cls.from_data(_read(source), source)

@@ -71,7 +71,7 @@ def from_gymnasium(env: Any, **parameters: Any) -> FiniteMDP:
         )
     if getattr(inner, "fickle_passenger", False):
         raise InputError(
-            f"{name}: the moods of a fickle passenger are not in its table; leave fickle_passenger"
+            f"{name}: fickle_passenger changes what happens, and its table does not show that; leave it out"
         )
     mdp = FiniteMDP.from_outcomes(table, (), start, limit)
     _check_spaces(name, inner, len(table), mdp.num_actions)

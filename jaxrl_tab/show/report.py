@@ -137,7 +137,7 @@ class Picture(NamedTuple):
 
     Attributes:
         source: its address, which holds the picture itself.
-        alt: what it shows, for who does not see it.
+        alt: what it shows, in words, for readers who cannot see it.
         caption: how to read it.
         large: whether it has the width of the page.
     """
