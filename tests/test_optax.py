@@ -60,7 +60,7 @@ def test_a_function_cannot_be_typed():
     [
         ("optax", "'optax' is not of the form optax:NAME(NUMBERS)[:CLOCK], where CLOCK is one of step,"),
         (f"{COSINE}:step:step", "is not of the form optax:NAME(NUMBERS)[:CLOCK]"),
-        (f"{COSINE}:day", "a schedule's clock is 'step', 'episode' or 'visit', not 'day'"),
+        (f"{COSINE}:day", "clock 'day' is unknown; choose one of step, episode, visit"),
         ("optax:cosine_decay(1, 8)", "no schedule 'cosine_decay'; did you mean 'cosine_decay_schedule'?"),
         ("optax:join_schedules(1, 2)", "optax has no schedule 'join_schedules'"),
         ("optax:adam(0.1)", "optax has no schedule 'adam'; choose one of constant_schedule, "),

@@ -301,7 +301,10 @@ def _as_table(obj: Any, name: str) -> None:
         return
     if not isinstance(value, Table | Sequence | np.ndarray | jax.Array):
         raise unfit(who, name, "probabilities [S, A], or a policies.Table of them", value)
-    object.__setattr__(obj, name, policies.as_table(f"{who}: {name}", value))
+    try:
+        object.__setattr__(obj, name, value if isinstance(value, Table) else Table(value))
+    except InputError as error:
+        raise error.renamed(who, name) from None
 
 
 def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:

@@ -280,7 +280,7 @@ def read(text: str) -> float | Family | Optax:
 
 def forms() -> str:
     """How a schedule may be typed."""
-    written = ", ".join([*SHORT, *map(form, FAMILIES)])
+    written = ", ".join([*SHORT, *map(form, NAMES)])
     return f"one of {written}, where CLOCK is one of {', '.join(CLOCKS)}"
 
 

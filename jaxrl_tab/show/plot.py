@@ -129,7 +129,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
     """
     methods = Methods.of(datasets, env)
     curves = _curves(methods, env)
-    if isinstance(env, Grid) and not methods.prediction:
+    if isinstance(env, Grid) and not stats.learns_states(*methods.values()):
         winner = methods.settings[stats.ranked(methods.settings)[0]]
         curves["greedy_path"] = lambda ax: median_path(ax, env, winner)
     columns = min(2, len(curves))
@@ -189,7 +189,7 @@ def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
         draw(figure.subplots())
         _say_what_ran(figure, datasets, env, intervals=True)
         figures[name] = figure
-    if isinstance(env, Grid) and not methods.prediction:
+    if isinstance(env, Grid) and not stats.learns_states(*methods.values()):
         figures["greedy_path"] = _all_paths(methods, env)
     elif tables_of(env):
         figures["values"] = value_tables(methods, env)
@@ -199,7 +199,7 @@ def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
 def _curves(methods: Methods, env: Environment) -> dict[str, Callable[[Axes], None]]:
     """What draws each picture of one pair of axes, by its name."""
     curves: dict[str, Callable[[Axes], None]] = {}
-    if not methods.prediction:
+    if not stats.learns_states(*methods.values()):
         curves["episodes"] = lambda ax: episodes_against_steps(ax, methods)
     soft = common_soft_optimum(methods)
     curves["learning_curves"] = lambda ax: learning_curves(ax, methods, soft=soft)
@@ -209,7 +209,7 @@ def _curves(methods: Methods, env: Environment) -> dict[str, Callable[[Axes], No
         key = f"sensitivity_{name}" if i else "sensitivity"
         line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
         curves[key] = lambda ax, name=name, line=line: sensitivity(ax, methods, name, soft=line)
-    if methods.prediction and not tables_of(env):
+    if stats.learns_states(*methods.values()) and not tables_of(env):
         curves["values"] = lambda ax: state_values(ax, methods, env)
     return curves
 
