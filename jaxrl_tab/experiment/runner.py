@@ -92,8 +92,8 @@ def resume(
 ) -> Outcome:
     """Goes on with what `run` left: computes the shards that are missing or damaged, and no others.
 
-    What is damaged is named in a warning of the logger `jaxrl_tab.experiment.runner`, and set aside. The settings
-    of JAX that change numbers are as in `run` while it computes, and afterwards what they were.
+    What is damaged is named in a warning, by a logger below `jaxrl_tab`, and set aside. The settings of JAX that
+    change numbers are as in `run` while it computes, and afterwards what they were.
 
     Args:
         folder: the folder.
