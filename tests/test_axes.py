@@ -105,7 +105,7 @@ def test_what_is_drawn_together_is_one_axis_behind_the_grids():
             lambda: drawn({"alpha": [0.5]}, 3),
             "there is nothing to draw: no hyperparameter of sarsa is random",
         ),
-        (lambda: drawn({"draw": [{"alpha": 1}, {"q0": 1}]}, None), "draw 1 is of other hyperparameters than"),
+        (lambda: drawn({"draw": [{"alpha": 1}, {"q0": 1}]}, None), "draw 1 has other hyperparameters than"),
         (
             lambda: drawn({"draw": [{"alpha": 1}], "alpha": 1}, None),
             "alpha is given both in the draws and beside them",

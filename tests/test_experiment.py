@@ -355,7 +355,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path):
         with pytest.raises(InputError, match=message):
             Experiment.load(path)
     (tmp_path / "x.toml").write_bytes(b"seeds = '\xff'")
-    with pytest.raises(InputError, match="no text in UTF-8"):
+    with pytest.raises(InputError, match="is not UTF-8 text"):
         Experiment.load(tmp_path / "x.toml")
 
 

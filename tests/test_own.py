@@ -496,16 +496,6 @@ def test_a_module_that_was_changed_stops_resume(here, monkeypatch):
     )
 
 
-def test_on_ray(here, monkeypatch):
-    """Workers have neither the file nor its folder: they load what goes along with the work."""
-    ray = pytest.importorskip("ray")
-    monkeypatch.undo()  # workers would cut it into other shards
-    monkeypatch.chdir(here)
-    outcome = rl.run(experiment(), "run", executor=rl.executors.get("ray"))
-    check(outcome.datasets["Coin/Hasty"], expected())
-    assert not ray.is_initialized()
-
-
 def test_another_process_loads_what_goes_along(here, tmp_path):
     """A job that is pickled needs nothing of the process, or the folder, in which it was made."""
     import pickle

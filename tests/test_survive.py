@@ -482,7 +482,7 @@ def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog):
     assert "out of memory with 64 runs at a time" in caplog.text
     most[0] = 1
     with pytest.raises(
-        RunError, match=r"not enough memory for 8 runs at a time on each device .2., the fewest"
+        RunError, match=r"not enough memory for 8 runs at a time on each device .2., the smallest"
     ):
         rl.sweep(windy, "sarsa", {"alpha": [0.3, 0.7]}, **given)
 
