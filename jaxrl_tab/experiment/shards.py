@@ -113,11 +113,9 @@ def shard_runs(part: Part) -> int:
     """How many runs make a shard: whole blocks of lanes."""
     budget, states = part.budget, part.env.num_states
     length = budget.num_steps or budget.num_episodes or 0
-    rows = -(-length // (budget.log_every or 1))
+    rows = -(-length // budget.row)
     steps = budget.num_steps or length * EPISODE_STEPS
-    if (
-        budget.exact
-    ):  # solves a system of equations in each row, about a hundred multiply-adds in a step's time
+    if budget.exact:  # a system of equations in each row, a hundred multiply-adds in the time of a step
         steps += rows * states**3 // 300
     given = 4 * (states * part.env.num_actions + 7 * rows)  # a table, and at most 7 numbers in a row
     return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // given) // room.LANES) * room.LANES
