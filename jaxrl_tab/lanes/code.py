@@ -1,0 +1,151 @@
+"""Scalar code: what a jaxpr is lowered to, and what machine code is made from.
+
+It is the program of one lane. Every value is one number; arrays that are not taken apart into numbers lie in
+buffers, which `load` reads and `store` changes. Loops carry numbers. There are few operations: a rule for a
+primitive says what it means in terms of them (`rules`), and `emit` says how each is done for many lanes.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jaxrl_tab.lanes import scalars
+
+
+class Unsupported(Exception):
+    """The jaxpr holds something that is not compiled; the message says what."""
+
+
+class Value:
+    """One number of the program.
+
+    Attributes:
+        op: the operation that gives it: "const", "param" (carried by a loop), "load", "store", "loop", "result"
+            (of a loop), "branch", or the name of an operation in `scalars`.
+        dtype: bool, int32, uint32 or float32 (or their 64-bit relatives).
+        args: the values that the operation takes.
+        attr: what else it needs: the number of a constant, the Buffer of a load, the Loop of a loop.
+    """
+
+    __slots__ = ("args", "attr", "dtype", "op")
+
+    def __init__(self, op: str, dtype: Any, args: Sequence["Value"] = (), attr: Any = None):
+        self.op, self.dtype, self.args, self.attr = op, np.dtype(dtype), tuple(args), attr
+
+    def __repr__(self) -> str:
+        return f"{self.op}:{self.dtype}"
+
+    @property
+    def number(self) -> Any:
+        """The number of a constant, and None otherwise."""
+        return self.attr if self.op == "const" else None
+
+
+class Buffer:
+    """Memory for an array: of each lane, or, where its numbers are `known`, of all of them together.
+
+    Attributes:
+        size: how many numbers it holds.
+        known: the numbers, where they are known while compiling; such a buffer is only read.
+        role: "scratch", or "input" and "output": arrays of the caller, with a leading axis of lanes.
+        version: how often it was changed, while lowering: an older reference to it is stale.
+        site: where it was changed last.
+    """
+
+    __slots__ = ("dtype", "known", "role", "site", "size", "version")
+
+    def __init__(self, dtype: Any, size: int, known: np.ndarray | None = None, role: str = "scratch"):
+        self.dtype, self.size, self.known, self.role = np.dtype(dtype), size, known, role
+        self.version, self.site = 0, -1
+
+
+@dataclass
+class Region:
+    """Operations in the order in which they are done, and the values that they lead to."""
+
+    params: list[Value] = field(default_factory=list)
+    ops: list[Value] = field(default_factory=list)
+    results: list[Value] = field(default_factory=list)
+
+
+@dataclass
+class Loop:
+    """`while condition(carried): carried = body(carried)`; the arguments of its Value are what is carried first.
+
+    Attributes:
+        condition: gives one bool; its parameters are what is carried.
+        body: gives what is carried next.
+    """
+
+    condition: Region
+    body: Region
+
+
+class Builder:
+    """Writes scalar code. Constants are folded, and what was worked out already is not worked out again."""
+
+    def __init__(self) -> None:
+        self.region = Region()
+        self._done: list[dict[Any, Value]] = [{}]  # one for each region that is being written
+
+    def const(self, number: Any, dtype: Any = None) -> Value:
+        number = np.asarray(number, dtype)[()]
+        return self._once(("const", number.dtype, number.tobytes()), lambda: Value("const", number.dtype, attr=number), quiet=True)
+
+    def op(self, name: str, dtype: Any, *args: Value) -> Value:
+        """The result of an operation of `scalars`."""
+        operation, dtype = scalars.OPERATIONS[name], np.dtype(dtype)
+        if operation.simplify is not None and (same := operation.simplify(self, dtype, args)) is not None:
+            return same
+        if operation.known is not None and all(x.op == "const" for x in args):
+            with np.errstate(all="ignore"):
+                return self.const(operation.known(dtype, *(x.attr for x in args)), dtype)
+        return self._once((name, dtype, *map(id, args)), lambda: Value(name, dtype, args))
+
+    def load(self, buffer: Buffer, index: Value) -> Value:
+        if buffer.known is not None and index.op == "const":
+            return self.const(buffer.known[index.attr])
+        key = "load", id(buffer), buffer.version, id(index)
+        return self._once(key, lambda: Value("load", buffer.dtype, (index,), buffer))
+
+    def row(self, buffer: Buffer, first: Value, count: int) -> list[Value]:
+        """Numbers that lie side by side, read together."""
+        key = "row", id(buffer), buffer.version, id(first), count
+        row = self._once(key, lambda: Value("row", buffer.dtype, (first,), (buffer, count)))
+        return [self._once((*key, k), lambda k=k: Value("part", buffer.dtype, (row,), k)) for k in range(count)]
+
+    def store(self, buffer: Buffer, index: Value, x: Value) -> None:
+        self.region.ops.append(Value("store", buffer.dtype, (index, x), buffer))
+
+    def add(self, value: Value) -> Value:
+        self.region.ops.append(value)
+        return value
+
+    def write(self, params: list[Value], body: Callable[..., Sequence[Value]]) -> Region:
+        """A region of its own, whose results are those of `body(*params)`."""
+        outer, self.region = self.region, Region(params)
+        self._done.append({})
+        try:
+            self.region.results = list(body(*params))
+            return self.region
+        finally:
+            self._done.pop()
+            self.region = outer
+
+    def loop(self, first: Sequence[Value], condition: Callable[..., Value], body: Callable[..., Sequence[Value]]):
+        """The values that a loop leaves."""
+        params = [Value("param", x.dtype) for x in first]
+        parts = Loop(self.write(params, lambda *p: [condition(*p)]), self.write(params, body))
+        made = self.add(Value("loop", bool, first, parts))
+        return [Value("result", x.dtype, (made,), k) for k, x in enumerate(first)]
+
+    def _once(self, key: Any, make: Callable[[], Value], quiet: bool = False) -> Value:
+        for done in self._done:
+            if key in done:
+                return done[key]
+        self._done[-1][key] = value = make()
+        if not quiet:
+            self.region.ops.append(value)
+        return value
