@@ -45,6 +45,7 @@ class Facts:
         self._mark(region)
         self.uses = self._count(region)
         self.varying: set[Any] = set()
+        self.masked: set[Buffer] = set()  # written within a loop that lanes leave one by one
         self._spread(region)
         self.range: dict[Value, tuple[int, int]] = {}
         self.after: dict[Value, tuple[int, int]] = {}  # of what counts the turns of a loop: when it is over
@@ -116,6 +117,10 @@ class Facts:
                 uses.update(self.args(value))
         return uses
 
+    def size(self, loop: Loop) -> int:
+        """How many operations a loop has."""
+        return sum(value in self.live for part in (loop.condition, loop.body) for value in operations(part))
+
     # --- what differs from lane to lane
 
     def _spread(self, region: Region) -> None:
@@ -141,6 +146,8 @@ class Facts:
             elif value.op == "store":
                 if within or any(map(self.varies, value.args)) or value.attr.role == "output":
                     self.varying |= {value, value.attr}
+                if within:
+                    self.masked.add(value.attr)
             elif any(map(self.varies, value.args)) or (
                 (buffer := buffer_of(value)) is not None and (buffer.role == "input" or buffer in self.varying)
             ):

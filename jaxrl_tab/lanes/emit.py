@@ -17,6 +17,7 @@ from jaxrl_tab.lanes.code import Buffer, Region, Unsupported, Value
 from jaxrl_tab.lanes.lower import Lowering
 
 TYPES = {"bool": "i1", "int32": "i32", "uint32": "i32", "float32": "float"}
+AT_ONCE = 600  # a loop that lanes leave one by one is done group by group where its body has so few operations
 LINE = 64  # bytes of a cache line, to which everything is aligned
 COMPARE = {"eq": "eq", "ne": "ne", "lt": "lt", "le": "le", "gt": "gt", "ge": "ge"}
 
@@ -36,6 +37,7 @@ class Emitter:
         self.scratch = 0
         self.tables: dict[Buffer, int] = {}
         self.place: dict[Buffer, str] = {}
+        self.masks: list[str] = []  # slots: which lanes are still in the loops around
         self.by_index: set[Buffer] = set()  # buffers that are read or written at an index of each lane's own
         for value in operations(code.region):
             if value in self.facts.live and (value.op == "store" or buffer_of(value) is not None):
@@ -79,9 +81,12 @@ class Emitter:
             if value not in self.facts.live or value.op in ("result", "const"):
                 continue
             if value.op == "loop":
-                if self.facts.varies(value):
-                    raise Unsupported("a loop that lanes leave one by one")
-                self.loop(value)
+                if not self.facts.varies(value):
+                    self.loop(value)
+                elif self.facts.size(value.attr) <= AT_ONCE:
+                    self.here().loop(value)
+                else:
+                    self.masked_loop(value)
             elif self.facts.varies(value):
                 self.here()
                 self.vector_operation(value)
@@ -129,12 +134,42 @@ class Emitter:
         t.line(f"br label %{head}")
         t.begin(after)
 
+    def masked_loop(self, value: Value) -> None:
+        """A long loop that lanes leave one by one: it goes on until all have left it."""
+        t, loop = self.text, value.attr
+        carried = self.facts.carried(value)
+        for k in carried:
+            self.slots[loop.body.params[k]] = self.slot(loop.body.params[k].dtype)
+        self.fill(loop.body.params, value.args, carried)
+        self.close()
+        mask, some = self.slot(np.dtype(bool)), t.entry("alloca i32")
+        head, body, after = t.label("head"), t.label("body"), t.label("done")
+        t.line(f"br label %{head}")
+        t.begin(head)
+        t.line(f"store i32 0, ptr {some}")
+        self.region(loop.condition)
+        segment = self.here()
+        active = segment.active(self.vector(loop.condition.results[0]))
+        segment.store_slot(mask, np.dtype(bool), active)
+        segment.note(some, active)
+        self.close()
+        any_left = t.value(f"icmp ne i32 {t.value(f'load i32, ptr {some}')}, 0")
+        t.line(f"br i1 {any_left}, label %{body}, label %{after}")
+        t.begin(body)
+        self.masks.append(mask)
+        self.region(loop.body)
+        self.fill(loop.body.params, loop.body.results, carried)
+        self.close()
+        self.masks.pop()
+        t.line(f"br label %{head}")
+        t.begin(after)
+
     def fill(self, params: Sequence[Value], values: Sequence[Value], places: Sequence[int]) -> None:
         """Puts values into the slots of what a loop carries: all are read before one is written."""
         if not places:
             return
         segment = self.here()
-        new = [self.vector(values[k]) for k in places]
+        new = [segment.kept(self.vector(values[k]), params[k]) for k in places]
         for k, x in zip(places, new, strict=True):
             segment.store_slot(self.slots[params[k]], params[k].dtype, x)
 
@@ -148,7 +183,6 @@ class Emitter:
 
     def close(self) -> None:
         if self.segment is not None:
-            self.text.parts.append(self.segment)
             self.segment.finish()
             self.segment = None
 
@@ -164,12 +198,21 @@ class Emitter:
                 address = self.text.entry(f"getelementptr ptr, ptr %tables, i32 {k}")
                 self.place[buffer] = self.text.entry(f"load ptr, ptr {address}, !invariant.load !0")
             else:
-                count = buffer.size * (self.lanes if buffer in self.facts.varying else 1)
+                count = self.stride(buffer) * (self.lanes if buffer in self.facts.varying else 1)
                 self.place[buffer] = self.text.entry(f"getelementptr i8, ptr %scratch, i64 {self.scratch}")
                 self.scratch += -(-bytes_of(buffer.dtype) * count // LINE) * LINE + 5 * LINE  # not all on one set of the cache
         return self.place[buffer]
 
+    def stride(self, buffer: Buffer) -> int:
+        """From one lane's numbers to the next's. One more than there are: lanes that have left a loop write there."""
+        return buffer.size + (buffer in self.facts.masked)
+
     # --- what is the same in all lanes
+
+    @property
+    def writer(self) -> "Writer":
+        """Where it is worked out: beside the segments, but within a loop of a segment there."""
+        return self.segment if self.segment is not None and self.segment.depth else self.text
 
     def type(self, value: Value) -> str:
         return TYPES[value.dtype.name]
@@ -191,10 +234,10 @@ class Emitter:
         if value.op in ("row", "part"):
             raise Unsupported("a row that is the same in all lanes")
         args = self.facts.args(value)
-        return operation(self.text, self.facts, value, [self.scalar(x) for x in args], [self.type(x) for x in args], self.type(value), 0, self.fused(value))
+        return operation(self.writer, self.facts, value, [self.scalar(x) for x in args], [self.type(x) for x in args], self.type(value), 0, self.fused(value))
 
     def uniform_load(self, value: Value) -> str:
-        t, kind = self.text, memory_type(value.dtype)
+        t, kind = self.writer, memory_type(value.dtype)
         index = t.value(f"sext i32 {self.scalar(value.args[0])} to i64")
         address = t.value(f"getelementptr {kind}, ptr {self.buffer(value.attr)}, i64 {index}")
         x = t.value(f"load {kind}, ptr {address}")
@@ -320,24 +363,32 @@ class Function(Writer):
 
 
 class Segment(Writer):
-    """Straight code for one group after another."""
+    """Code that is done for one group after another.
+
+    `head` is what is read at its beginning, `last` what is put into slots at its end.
+    """
 
     def __init__(self, emitter: Emitter):
         self.e, self.text = emitter, emitter.text
         self.label, self.after = self.text.label("segment"), self.text.label("u")
+        self.block = self.label
         self.group = f"%{self.label}.g"
+        self.head: list[str] = []
         self.lines: list[str] = []
-        self.last: list[str] = []  # what is put into slots at the end
+        self.last: list[str] = []
+        self.depth = 0  # of the loops in it that are being written
+        self.masks: list[str] = []
         self.names: dict[Value, str] = {}
         self.rows: dict[Value, list[str]] = {}
         self.splats: dict[Any, str] = {}
-        self.elements: dict[str, list[str]] = {}
+        self.elements: dict[Any, list[str]] = {}
         self.bases: dict[Buffer, str] = {}
 
     def finish(self) -> None:
         """Goes on behind it."""
         self.text.line(f"br label %{self.label}")
         self.before = self.text.block
+        self.text.parts.append(self)
         self.text.resume(self.after)
 
     def whole(self) -> list[str]:
@@ -346,26 +397,111 @@ class Segment(Writer):
             loop = [f"  br label %{self.after}"]
             head = [f"  {g} = phi i32 [ 0, %{self.before} ]"]
         else:
-            head = [f"  {g} = phi i32 [ 0, %{self.before} ], [ {g}.next, %{self.label} ]"]
+            head = [f"  {g} = phi i32 [ 0, %{self.before} ], [ {g}.next, %{self.block} ]"]
             loop = [
                 f"  {g}.next = add nuw nsw i32 {g}, 1",
                 f"  {g}.more = icmp ult i32 {g}.next, {self.e.groups}",
                 f"  br i1 {g}.more, label %{self.label}, label %{self.after}",
             ]
-        return [f"{self.label}:", *head, *self.lines, *self.last, *loop]
+        return [f"{self.label}:", *head, *self.head, *self.lines, *self.last, *loop]
+
+    # --- loops that lanes leave one by one
+
+    def loop(self, value: Value) -> None:
+        loop, facts = value.attr, self.e.facts
+        carried = facts.carried(value)
+        first = [self.e.vector(value.args[k]) for k in carried]
+        head, body, after = (self.text.label(name) for name in ("inner", "turn", "out"))
+        before = self.block
+        self.line(f"br label %{head}")
+        self.begin(head)
+        names = [self.fresh("c") for _ in carried]
+        kinds = [self.e.vector_type(loop.body.params[k]) for k in carried]
+        for name, kind, x in zip(names, kinds, first, strict=True):
+            self.line(f"{name} = phi {kind} [ {x}, %{before} ], [ {name}.next, %{body}.end ]")
+        self.names |= {loop.body.params[k]: name for k, name in zip(carried, names, strict=True)}
+        outer = dict(self.elements)
+        self.depth += 1
+        self.region(loop.condition)
+        active = self.active(self.e.vector(loop.condition.results[0]))
+        w = self.e.width
+        any_left = self.value(f"icmp ne i{w} {self.value(f'bitcast <{w} x i1> {active} to i{w}')}, 0")
+        self.line(f"br i1 {any_left}, label %{body}, label %{after}")
+        self.begin(body)
+        self.masks.append(active)
+        in_head = dict(self.elements)
+        self.region(loop.body)
+        new = [self.e.vector(loop.body.results[k]) for k in carried]
+        self.masks.pop()
+        self.line(f"br label %{body}.end")
+        self.begin(f"{body}.end")
+        for name, kind, x in zip(names, kinds, new, strict=True):
+            self.line(f"{name}.next = select <{w} x i1> {active}, {kind} {x}, {kind} {name}")
+        self.line(f"br label %{head}")
+        self.begin(after)
+        self.depth -= 1
+        if not self.depth:  # what it leaves may be wanted in other segments
+            self.e.homes |= {loop.body.params[k]: (self, name) for k, name in zip(carried, names, strict=True)}
+        self.elements = outer if not self.depth else {k: v for k, v in in_head.items() if k in outer}
+
+    def region(self, region: Region) -> None:
+        for value in region.ops:
+            if value not in self.e.facts.live or value.op in ("result", "const"):
+                continue
+            if value.op == "loop":
+                self.loop(value)
+            elif self.e.facts.varies(value):
+                self.e.vector_operation(value)
+            else:
+                self.e.names[value] = self.e.uniform_operation(value)
+
+    def begin(self, label: str) -> None:
+        self.lines.append(f"{label}:")
+        self.block = label
+
+    def mask(self) -> str | None:
+        """Which lanes are in all the loops around."""
+        if self.masks:
+            return self.masks[-1]
+        if not self.e.masks:
+            return None
+        if (key := ("mask", self.e.masks[-1])) not in self.splats:
+            self.splats[key] = self.load_slot(self.e.masks[-1], np.dtype(bool))
+        return self.splats[key]
+
+    def active(self, condition: str) -> str:
+        mask = self.mask()
+        return condition if mask is None else self.value(f"and <{self.e.width} x i1> {mask}, {condition}")
+
+    def kept(self, x: str, param: Value) -> str:
+        """What a loop carries next: in lanes that have left it, what it was."""
+        if not self.e.masks:
+            return x
+        kind, old = self.e.vector_type(param), self.load_slot(self.e.slots[param], param.dtype)
+        return self.value(f"select <{self.e.width} x i1> {self.mask()}, {kind} {x}, {kind} {old}")
+
+    def note(self, some: str, active: str) -> None:
+        """Notes whether any lane is active."""
+        w = self.e.width
+        bits = self.value(f"zext i{w} {self.value(f'bitcast <{w} x i1> {active} to i{w}')} to i32") if w < 32 else self.value(f"bitcast <{w} x i1> {active} to i{w}")
+        self.line(f"store i32 {self.value(f'or i32 {bits}, ' + self.value(f'load i32, ptr {some}'))}, ptr {some}")
 
     # --- slots
+
+    def at_head(self, text: str) -> str:
+        name = self.fresh()
+        self.head.append(f"  {name} = {text}")
+        return name
 
     def _slot_type(self, dtype: Any) -> str:
         return f"<{self.e.width} x {memory_type(dtype)}>"
 
-    def _slot_at(self, slot: str, dtype: Any) -> str:
-        return self.value(f"getelementptr {self._slot_type(dtype)}, ptr {slot}, i32 {self.group}")
-
     def load_slot(self, slot: str, dtype: Any) -> str:
+        """What a slot holds at the beginning of the segment."""
         kind = self._slot_type(dtype)
-        x = self.value(f"load {kind}, ptr {self._slot_at(slot, dtype)}, align {self._align(dtype)}")
-        return self.as_bool(x) if dtype == bool else x
+        address = self.at_head(f"getelementptr {kind}, ptr {slot}, i32 {self.group}")
+        x = self.at_head(f"load {kind}, ptr {address}, align {self._align(dtype)}")
+        return self.at_head(f"trunc {kind} {x} to <{self.e.width} x i1>") if dtype == bool else x
 
     def _align(self, dtype: Any) -> int:
         return min(LINE, self.e.width * bytes_of(dtype))
@@ -374,7 +510,8 @@ class Segment(Writer):
         self.lines, kept = self.last, self.lines
         kind = self._slot_type(dtype)
         x = self.value(f"zext <{self.e.width} x i1> {x} to {kind}") if dtype == bool else x
-        self.line(f"store {kind} {x}, ptr {self._slot_at(slot, dtype)}, align {self._align(dtype)}")
+        address = self.value(f"getelementptr {kind}, ptr {slot}, i32 {self.group}")
+        self.line(f"store {kind} {x}, ptr {address}, align {self._align(dtype)}")
         self.lines = kept
 
     def as_bool(self, x: str) -> str:
@@ -387,8 +524,12 @@ class Segment(Writer):
             return f"splat ({kind} {x})"
         if (kind, x) not in self.splats:
             w = self.e.width
-            one = self.value(f"insertelement <{w} x {kind}> poison, {kind} {x}, i32 0")
-            self.splats[kind, x] = self.value(f"shufflevector <{w} x {kind}> {one}, <{w} x {kind}> poison, <{w} x i32> zeroinitializer")
+            place = self.value if self.depth else self.at_head
+            one = place(f"insertelement <{w} x {kind}> poison, {kind} {x}, i32 0")
+            shuffled = place(f"shufflevector <{w} x {kind}> {one}, <{w} x {kind}> poison, <{w} x i32> zeroinitializer")
+            if self.depth:
+                return shuffled
+            self.splats[kind, x] = shuffled
         return self.splats[kind, x]
 
     def lanes_of(self, x: str) -> list[str]:
@@ -411,38 +552,38 @@ class Segment(Writer):
         """Where the numbers of this group begin: lane after lane, or the first entry's numbers of all its lanes."""
         if buffer not in self.bases:
             start, kind, e = self.e.buffer(buffer), memory_type(buffer.dtype), self.e
-            g = self.value(f"zext i32 {self.group} to i64")
-            per_lane = buffer.size if self.lane_after_lane(buffer) else 1
-            at = self.value(f"mul i64 {g}, {e.width * per_lane}")
+            g = self.at_head(f"zext i32 {self.group} to i64")
+            per_lane = e.stride(buffer) if self.lane_after_lane(buffer) else 1
+            at = self.at_head(f"mul i64 {g}, {e.width * per_lane}")
             if buffer.role != "scratch":
-                lane = self.value(f"mul i64 {e.first_lane}, {buffer.size}")
-                at = self.value(f"add i64 {at}, {lane}")
-            self.bases[buffer] = self.value(f"getelementptr {kind}, ptr {start}, i64 {at}")
+                lane = self.at_head(f"mul i64 {e.first_lane}, {buffer.size}")
+                at = self.at_head(f"add i64 {at}, {lane}")
+            self.bases[buffer] = self.at_head(f"getelementptr {kind}, ptr {start}, i64 {at}")
         return self.bases[buffer]
 
     def lane_after_lane(self, buffer: Buffer) -> bool:
         return buffer in self.e.by_index or buffer.role != "scratch"
 
-    def addresses(self, buffer: Buffer, index: Value) -> list[str]:
+    def addresses(self, buffer: Buffer, index: Value, vector: str | None = None) -> list[str]:
         """Where each lane finds its entry `index` of a buffer that lies lane after lane, or of a known one."""
         e, kind = self.e, memory_type(buffer.dtype)
         shared = buffer not in e.facts.varying and buffer.role == "scratch"
         base = e.buffer(buffer) if shared else self.base(buffer)
-        if e.facts.varies(index):
-            at = self.lanes_of(e.vector(index))
+        if vector is not None or e.facts.varies(index):
+            at = self.lanes_of(vector or e.vector(index))
         else:
-            at = [e.text.value(f"sext i32 {e.scalar(index)} to i64")] * e.width
+            at = [e.writer.value(f"sext i32 {e.scalar(index)} to i64")] * e.width
         found = []
         for j, i in enumerate(at):
-            lane = base if shared or not j else self.value(f"getelementptr {kind}, ptr {base}, i64 {j * buffer.size}")
+            lane = base if shared or not j else self.value(f"getelementptr {kind}, ptr {base}, i64 {j * e.stride(buffer)}")
             found.append(self.value(f"getelementptr {kind}, ptr {lane}, i64 {i}"))
         return found
 
     def side_by_side(self, buffer: Buffer, index: Value) -> str:
         """Where the vector of entry `index` lies, of a buffer that lies entry after entry."""
         e, kind = self.e, memory_type(buffer.dtype)
-        i = e.text.value(f"sext i32 {e.scalar(index)} to i64")
-        row = e.text.value(f"mul i64 {i}, {e.lanes}")
+        i = e.writer.value(f"sext i32 {e.scalar(index)} to i64")
+        row = e.writer.value(f"mul i64 {i}, {e.lanes}")
         return self.value(f"getelementptr {kind}, ptr {self.base(buffer)}, i64 {row}")
 
     def load(self, value: Value) -> str:
@@ -492,13 +633,20 @@ class Segment(Writer):
 
     def store(self, value: Value) -> None:
         buffer, (index, x), kind, w = value.attr, self.e.facts.args(value), memory_type(value.dtype), self.e.width
-        vector = self.e.vector(x)
+        vector, mask = self.e.vector(x), self.mask()
         if value.dtype == bool:
             vector = self.value(f"zext <{w} x i1> {vector} to <{w} x i8>")
         if not self.lane_after_lane(buffer):
-            self.line(f"store <{w} x {kind}> {vector}, ptr {self.side_by_side(buffer, index)}, align {self._align(value.dtype)}")
+            address, align = self.side_by_side(buffer, index), self._align(value.dtype)
+            if mask is not None:
+                old = self.value(f"load <{w} x {kind}>, ptr {address}, align {align}")
+                vector = self.value(f"select <{w} x i1> {mask}, <{w} x {kind}> {vector}, <{w} x {kind}> {old}")
+            self.line(f"store <{w} x {kind}> {vector}, ptr {address}, align {align}")
             return
-        for j, address in enumerate(self.addresses(buffer, index)):
+        to = None
+        if mask is not None:
+            to = self.value(f"select <{w} x i1> {mask}, <{w} x i32> {self.e.vector(index)}, <{w} x i32> splat (i32 {buffer.size})")
+        for j, address in enumerate(self.addresses(buffer, index, to)):
             element = self.value(f"extractelement <{w} x {kind}> {vector}, i32 {j}")
             self.line(f"store {kind} {element}, ptr {address}")
 
