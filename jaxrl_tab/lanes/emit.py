@@ -7,7 +7,7 @@ Values that one segment hands to another, or a loop to its next turn, lie in slo
 for each group. What is the same in all lanes is one number, worked out beside the segments.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -69,6 +69,7 @@ class Emitter:
         t.line(f"br label %{blocks}")
         end = t.block
         t.begin(after)
+        t.line("call void @llvm.x86.sse.ldmxcsr(ptr %control)")
         t.line("ret void")
         del inputs
         return t.whole().replace("%BLOCKEND", f"%{end}")
@@ -234,7 +235,7 @@ class Emitter:
         if value.op in ("row", "part"):
             raise Unsupported("a row that is the same in all lanes")
         args = self.facts.args(value)
-        return operation(self.writer, self.facts, value, [self.scalar(x) for x in args], [self.type(x) for x in args], self.type(value), 0, self.fused(value))
+        return operation(self.writer, self.facts, value, [self.scalar(x) for x in args], [self.type(x) for x in args], self.type(value), 0, self.fused_with(value, self.scalar))
 
     def uniform_load(self, value: Value) -> str:
         t, kind = self.writer, memory_type(value.dtype)
@@ -293,19 +294,17 @@ class Emitter:
         elif value.op == "part":
             name = segment.rows[args[0]][value.attr]
         else:
-            if value.op == "mul" and value.dtype.kind == "f" and self.facts.uses[value] == 1:
-                pass  # LLVM drops it where it goes into a fused operation
             types = [self.vector_type(x) for x in args]
-            name = operation(segment, self.facts, value, [self.vector(x) for x in args], types, self.vector_type(value), self.width, self.fused_vector(value))
+            name = operation(segment, self.facts, value, [self.vector(x) for x in args], types, self.vector_type(value), self.width, self.fused_with(value, self.vector))
         segment.names[value] = name
         self.homes[value] = segment, name
         return None
 
-    def fused_vector(self, value: Value) -> Any:
+    def fused_with(self, value: Value, name: Callable[[Value], str]) -> tuple[int, list[str]] | None:
         if (found := self.fused(value)) is None:
             return None
         k, product = found
-        return k, [self.vector(x) for x in self.facts.args(product)]
+        return k, [name(x) for x in self.facts.args(product)]
 
 
 class Writer:
@@ -359,7 +358,19 @@ class Function(Writer):
         for part in self.parts:
             body += part if isinstance(part, list) else part.whole()
         head = "define void @kernel(i64 %first, i64 %last, ptr noalias %scratch, ptr %arrays, ptr %tables) {"
-        return "\n".join([*sorted(DECLARATIONS), head, "entry:", *self.entries, "  br label %start", "start:", *body, "}", "!0 = !{}"])
+        return "\n".join([*sorted(DECLARATIONS), head, "entry:", *self.entries, *_FLUSHED, "  br label %start", "start:", *body, "}", "!0 = !{}"])
+
+
+# Numbers too small for full precision are 0, as in XLA's kernels: two bits of the processor's control word.
+_FLUSHED = [
+    "  %control = alloca i32",
+    "  %flushed = alloca i32",
+    "  call void @llvm.x86.sse.stmxcsr(ptr %control)",
+    "  %word = load i32, ptr %control",
+    f"  %flushing = or i32 %word, {1 << 15 | 1 << 6}",
+    "  store i32 %flushing, ptr %flushed",
+    "  call void @llvm.x86.sse.ldmxcsr(ptr %flushed)",
+]
 
 
 class Segment(Writer):
@@ -669,7 +680,7 @@ def literal(number: Any) -> str:
 
 # --- single operations ------------------------------------------------------------------------------------------
 
-DECLARATIONS: set[str] = set()
+DECLARATIONS: set[str] = {f"declare void @llvm.x86.sse.{name}mxcsr(ptr)" for name in ("st", "ld")}
 
 
 def operation(w: Writer, facts: Facts, value: Value, args: list[str], types: list[str], kind: str, width: int, fused: Any) -> str:
@@ -683,7 +694,7 @@ def operation(w: Writer, facts: Facts, value: Value, args: list[str], types: lis
         return w.value(f"call {kind} @llvm.{name}.{suffix}({', '.join(f'{kind} {x}' for x in given)})")
 
     both = f"{types[0]} {args[0]}, {args[1]}" if len(args) > 1 else ""
-    if fused is not None and width:
+    if fused is not None:
         k, (a, b) = fused
         c = args[1 - k]
         if name == "sub":
@@ -700,10 +711,7 @@ def operation(w: Writer, facts: Facts, value: Value, args: list[str], types: lis
     if name in ("div", "rem"):
         if f:
             return w.value(f"f{name} {both}")
-        low, high = facts.bounds(value.args[1])
-        if low <= 0 <= high or (signed and low <= -1 <= high):
-            raise Unsupported("a division by what may be zero")
-        return w.value(f"{'s' if signed else 'u'}{name} {both}")
+        return _divided(w, facts, value, args, kind, width)
     if name.startswith("shift"):
         return _shift(w, facts, value, args, types, width)
     if name in COMPARE:
@@ -730,6 +738,13 @@ def operation(w: Writer, facts: Facts, value: Value, args: list[str], types: lis
         less = w.value(f"icmp slt {kind} {args[0]}, {zero(kind)}")
         more, less = (w.value(f"zext {_bool(width)} {z} to {kind}") for z in (more, less))
         return w.value(f"sub {kind} {more}, {less}")
+    if name == "pow":
+        return intrinsic("pow", *args)
+    if name == "is_finite":
+        size = intrinsic("fabs", args[0], kind=types[0])
+        return w.value(f"fcmp one {types[0]} {size}, {'splat (float 0x7FF0000000000000)' if width else '0x7FF0000000000000'}")
+    if name == "abs":
+        return w.value(f"call {kind} @llvm.abs.{'v%d' % width if width else ''}i32({kind} {args[0]}, i1 false)") if not f else intrinsic("fabs", *args)
     if name in ("sqrt", "floor", "ceil") or name == "abs" and f:
         return intrinsic("fabs" if name == "abs" else name, *args)
     raise Unsupported(f"the operation {name}")
@@ -748,6 +763,25 @@ def _shift(w: Writer, facts: Facts, value: Value, args: list[str], types: list[s
     if name == "ashr":
         return shifted
     return w.value(f"select {_bool(width)} {inside}, {kind} {shifted}, {kind} {zero(kind)}")
+
+
+def _divided(w: Writer, facts: Facts, value: Value, args: list[str], kind: str, width: int) -> str:
+    """A quotient or remainder of whole numbers; a processor stops at a divisor 0, and at the least number by -1."""
+    signed, (low, high) = value.dtype.kind == "i", facts.bounds(value.args[1])
+    name = f"{'s' if signed else 'u'}{value.op}"
+    if low > 0 or high < (-1 if signed else 0):
+        return w.value(f"{name} {kind} {args[0]}, {args[1]}")
+    constant = lambda n: f"splat ({TYPES[value.dtype.name]} {n})" if width else str(n)
+    unsafe = is_zero = w.value(f"icmp eq {kind} {args[1]}, {constant(0)}")
+    if signed:
+        by_minus_one = w.value(f"icmp eq {kind} {args[1]}, {constant(-1)}")
+        least = w.value(f"icmp eq {kind} {args[0]}, {constant(np.iinfo(value.dtype).min)}")
+        overflows = w.value(f"and {_bool(width)} {by_minus_one}, {least}")
+        unsafe = w.value(f"or {_bool(width)} {is_zero}, {overflows}")
+    divisor = w.value(f"select {_bool(width)} {unsafe}, {kind} {constant(1)}, {kind} {args[1]}")
+    found = w.value(f"{name} {kind} {args[0]}, {divisor}")
+    by_zero = constant(-1) if value.op == "div" else args[0]
+    return w.value(f"select {_bool(width)} {is_zero}, {kind} {by_zero}, {kind} {found}")
 
 
 def _bool(width: int) -> str:

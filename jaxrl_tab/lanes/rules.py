@@ -15,6 +15,7 @@ from jax.extend import core as jex
 from jaxrl_tab.core import rng
 from jaxrl_tab.lanes.arrays import SMALL, Items, Known, Lazy, Pair, Stored, made_of, reshaped, size_of
 from jaxrl_tab.lanes.code import Unsupported, Value
+from jaxrl_tab.lanes.functions import FUNCTIONS
 from jaxrl_tab.lanes.lower import Lowering
 from jaxrl_tab.lanes.scalars import OPERATIONS
 
@@ -67,6 +68,34 @@ def number_by_number(code: Lowering, name: str, shape: Sequence[int], dtype: Any
         values = [code.op(name, dtype, *(pick(x, i) for x in args)) for i in range(size_of(shape))]
         return made_of(code, shape, dtype, values)
     return Lazy(shape, dtype, lambda i: code.op(name, dtype, *(read(x, i) for x in args)), code)
+
+
+@rule(*FUNCTIONS)
+def function(code: Lowering, equation: Any, x: Any) -> Any:
+    (shape, dtype), write = _aval(equation), FUNCTIONS[equation.primitive.name]
+    if size_of(shape) <= SMALL:
+        return made_of(code, shape, dtype, [write(code, x.item(i)) for i in range(size_of(shape))])
+    return Lazy(shape, dtype, lambda i: write(code, x.read(i)), code)
+
+
+@rule("square")
+def square(code: Lowering, equation: Any, x: Any) -> Any:
+    return number_by_number(code, "mul", *_aval(equation), (x, x))
+
+
+@rule("integer_pow")
+def integer_power(code: Lowering, equation: Any, x: Any) -> Any:
+    shape, dtype = _aval(equation)
+    if (power := equation.params["y"]) < 1:
+        raise Unsupported("a power below 1")
+    found = None
+    while power:  # by squaring, as XLA does it
+        if power & 1:
+            found = x if found is None else number_by_number(code, "mul", shape, dtype, (found, x))
+        power >>= 1
+        if power:
+            x = number_by_number(code, "mul", shape, dtype, (x, x))
+    return found
 
 
 @rule("complex")
