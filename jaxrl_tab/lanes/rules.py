@@ -62,8 +62,9 @@ def number_by_number(code: Lowering, name: str, shape: Sequence[int], dtype: Any
         with np.errstate(all="ignore"):
             numbers = np.broadcast_to(known(dtype, *(x.numbers for x in args)), shape)
         return Known(numbers.astype(dtype), code)
-    pick = lambda x, i: x.item(0) if x.shape == () else x.item(i)
-    read = lambda x, i: x.item(0) if x.shape == () else x.read(i)
+    args = [x if size_of(x.shape) in (1, size_of(shape)) else _stretched(code, x, shape) for x in args]
+    pick = lambda x, i: x.item(0 if size_of(x.shape) == 1 else i)
+    read = lambda x, i: x.item(0) if size_of(x.shape) == 1 else x.read(i)
     if size_of(shape) <= SMALL:
         values = [code.op(name, dtype, *(pick(x, i) for x in args)) for i in range(size_of(shape))]
         return made_of(code, shape, dtype, values)
@@ -159,14 +160,19 @@ def broadcast(code: Lowering, equation: Any, x: Any, *_: Any) -> Any:
     middle = [1] * len(shape)
     for axis, n in zip(axes, x.shape, strict=True):
         middle[axis] = n
+    return _stretched(code, reshaped(x, middle), shape)
+
+
+def _stretched(code: Lowering, x: Any, shape: Sequence[int]) -> Any:
+    """`x` as often as it takes along each axis that has the size 1."""
 
     def at(i: Value) -> Value:
         if size_of(x.shape) == 1:
             return code.const(0, np.int32)
-        found = _axes(code, i, shape)
-        return _flat(code, [found[axis] if n > 1 else code.const(0, np.int32) for axis, n in zip(axes, x.shape, strict=True)], x.shape)
+        axes = zip(_axes(code, i, shape), x.shape, strict=True)
+        return _flat(code, [k if n > 1 else code.const(0, np.int32) for k, n in axes], x.shape)
 
-    return moved(code, shape, x, lambda y: np.broadcast_to(y.reshape(middle), shape), at)
+    return moved(code, shape, x, lambda y: np.broadcast_to(y, tuple(shape)), at)
 
 
 @rule("slice")
