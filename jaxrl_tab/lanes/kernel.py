@@ -22,9 +22,9 @@ class Kernel:
         module.verify()
         t.append(time.process_time())
         machine = llvm.Target.from_default_triple().create_target_machine(
-            cpu=cpu or llvm.get_host_cpu_name(), features=features or llvm.get_host_cpu_features().flatten(), opt=2, jit=True
+            cpu=cpu or llvm.get_host_cpu_name(), features=features or llvm.get_host_cpu_features().flatten(), opt=int(__import__("os").environ.get("CG","2")), jit=True
         )
-        options = llvm.create_pipeline_tuning_options(speed_level=2)
+        options = llvm.create_pipeline_tuning_options(speed_level=int(__import__("os").environ.get("SL","2")))
         options.loop_unrolling = options.slp_vectorization = options.loop_vectorization = False
         passes = llvm.create_pass_builder(machine, options)
         passes.getModulePassManager().run(module, passes)
