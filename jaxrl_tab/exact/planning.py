@@ -38,6 +38,7 @@ from jaxrl_tab.exact.model import (
     exact_model,
     from_state_to_state,
     name_of,
+    once_for_an_environment,
     reachable,
     spread,
     terminal_states,
@@ -286,7 +287,7 @@ def epsilon_soft(
     check_rate("epsilon", epsilon)
     check_rate("gamma", gamma)
     _, found, out = _solved(env, epsilon, gamma)
-    return found.probs, _unless(out, found.v), _unless(out, found.q)
+    return found.probs.copy(), _unless(out, found.v), _unless(out, found.q)
 
 
 def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
@@ -315,6 +316,7 @@ def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = 
     return float(most[:, begin].max() + change * more)
 
 
+@once_for_an_environment
 def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "Round", Bool[np.ndarray, " S"]]:
     """The model, the last round of policy iteration in it, and which states were left out of both.
 

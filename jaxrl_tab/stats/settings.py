@@ -1,8 +1,8 @@
 """Which setting of a method is best, how good it is, and how methods differ at their best settings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -17,13 +17,16 @@ from jaxrl_tab.stats.measures import (
     diverged_runs,
     drawn,
     fixed,
+    has_errors,
     hyperparameters,
-    is_prediction,
     named,
-    possible,
+    only_costs,
     score,
     standstill,
+    within,
 )
+
+T = TypeVar("T")
 
 
 class Settings:
@@ -38,7 +41,8 @@ class Settings:
     """
 
     def __init__(self, ds: xr.Dataset, by: Measure = score) -> None:
-        self.ds, self.by, self.prediction = ds, by, is_prediction(ds)
+        self.ds, self.by, self.prediction = ds, by, has_errors(ds)
+        self._once: dict[Any, Any] = {}
 
     @classmethod
     def of(cls, ds: "Sweep", by: Measure = score) -> "Settings":
@@ -72,9 +76,16 @@ class Settings:
         return {name: self.ds[name].values[place[name]].item() for name in hyperparameters(self.ds)}
 
     @cached_property
-    def at_best(self) -> xr.Dataset:
-        """The runs of the best setting."""
-        return self.ds.sel(self.best)
+    def at_best(self) -> "Settings":
+        """The best setting alone."""
+        return Settings(self.ds.sel(self.best), self.by)
+
+    def once(self, of: Callable[..., T], *given: Any) -> T:
+        """`of(ds, *given)`, such as `curve_interval` of so many points: worked out once, however often it is drawn."""
+        key = of, given
+        if key not in self._once:
+            self._once[key] = of(self.ds, *given)
+        return self._once[key]
 
     @cached_property
     def chosen(self) -> dict[str, Any]:
@@ -96,11 +107,15 @@ class Settings:
         good = self._higher_is_better
         mean, low, high, n = mean_interval(good, confidence=confidence)
         if (few := self.seeds_wanted > n).any():
-            stuck = least_of(good.min("seed"), standstill(self.ds))
+            stuck = least_of(good.min("seed"), self.once(standstill))
             low = low.where(~few, np.fmin(low, with_one_more(good, stuck, "seed", confidence)[1]))
         if self.prediction:
             mean, low, high = -mean, -high, -low
-        return possible(Interval(mean, low, high, n), self.score, self.ds)
+        return self.possible(Interval(mean, low, high, n))
+
+    def possible(self, interval: Interval) -> Interval:
+        """An interval of the mean score without what no mean can be: see the function of this name."""
+        return within(interval, self.score, self.ds, self.once(only_costs))
 
     def tied_at(self, confidence: float) -> xr.DataArray:
         """Which settings cannot be told apart from the best one, bool [*hyperparameters]: see `tied`."""
@@ -281,7 +296,7 @@ def differences(datasets: Mapping[str, Sweep], confidence: float = 0.95) -> dict
     pairs = pairs_to_correct([own.merit.size // own.merit.sizes["seed"] for own in methods.values()])
     at = {name: own.merit.sel(own.best).reset_coords(drop=True) for name, own in methods.items()}
     first, *others = ranked(methods)
-    worst = min(float(standstill(settings.ds).min()) for settings in methods.values())
+    worst = min(float(settings.once(standstill).min()) for settings in methods.values())
     found = {}
     for name in others:
         (mean, low, high, n), p, reduction = paired_difference(
