@@ -5,6 +5,7 @@ import functools
 import json
 from collections.abc import Iterator
 from typing import NamedTuple
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from jaxrl_tab.engine import room
 from jaxrl_tab.engine.sweep import Part, compute
 from jaxrl_tab.experiment.spec import Experiment
 
+_read: WeakValueDictionary[str, Experiment] = (
+    WeakValueDictionary()
+)  # by their data, so as not to be read again
 SHARD_STEPS = 2**27  # of the runs in a shard, about: a few seconds on two cores
 SHARD_BYTES = 2**26  # that its runs give, at most, unless one block of lanes gives more
 EPISODE_STEPS = 100  # so long an episode is taken to be, where episodes are the budget
@@ -48,6 +52,14 @@ class Job(NamedTuple):
     chosen: str | None = None
     files: tuple[names.File, ...] = ()
 
+    @classmethod
+    def of(cls, experiment: Experiment, memory: int | None) -> "Job":
+        """All of an experiment. While that lives, this process takes its parts from it."""
+        forget_parts()
+        job = cls(json.dumps(experiment.data()), memory, files=experiment.files)
+        _read[job.experiment] = experiment
+        return job
+
     @property
     def parts(self) -> dict[str, Part]:
         names.keep(self.files)
@@ -77,7 +89,7 @@ class Job(NamedTuple):
 @functools.lru_cache(maxsize=4)
 def _parts(experiment: str, chosen: str | None) -> dict[str, Part]:
     if chosen is None:
-        return Experiment.from_data(json.loads(experiment)).parts()
+        return (_read.get(experiment) or Experiment.from_data(json.loads(experiment))).parts()
     parts, seeds = _parts(experiment, None), json.loads(experiment)["select"]["fresh_seeds"]
     again = {FRESH + name: _again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
     return parts | again
@@ -90,6 +102,7 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
 
 def forget_parts() -> None:
     """Parts are made anew from now on, as of classes that are loaded from copies."""
+    _read.clear()
     _parts.cache_clear()
     _shards.cache_clear()
 

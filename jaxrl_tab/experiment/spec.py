@@ -22,12 +22,12 @@ on them alone, and `fingerprint` is their checksum. `template()` is a file that 
 """
 
 import dataclasses
+import functools
 import hashlib
 import json
 import re
 import tomllib
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -190,6 +190,10 @@ class Experiment:
         Raises:
             InputError: a method does not fit an environment.
         """
+        return self._parts
+
+    @functools.cached_property
+    def _parts(self) -> dict[str, Part]:
         found = {}
         budget = Budget(self.steps, self.episodes, self.log_every, self.exact)
         with located(self.source):
@@ -208,7 +212,7 @@ class Experiment:
                             seed=self.seed,
                         )
                         for config, *_ in part.programs:  # policies in tables must be of the task's size
-                            jax.eval_shape(partial(init_learner, part.configs[config], env))
+                            jax.eval_shape(functools.partial(init_learner, part.configs[config], env))
                     found[f"{environment['label']}/{method['label']}"] = part
         return found
 
