@@ -57,7 +57,8 @@ def resampled(n: int, of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     if len(blocks(RESAMPLES, n)) == 1:
         return of(_weights(n))
     rng = np.random.default_rng(0)
-    drawn = (rng.multinomial(n, np.full(n, 1 / n), len(block)) / n for block in blocks(RESAMPLES, n))
+    sizes = (block.stop - block.start for block in blocks(RESAMPLES, n))
+    drawn = (rng.multinomial(n, np.full(n, 1 / n), size) / n for size in sizes)
     return np.concatenate([of(weights) for weights in drawn], axis=-1)
 
 
@@ -157,7 +158,7 @@ def bootstrap_interval(
         estimate = statistic(np.concatenate(strata, axis=-1), axis=-1)
         resampled = []
         for block in blocks(RESAMPLES, n * len(estimate)):
-            sizes = [(len(block), values.shape[-1]) for values in strata]
+            sizes = [(block.stop - block.start, values.shape[-1]) for values in strata]
             drawn = [x[:, r.integers(s[1], size=s)] for x, r, s in zip(strata, rngs, sizes, strict=True)]
             with np.errstate(invalid="ignore"):  # infinities
                 resampled.append(statistic(np.concatenate(drawn, axis=-1), axis=-1))

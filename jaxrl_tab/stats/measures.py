@@ -207,7 +207,7 @@ def _over_rows(ds: xr.Dataset, of: Callable[[xr.Dataset], Interval], every: int 
     groups = -(-ds.sizes["row"] // every)
     found = []
     for block in blocks(groups, ds.episodes.size // ds.sizes["row"]):
-        found.append(of(ds.isel(row=slice(block[0] * every, (block[-1] + 1) * every))))
+        found.append(of(ds.isel(row=slice(block.start * every, block.stop * every))))
     return Interval(
         *(xr.concat(parts, "row").transpose(*parts[0].dims) for parts in zip(*found, strict=True))
     )
