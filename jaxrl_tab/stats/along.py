@@ -101,11 +101,6 @@ def check_dims(x: xr.DataArray, dims: Sequence[Hashable]) -> None:
         raise InputError(f"the dimensions {name_list(dims)} must be different ones")
 
 
-def check_fraction(name: str, value: float) -> None:
-    if not (isinstance(value, int | float | np.number) and 0 < value < 1):
-        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
-
-
 def by_seeds(of: Callable[..., xr.DataArray]) -> Callable[..., xr.DataArray]:
     """`of(ds, ...)`, which has a number for each seed, worked out for some seeds at a time if there are many."""
 

@@ -7,7 +7,8 @@ import numpy as np
 import xarray as xr
 from scipy import special, stats
 
-from jaxrl_tab.stats.along import Interval, along, blocks, check_fraction
+from jaxrl_tab.core.checks import FRACTION, check_within
+from jaxrl_tab.stats.along import Interval, along, blocks
 
 RESAMPLES = 1999  # of every bootstrap: both 2.5% points are an order statistic
 
@@ -97,7 +98,7 @@ def iqm_interval(
     """
     if within is not None:
         return bootstrap_interval(x, iqm, dim, within, confidence)
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         # Of each rank, a resample keeps those copies that lie in its middle: the same for all places.
@@ -150,7 +151,7 @@ def bootstrap_interval(
     Raises:
         InputError: `x` lacks a dimension that is named, or `confidence` is not between 0 and 1.
     """
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     def of(*strata: np.ndarray) -> tuple[np.ndarray, ...]:
         rngs = [np.random.default_rng((0, k)) for k in range(len(strata))]

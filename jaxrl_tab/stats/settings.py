@@ -7,9 +7,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import xarray as xr
 
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.checks import FRACTION, InputError, check_within
 from jaxrl_tab.core.schedules import typed
-from jaxrl_tab.stats.along import Interval, check_fraction, name_list
+from jaxrl_tab.stats.along import Interval, name_list
 from jaxrl_tab.stats.comparisons import Difference, paired_difference
 from jaxrl_tab.stats.intervals import least_of, mean_interval, seeds_wanted, with_one_more
 from jaxrl_tab.stats.measures import (
@@ -119,7 +119,7 @@ class Settings:
 
     def tied_at(self, confidence: float) -> xr.DataArray:
         """Which settings cannot be told apart from the best one, bool [*hyperparameters]: see `tied`."""
-        check_fraction("confidence", confidence)
+        check_within("confidence", confidence, FRACTION)
         winner = self.merit.sel(self.best)
         winner = winner.drop_vars(hyperparameters(self.ds) + drawn(self.ds), errors="ignore")
         settings = self.merit.sizes["seed"] and self.merit.size // self.merit.sizes["seed"]
