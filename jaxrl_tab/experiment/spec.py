@@ -106,9 +106,8 @@ class Experiment:
                 with at(name):
                     if name in ("seeds", "seed") or getattr(self, name) is not None:
                         self._set(name, whole(None, name, getattr(self, name), least))
-            if (self.steps is None) == (self.episodes is None):
-                with at("episodes"):
-                    raise InputError("give either steps or episodes: how long a run is")
+            with at("episodes"):
+                self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
             with at("exact"):
                 if not isinstance(self.exact, bool | np.bool_):
                     raise InputError(f"exact must be true or false, not {shown(self.exact)}")
@@ -119,7 +118,6 @@ class Experiment:
             classes = [references[method["name"]].cls for method in self.method]
             prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
             self._set("exact", bool(self.exact) or prediction)
-            self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
             with at("select"):
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
 
