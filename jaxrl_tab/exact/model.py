@@ -85,10 +85,7 @@ def once_for_an_environment(work: Callable[..., T]) -> Callable[..., T]:
         try:
             key = work, _value(env), tuple((type(x), x) for x in numbers)
             found = _kept.get(key)
-        except (
-            TypeError,
-            ValueError,
-        ):  # it holds what is no array, such as a key of JAX, or cannot be compared
+        except (TypeError, ValueError):  # a key of JAX in it is no array, and not everything can be compared
             return work(env, *numbers)
         if found is None:
             _kept[key] = found = work(env, *numbers)

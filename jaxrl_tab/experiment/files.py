@@ -89,9 +89,9 @@ class Outcome:
         from jaxrl_tab import stats
 
         rows = []
-        for name, fresh in self.fresh.items():
+        for name in self.fresh:
             environment, _, method = name.partition("/")
-            own = self.methods[environment].settings[method]
+            own, fresh = (x[environment].settings[method] for x in (self.methods, self.fresh_methods))
             setting, chosen, again, _ = stats.selection(own, fresh)
             row = {"environment": environment, "method": method, **stats.named(own.ds, setting)}
             for kind, found in (("chosen", chosen), ("fresh", again)):

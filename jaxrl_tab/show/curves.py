@@ -217,7 +217,7 @@ def _readable_curve(own: Settings, points: int = MOST_POINTS) -> tuple[int, stat
 
     They are fewer than `points` if that closes gaps in the second half.
     """
-    interval = own.once(stats.curve_interval, points)
+    interval = own.once(stats.curve_interval, min(points, own.ds.sizes["row"]))
     enough = (interval.n >= MOST_SEEDS * own.ds.sizes["seed"]).values
     if enough[len(enough) // 2 :].all() or points <= LEAST_POINTS:
         return points, interval, enough

@@ -1,7 +1,7 @@
 """Which setting of a method is best, how good it is, and how methods differ at their best settings."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -104,6 +104,14 @@ class Settings:
 
     def interval_at(self, confidence: float) -> Interval:
         """The mean score with its interval, [*hyperparameters]: see `score_interval`."""
+        check_within("confidence", confidence, FRACTION)
+        return self._intervals(confidence)
+
+    @cached_property
+    def _intervals(self) -> Callable[[float], Interval]:
+        return cache(self._interval)
+
+    def _interval(self, confidence: float) -> Interval:
         good = self._higher_is_better
         mean, low, high, n = mean_interval(good, confidence=confidence)
         if (few := self.seeds_wanted > n).any():
@@ -329,7 +337,7 @@ class Selection(NamedTuple):
     bias: Interval
 
 
-def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> Selection:
+def selection(ds: Sweep, fresh: Sweep, by: Measure = score, confidence: float = 0.95) -> Selection:
     """Selection without bias: the setting that is best in `ds`, and how good it is on the seeds of `fresh`.
 
     Args:
@@ -344,10 +352,12 @@ def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: flo
     """
     settings = Settings.of(ds, by)
     ds, setting = settings.ds, settings.best
+    again = Settings.of(fresh, settings.by)
+    fresh = again.ds
     same_root = all(ds.attrs.get(key, 0) == fresh.attrs.get(key, 0) for key in ("root_seed", "fresh_seeds"))
-    if same_root and (again := np.intersect1d(ds.seed, fresh.seed)).size:
+    if same_root and (both := np.intersect1d(ds.seed, fresh.seed)).size:
         raise InputError(
-            f"seed {again[0]} is among those that the setting was chosen on; report on fresh ones"
+            f"seed {both[0]} is among those that the setting was chosen on; report on fresh ones"
         )
     at = fresh
     for name, value in (setting | named(ds, setting)).items():
@@ -362,6 +372,6 @@ def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: flo
         ):
             raise InputError(f"the fresh runs must have {name} = {value}, not {got}")
     promised = Interval(*(part.sel(setting) for part in settings.interval_at(confidence)))
-    found = score_interval(at, confidence, settings.by)
+    found = (again if at is fresh else Settings(at, settings.by)).interval_at(confidence)
     off = (promised.estimate - found.estimate, promised.estimate - found.high, promised.estimate - found.low)
     return Selection(setting, promised, found, Interval(*off, found.n))
