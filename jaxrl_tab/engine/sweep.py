@@ -22,12 +22,14 @@ from jaxrl_tab.core.checks import (
     check_pytree,
     checked,
     foreign,
+    is_list,
     one_line,
     repeated,
     shown,
     whole,
 )
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
+from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
 from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.axes import DRAW, check_settings, spread, swept_names
@@ -186,7 +188,11 @@ def sweep(
         num_draws=num_draws,
         seed=seed,
     )
-    state = Progress(f"{_name_in(METHODS, part.algorithm)} in {_name_in(ENVS, type(env))}", 0, part.runs)
+    state = Progress(
+        f"{registered_name(METHODS, part.algorithm)} in {registered_name(ENVS, type(env))}",
+        0,
+        part.runs,
+    )
     with reporting(progress) as report:
         begun = time.perf_counter()
 
@@ -303,8 +309,8 @@ def result(part: Part, computed: Computed) -> SweepResult:
     shape = (*(len(values) for values in axes.values()), part.num_seeds)
     q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(
-        environment=_name_in(ENVS, type(part.env)),
-        algorithm=_name_in(METHODS, part.algorithm),
+        environment=registered_name(ENVS, type(part.env)),
+        algorithm=registered_name(METHODS, part.algorithm),
         learns=method.learns,
         env=part.env,
         grid=axes,
@@ -340,7 +346,7 @@ def configurations(
 
     What is drawn at random is the last axis, `draw`, each of whose values is a dict of hyperparameters.
     """
-    name = _name_in(METHODS, cls)
+    name = registered_name(METHODS, cls)
     if not isinstance(grid, Mapping):
         raise InputError(f"grid must be a dict from hyperparameters to values, not {shown(grid)}")
     if wrong := [key for key in grid if not isinstance(key, str)]:
@@ -358,8 +364,8 @@ def configurations(
         if isinstance(values, Set | Iterator):
             problem = f"the grid of {parameter} must be a list, which has an order and a length, not {shown(values)}"
             raise InputError(problem, field=parameter, wanted="a list", value=values)
-        if _is_list(values):
-            if any(map(_is_list, values)):
+        if is_list(values):
+            if any(map(is_list, values)):
                 problem = (
                     f"the grid of {parameter} must be a flat list, not {shown(values)}; "
                     "probabilities [S, A] are one value where they are a policies.Table"
@@ -385,12 +391,6 @@ def configurations(
     return axes, [instance(point) for point in itertools.product(*axes.values())]
 
 
-def _is_list(value: Any) -> bool:
-    if isinstance(value, np.ndarray | jax.Array):
-        return value.ndim > 0
-    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
-
-
 def leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
     """Numbers as float64, of which JAX takes as much as it uses: a Python float would be another program."""
     return jax.tree.map(lambda x: np.asarray(x, np.float64), algorithm)
@@ -403,10 +403,6 @@ def _same_program(configs: Sequence[Algorithm]) -> list[list[int]]:
         leaves, treedef = jax.tree.flatten(config)
         groups.setdefault((treedef, tuple(np.shape(x) for x in leaves)), []).append(i)
     return list(groups.values())
-
-
-def _name_in(registry: Mapping[str, type], cls: type) -> str:
-    return next((name for name, value in registry.items() if value is cls), cls.__name__)
 
 
 def _exact_value(

@@ -24,7 +24,7 @@ class CliffWalking(Grid):
     )
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
-    def __post_init__(self):
+    def __post_init__(self):  # not that of Grid: start and goal follow from the shape
         assign(self, shape=check_shape(type(self).__name__, self.shape, least=(2, 3)))
 
     @property

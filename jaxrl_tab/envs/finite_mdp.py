@@ -78,7 +78,7 @@ class FiniteMDP(Finite):
     ):
         listed = of_arrays(probabilities, rewards)
         is_terminal = _terminal(terminal, listed.num_states)
-        _fill(self, listed, is_terminal, _start(start, is_terminal), max_steps)
+        assign(self, **_fields(listed, is_terminal, _start(start, is_terminal), max_steps))
 
     @classmethod
     def from_arrays(
@@ -110,9 +110,7 @@ class FiniteMDP(Finite):
         """
         listed = of_other_arrays(probabilities, rewards, first_axis)
         is_terminal = _terminal(terminal, listed.num_states)
-        mdp = object.__new__(cls)
-        _fill(mdp, listed, is_terminal, _start(start, is_terminal), max_steps)
-        return mdp
+        return _made(cls, _fields(listed, is_terminal, _start(start, is_terminal), max_steps))
 
     @classmethod
     def from_outcomes(
@@ -151,9 +149,7 @@ class FiniteMDP(Finite):
         listed, ends = of_outcomes(states, is_terminal)
         if ends is not None:
             listed, is_terminal, start_prob = _ended(listed, ends, is_terminal, start_prob)
-        mdp = object.__new__(cls)
-        _fill(mdp, listed, is_terminal, start_prob, max_steps)
-        return mdp
+        return _made(cls, _fields(listed, is_terminal, start_prob, max_steps))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the table to a file, whose name ends in ".npz" and stands for it wherever an environment is named.
@@ -194,9 +190,7 @@ class FiniteMDP(Finite):
             _check_saved(saved)
         except InputError as error:
             raise InputError(f"{path} is not a table that FiniteMDP.save wrote: {error}") from None
-        mdp = object.__new__(FiniteMDP)
-        assign(mdp, **saved | {"max_steps": int(saved["max_steps"])})
-        return mdp
+        return _made(FiniteMDP, saved | {"max_steps": int(saved["max_steps"])})
 
     @property
     def num_states(self) -> int:
@@ -220,8 +214,15 @@ class FiniteMDP(Finite):
         return prob, Outcome(s_next, reward, jnp.asarray(self.is_terminal)[s_next])
 
 
-def _fill(mdp: Any, listed: Listed, is_terminal: Any, start_prob: Any, max_steps: Any) -> None:
-    """Sets the fields of `mdp`, after all checks of what is listed."""
+def _made(cls: type[FiniteMDP], fields: Mapping[str, Any]) -> FiniteMDP:
+    """An instance with these fields; `__init__` takes other arguments."""
+    mdp = object.__new__(cls)
+    assign(mdp, **fields)
+    return mdp
+
+
+def _fields(listed: Listed, is_terminal: Any, start_prob: Any, max_steps: Any) -> dict[str, Any]:
+    """The fields of the task whose outcomes are listed, after all checks of these."""
     listed = _absorbed(listed, is_terminal)
     _check_outcomes(listed)
     listed = _added_up(listed.of(listed.prob > 0))
@@ -234,16 +235,15 @@ def _fill(mdp: Any, listed: Listed, is_terminal: Any, start_prob: Any, max_steps
     total = np.bincount(listed.row, listed.prob)[listed.row]
     successors[at], prob[at], reward[at] = listed.s_next, listed.prob / total, listed.reward
     start_states = np.flatnonzero(start_prob)
-    assign(
-        mdp,
-        successors=successors.reshape(shape).astype(np.int32),
-        prob=prob.reshape(shape),
-        reward=reward.reshape(shape),
-        is_terminal=is_terminal,
-        start_states=start_states.astype(np.int32),
-        start_prob=start_prob[start_states],
-        max_steps=whole(NAME, "max_steps", max_steps),
-    )
+    return {
+        "successors": successors.reshape(shape).astype(np.int32),
+        "prob": prob.reshape(shape),
+        "reward": reward.reshape(shape),
+        "is_terminal": is_terminal,
+        "start_states": start_states.astype(np.int32),
+        "start_prob": start_prob[start_states],
+        "max_steps": whole(NAME, "max_steps", max_steps),
+    }
 
 
 def _absorbed(listed: Listed, is_terminal: np.ndarray) -> Listed:

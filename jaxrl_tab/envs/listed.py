@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrl_tab.core.checks import InputError, first, foreign, is_whole, numbers, shown
+from jaxrl_tab.core.checks import InputError, first, foreign, is_list, is_whole, numbers, shown
 
 NAME = "FiniteMDP"
 FORMS = {"state": "[S, A, S']", "action": "[A, S, S']"}  # of probabilities, by their first axis
@@ -212,7 +212,7 @@ def of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[Listed,
             )
         for a, found in enumerate(actions):
             found = () if is_terminal[s] else found
-            if not _is_list(found):
+            if not is_list(found):
                 raise InputError(
                     f"{NAME}: outcomes after (s, a) = {(s, a)} must be a list, not {shown(found)}"
                 )
@@ -221,7 +221,7 @@ def of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[Listed,
     row = np.repeat(np.arange(len(count)), count)
     listed = Listed(len(states), num_actions, row, row, *np.zeros((2, len(row))))
     for i, outcome in enumerate(every):
-        if not _is_list(outcome) or len(outcome) not in (3, 4):
+        if not is_list(outcome) or len(outcome) not in (3, 4):
             hint = (
                 "; FiniteMDP(probabilities, rewards) takes arrays"
                 if _as_numbers([every[0]]) is not None
@@ -288,18 +288,12 @@ def in_order(what: str, given: Any) -> Sequence[Any]:
         if (gap := next((i for i in range(len(given)) if i not in given), None)) is not None:
             raise InputError(f"{NAME}: the keys of {what} must be 0 to {max(given)}, and {gap} is missing")
         return [given[i] for i in range(len(given))]
-    if _is_list(given):
+    if is_list(given):
         return given
     hint = "; FiniteMDP.from_arrays takes sparse matrices" if is_sparse(given) else foreign(given)
     raise InputError(
         f"{NAME}: {what} must be a list, or a dict with the keys 0, 1, 2 ..., not {shown(given)}{hint}"
     )
-
-
-def _is_list(given: Any) -> bool:
-    if isinstance(given, np.ndarray):
-        return given.ndim > 0
-    return isinstance(given, Sequence) and not isinstance(given, str | bytes)
 
 
 def kind(array: Any) -> str:

@@ -3,10 +3,9 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import assign
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Grid, check_grid
+from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Grid
 
 
 @pytree
@@ -23,10 +22,6 @@ class TraceGridworld(Grid):
     start: tuple[int, int] = static(default=(7, 1), help="The cell (row, column) in which episodes start.")
     goal: tuple[int, int] = static(default=(2, 6), help="The terminal cell.")
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
-
-    def __post_init__(self):
-        shape, start, goal = check_grid(type(self).__name__, self.shape, self.start, self.goal)
-        assign(self, shape=shape, start=start, goal=goal)
 
     @property
     def num_actions(self) -> int:

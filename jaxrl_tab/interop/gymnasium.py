@@ -15,6 +15,7 @@ from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.checks import InputError, check_pytree, shown
+from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
 from jaxrl_tab.envs import ENVS, FiniteMDP
 from jaxrl_tab.envs.base import MAX_STEPS
@@ -201,9 +202,8 @@ class Tabular(gymnasium.Env):
 
     def __init__(self, env: Environment):
         self.env = env
-        name = next((name for name, cls in ENVS.items() if cls is type(env)), type(env).__name__)
         self.spec = EnvSpec(
-            f"jaxrl_tab/{name}-v0",
+            f"jaxrl_tab/{registered_name(ENVS, type(env))}-v0",
             entry_point=f"{__name__}:Tabular",
             max_episode_steps=env.max_steps,
             kwargs={"env": env},

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Int, Key
 
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.checks import InputError, check_pytree, nearest, numbers, shown, whole
+from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Environment, Outcome, available_actions, stand_ins
 from jaxrl_tab.envs import ENVS, FiniteMDP
@@ -512,7 +513,7 @@ class Tabular(environment.Environment):
 
     @property
     def name(self) -> str:
-        return next((name for name, cls in ENVS.items() if cls is type(self.env)), type(self.env).__name__)
+        return registered_name(ENVS, type(self.env))
 
     @property
     def default_params(self) -> environment.EnvParams:
