@@ -42,17 +42,16 @@ class Panel(NamedTuple):
 
 
 class Finite:
-    """A finite MDP: `outcomes` and `initial` say everything, `step` and `reset` sample from them."""
+    """A finite MDP: `outcomes` and `initial` say everything, `step` and `reset` sample from them.
 
+    Attributes:
+        num_states, num_actions, max_steps: as in `types.Environment`.
+    """
+
+    # Of an environment they are a class attribute, a field or a property; no annotation allows for all three.
+    num_states: Any
+    num_actions: Any
     max_steps: int
-
-    @property
-    def num_states(self) -> int:
-        raise NotImplementedError
-
-    @property
-    def num_actions(self) -> int:
-        raise NotImplementedError
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -102,11 +101,9 @@ def samples_outcomes(env: Any) -> TypeGuard[Finite]:
 
 
 class FixedStart(Finite):
-    """A finite MDP whose episodes all start in the state `start_state`."""
+    """A finite MDP whose episodes all start in the state `start_state`, an int."""
 
-    @property
-    def start_state(self) -> int:
-        raise NotImplementedError
+    start_state: Any
 
     def initial(self) -> Float[Array, " S"]:
         return jnp.zeros(self.num_states, dtype=float).at[self.start_state].set(1)

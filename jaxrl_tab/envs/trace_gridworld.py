@@ -23,9 +23,7 @@ class TraceGridworld(Grid):
     goal: tuple[int, int] = static(default=(2, 6), help="The terminal cell.")
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
-    @property
-    def num_actions(self) -> int:
-        return 4
+    num_actions = 4
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
         goal = jnp.int32(self.state(self.goal))
