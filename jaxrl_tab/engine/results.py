@@ -15,7 +15,7 @@ from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine.axes import DRAW
-from jaxrl_tab.engine.train import Log
+from jaxrl_tab.engine.loop import Log
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,7 +34,7 @@ class SweepResult:
         grid: swept hyperparameters in the order of the axes, each with its values. Those that were drawn at
             random go together: they are the axis `draw`, each value a dict of them.
         fixed: the other hyperparameters.
-        log: what happened, NumPy [*grid, seeds, rows] each; see `train.Log`.
+        log: what happened, NumPy [*grid, seeds, rows] each; see `loop.Log`.
         q: the final tables, float [*grid, seeds, S, A].
         optimal_value: v* from the start distribution, for prediction v_pi; float64 [gammas] where gamma is
             swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over
@@ -44,8 +44,8 @@ class SweepResult:
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
         first_seed: see `root_seed`.
-        largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `sweep.Part`.
-        fresh: whether the root is instead the one that is kept for fresh seeds; see `sweep.Part`.
+        largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `part.Part`.
+        fresh: whether the root is instead the one that is kept for fresh seeds; see `part.Part`.
         learns: whether the method learns action values, as in control, or state values, as in prediction.
     """
 

@@ -13,7 +13,8 @@ from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.train import bytes_of_words, in_full, unchecked
+from jaxrl_tab.engine.loop import bytes_of_words
+from jaxrl_tab.engine.train import in_full, unchecked
 from jaxrl_tab.exact import planning
 
 LANES = 64
@@ -262,7 +263,7 @@ def _tables(env: Environment) -> int:
 
 def _working(env: Environment, budget: Budget, carried: int) -> int:
     """The bytes with which one run works: what its loop carries, random words, and exact values."""
-    if budget.num_episodes:  # a chunk of steps may have to be taken back: see `train._run_until`
+    if budget.num_episodes:  # a chunk of steps may have to be taken back: see `loop._run_until`
         carried *= 2
     carried += bytes_of_words(budget)
     if not budget.exact:

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxrl_tab.core import names
 from jaxrl_tab.engine import room
-from jaxrl_tab.engine.sweep import Part, compute
+from jaxrl_tab.engine.part import Part, compute
 from jaxrl_tab.experiment.spec import Experiment
 
 SHARD_STEPS = 2**27  # of the runs in a shard, about: a few seconds on two cores
