@@ -257,14 +257,11 @@ def _exact_value(
     """What the runs are measured by, as `SweepResult.optimal_value` has it."""
 
     def value(gamma: float) -> float:
-        found = {_judge(env, config) for config in _different(configs, gamma)}
-        return found.pop() if len(found) == 1 else np.nan  # one for each pi, say
+        values = {_judge(env, config) for config in _different(configs, gamma)}
+        return values.pop() if len(values) == 1 else np.nan  # one for each pi, say
 
-    if "gamma" in axes:
-        return np.array([value(gamma) for gamma in axes["gamma"]])
-    if "gamma" in swept_names(axes):
-        return np.array([value(trial["gamma"]) for trial in axes[DRAW]])
-    return np.array(value(configs[0].gamma))
+    gammas = axes.get("gamma") or [trial["gamma"] for trial in axes.get(DRAW, ()) if "gamma" in trial]
+    return np.array([value(gamma) for gamma in gammas] if gammas else value(configs[0].gamma))
 
 
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:

@@ -131,9 +131,8 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
             continue
         label, x, parts = series[name]
         x, (*interval, _, late) = place(x), (part.values for part in parts)
-        mean, low, high = (
-            np.where(np.isfinite(part), part, np.nan) for part in interval
-        )  # it may have diverged
+        # It may have diverged, and what is infinite would be an endless bar.
+        mean, low, high = (np.where(np.isfinite(part), part, np.nan) for part in interval)
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
         ax.errorbar(

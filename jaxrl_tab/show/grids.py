@@ -47,9 +47,8 @@ def greedy_path(
     rows, columns = np.divmod(path, env.shape[1])
     arrows = greedy_actions(q) & prefers[:, None]
     for s, *step in zip(path[:-1], np.diff(rows), np.diff(columns), strict=True):
-        arrows[s] &= (np.asarray(COMPASS[: env.num_actions]) != step).any(
-            -1
-        )  # the path itself shows this one
+        # The path itself shows this one.
+        arrows[s] &= (np.asarray(COMPASS[: env.num_actions]) != step).any(-1)
     _draw_arrows(ax, env, arrows, "#9a9a9a")
     _draw_ends(ax, env)
 
@@ -243,18 +242,9 @@ def _quiver(
     width: float = 0.045,
 ) -> None:
     """Arrows from (x, y), as long and as wide as they are in cells; `color` is one for all or [arrows, 4]."""
-    ax.quiver(
-        *(x, y, right, down),
-        **{"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": width},
-        **{
-            "headwidth": 4,
-            "headlength": 4,
-            "headaxislength": 3.6,
-            "minlength": 0,
-            "color": color,
-            "zorder": 3,
-        },
-    )
+    size = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": width, "minlength": 0}
+    head = {"headwidth": 4, "headlength": 4, "headaxislength": 3.6}
+    ax.quiver(x, y, right, down, **size, **head, color=color, zorder=3)
 
 
 def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:

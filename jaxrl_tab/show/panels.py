@@ -72,9 +72,8 @@ def panels(
             text = _cell(float(v[s]))
             if best is not None:
                 text += "\n" + _either([names[a] for a in np.flatnonzero(best[s])])
-            color = (
-                INK if v[s] > low + 0.6 * (high - low) else "white"
-            )  # on the bright colours, and on the dark
+            is_bright = v[s] > low + 0.6 * (high - low)  # the colour of the cell
+            color = INK if is_bright else "white"
             middle = {"ha": "center", "va": "center", "linespacing": 1}
             ax.text(column, row, literal(text), size=CELL, color=color, **middle)
         ax.set_xticks(range(len(table.columns)), map(literal, table.columns))
