@@ -137,8 +137,8 @@ def _make_start(algorithm: Algorithm, env: Environment) -> _Start:
 
 def _any_action(env: Environment, s: Int[Array, ""]) -> Float[Array, " A"]:
     """Equal weights for the actions of a state."""
-    there = available_actions(env)
-    return jnp.ones(env.num_actions) if there is None else tables.row(there.astype(float), s)
+    available = available_actions(env)
+    return jnp.ones(env.num_actions) if available is None else tables.row(available.astype(float), s)
 
 
 def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:

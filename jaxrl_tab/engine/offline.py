@@ -147,10 +147,10 @@ def _checked(algorithm: Any, experience: Any, num_states: int, num_actions: int,
     experience.check(num_states, num_actions, behaviour)
     if available is None:
         return algorithm
-    there = numbers("learn", "available", available)
-    check_available("learn: available", there, num_states, num_actions)
-    experience.check_available(there)
-    return restricted(algorithm, there.astype(bool))
+    is_available = numbers("learn", "available", available)
+    check_available("learn: available", is_available, num_states, num_actions)
+    experience.check_available(is_available)
+    return restricted(algorithm, is_available.astype(bool))
 
 
 def _longest_episode(experience: Experience) -> int:

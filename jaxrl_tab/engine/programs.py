@@ -74,9 +74,9 @@ def kept(name: Any, make: Callable[[str], T], pack: Callable[[T], Any], unpack: 
     if file is None or not _is_usable(file.parent):
         return make("program")
     try:
-        found = unpack(pickle.loads(_read(file)))
+        program = unpack(pickle.loads(_read(file)))
         os.utime(file)
-        return found
+        return program
     except FileNotFoundError:
         pass
     except Exception as error:  # jaxlib's have no common type

@@ -145,18 +145,18 @@ def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
 
     There is a NaN or an infinity in one of these; or an entry of the table is larger in size than `largest` [...].
     """
-    found = np.zeros(q.shape[:-2], bool)
-    flat, beyond = found.reshape(-1), np.broadcast_to(largest, found.shape).reshape(-1)
+    diverged = np.zeros(q.shape[:-2], bool)
+    flat, beyond = diverged.reshape(-1), np.broadcast_to(largest, diverged.shape).reshape(-1)
     nowhere = np.array(UNAVAILABLE, q.dtype)
     for x in (q, *sums):
-        runs = x.reshape(found.size, -1)
-        for block in memory.blocks(found.size, runs[:1].nbytes):
+        runs = x.reshape(diverged.size, -1)
+        for block in memory.blocks(diverged.size, runs[:1].nbytes):
             for extreme in (runs[block].min(-1), runs[block].max(-1)):  # where there is a NaN, both are NaN
                 flat[block] |= ~np.isfinite(extreme)
             if x is q:
                 size = np.max(abs(runs[block]), -1, initial=0, where=runs[block] != nowhere)
                 flat[block] |= size > beyond[block]
-    return found
+    return diverged
 
 
 def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> None:
@@ -202,10 +202,10 @@ def label(value: Any) -> Any:
 
 def labels(values: Iterable[Any]) -> list[Any]:
     """The coordinates of an axis. Where any is a schedule or a policy all are as typed: text like "0.1"."""
-    found = [label(value) for value in values]
-    if any(isinstance(x, str) for x in found):
-        return [typed(x) if isinstance(x, float) else str(x) for x in found]
-    return found
+    coordinates = [label(value) for value in values]
+    if any(isinstance(x, str) for x in coordinates):
+        return [typed(x) if isinstance(x, float) else str(x) for x in coordinates]
+    return coordinates
 
 
 def parameters(obj: Any) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def unchecked(
     return loop.run(stream, algorithm, env, budget, measure)
 
 
-def in_full(given: T) -> T:
+def in_full(obj: T) -> T:
     """All numbers of a method or an environment in float64, each as two words; what is traced, as it is.
 
     A program in float32 can be given no other numbers: 0.99 would become 0.9900000095, and v, which goes with
@@ -106,21 +106,21 @@ def in_full(given: T) -> T:
     """
 
     def words(x: Any) -> Any:
-        if not jnp.issubdtype(jax.typeof(x).dtype, jnp.floating) or (known := concrete(x)) is None:
+        if not jnp.issubdtype(jax.typeof(x).dtype, jnp.floating) or (number := concrete(x)) is None:
             return x
-        return known.astype(np.float64)[..., None].view(np.uint32)
+        return number.astype(np.float64)[..., None].view(np.uint32)
 
-    return jax.tree.map(words, given)
+    return jax.tree.map(words, obj)
 
 
-def _restored(full: T, given: T) -> T:
-    """What was given to `in_full`, whose numbers in the program are `given`."""
+def _restored(full: T, obj: T) -> T:
+    """What was given to `in_full`, whose numbers in the program are `obj`."""
 
     def number(words: Any, x: Any) -> Any:
         same = jnp.result_type(words) == jnp.result_type(x)
         return x if same or not planning.has_double() else lax.bitcast_convert_type(words, jnp.float64)
 
-    return jax.tree.map(number, full, given)
+    return jax.tree.map(number, full, obj)
 
 
 # --- what is measured at the end of a row -----------------------------------------------------------
@@ -143,12 +143,12 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
 
 def _recorded(record: Record, learner: Any) -> dict[str, Array]:
     """What `record` says of the learner, as arrays. Raises InputError unless each has a name of its own."""
-    found = record(learner) if callable(record) else None
-    if not isinstance(found, dict):
+    recorded = record(learner) if callable(record) else None
+    if not isinstance(recorded, dict):
         raise InputError("record must be a function from the state of the learner to a dict of arrays")
-    if taken := sorted({*Log._fields, "q", "seed", "row"} & set(found)):
+    if taken := sorted({*Log._fields, "q", "seed", "row"} & set(recorded)):
         raise InputError(f"record: {taken[0]!r} is already a name in the results; choose another one")
-    return jax.tree.map(jnp.asarray, found)
+    return jax.tree.map(jnp.asarray, recorded)
 
 
 def _exact_measurer(algorithm: Any, env: Environment) -> Measured:

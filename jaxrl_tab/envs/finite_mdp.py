@@ -350,15 +350,15 @@ def _check_saved(saved: Mapping[str, np.ndarray]) -> None:
 
 
 def _terminal(terminal: Any, num_states: int) -> np.ndarray:
-    given = numbers(NAME, "terminal", terminal)
-    if given.dtype == bool and given.shape == (num_states,):
-        return given.copy()
-    if given.ndim != 1 or (given.dtype.kind not in "iu" and given.size):
+    array = numbers(NAME, "terminal", terminal)
+    if array.dtype == bool and array.shape == (num_states,):
+        return array.copy()
+    if array.ndim != 1 or (array.dtype.kind not in "iu" and array.size):
         raise InputError(
             f"{NAME}: terminal must be a list of states, or True or False for each of the {num_states} "
-            f"states, not {kind(given)}"
+            f"states, not {kind(array)}"
         )
-    states = given.astype(np.int64)
+    states = array.astype(np.int64)
     _check_states("terminal state", states, num_states)
     seen, count = np.unique(states, return_counts=True)
     if (twice := seen[count > 1]).size:
@@ -371,16 +371,16 @@ def _terminal(terminal: Any, num_states: int) -> np.ndarray:
 
 def _start(start: Any, is_terminal: np.ndarray) -> np.ndarray:
     """The distribution of the start state, float64 [S]."""
-    given, num_states = numbers(NAME, "start", start), len(is_terminal)
-    if given.ndim == 0 and given.dtype.kind in "iu":
-        _check_states("start state", given[None], num_states)
-        prob = (np.arange(num_states) == given).astype(np.float64)
-    elif given.shape == (num_states,):
-        prob = given.astype(np.float64)
+    array, num_states = numbers(NAME, "start", start), len(is_terminal)
+    if array.ndim == 0 and array.dtype.kind in "iu":
+        _check_states("start state", array[None], num_states)
+        prob = (np.arange(num_states) == array).astype(np.float64)
+    elif array.shape == (num_states,):
+        prob = array.astype(np.float64)
     else:
         raise InputError(
             f"{NAME}: start must be a state or the probabilities of the {num_states} states, "
-            f"not {kind(given)}"
+            f"not {kind(array)}"
         )
     if (s := first(~((prob >= 0) & np.isfinite(prob)))) is not None:
         raise InputError(f"{NAME}: the start probability of s = {s[0]} is {prob[s]}, not from 0 to 1")

@@ -125,10 +125,10 @@ def of_other_arrays(probabilities: Any, rewards: Any, first_axis: Any) -> Listed
     return Listed(num_states, num_actions, row, s_next, p.astype(np.float64), r.astype(np.float64))
 
 
-def _first_axis(shape: tuple[int, ...], said: str | None, hint: str) -> str:
+def _first_axis(shape: tuple[int, ...], first_axis: str | None, hint: str) -> str:
     """Which axis is the first of probabilities with this shape, "state" or "action"."""
     squares = {"state": shape[::2], "action": shape[1:]} if len(shape) == 3 and 0 not in shape else {}
-    asked = FORMS if said is None else {said: FORMS[said]}
+    asked = FORMS if first_axis is None else {first_axis: FORMS[first_axis]}
     possible = [axis for axis in asked if len({*squares.get(axis, (1, 2))}) == 1]
     wanted = " or ".join(asked.values())
     if not possible:
@@ -151,17 +151,17 @@ def _rewards_at(
     if is_sparse(rewards) and not hasattr(rewards, "tocoo"):
         matrices = _matrices("rewards", rewards)
         if (shape := (len(matrices), *matrices[0].shape)) == by_action:
-            found = np.zeros(len(s))
+            r = np.zeros(len(s))
             for i, matrix in enumerate(matrices):
-                found[a == i] = np.asarray(matrix[s[a == i], s_next[a == i]]).ravel()
-            return found
+                r[a == i] = np.asarray(matrix[s[a == i], s_next[a == i]]).ravel()
+            return r
     elif is_sparse(rewards) and rewards.shape != size:
         shape = rewards.shape
     else:
         r = numbers(NAME, "rewards", rewards.toarray() if is_sparse(rewards) else rewards)
         shape = r.shape
-        for known, index in (((num_states,), s), (size, (s, a))):
-            if shape == known:
+        for wanted, index in (((num_states,), s), (size, (s, a))):
+            if shape == wanted:
                 return r[index]
         if shape == each:
             return r[(a, s, s_next) if first_axis == "action" else at]
@@ -171,24 +171,24 @@ def _rewards_at(
     )
 
 
-def is_sparse(given: Any) -> bool:
+def is_sparse(matrices: Any) -> bool:
     """Whether it is a SciPy sparse matrix, or a list of matrices some of which are."""
-    if isinstance(given, np.ndarray) and given.dtype == object:
-        given = given.ravel().tolist()
-    several = isinstance(given, list | tuple) and any(hasattr(x, "tocoo") for x in given)
-    return several or hasattr(given, "tocoo")
+    if isinstance(matrices, np.ndarray) and matrices.dtype == object:
+        matrices = matrices.ravel().tolist()
+    several = isinstance(matrices, list | tuple) and any(hasattr(x, "tocoo") for x in matrices)
+    return several or hasattr(matrices, "tocoo")
 
 
-def _matrices(what: str, given: Any) -> list[Any]:
+def _matrices(what: str, several: Any) -> list[Any]:
     """A list of one matrix [S, S'] for each action as csr_matrix of SciPy."""
     from scipy import sparse  # late, for importing the package is to stay cheap
 
     wanted = f"{NAME}: sparse {what} must be a list of one matrix [S, S'] for each action"
-    if hasattr(given, "tocoo"):
+    if hasattr(several, "tocoo"):
         raise InputError(
-            f"{wanted}, not one of shape {given.shape}{PAIRS if what == 'probabilities' else ''}"
+            f"{wanted}, not one of shape {several.shape}{PAIRS if what == 'probabilities' else ''}"
         )
-    matrices = [x if hasattr(x, "tocoo") else numbers(NAME, what, x) for x in given]
+    matrices = [x if hasattr(x, "tocoo") else numbers(NAME, what, x) for x in several]
     for a, matrix in enumerate(matrices):
         if (
             matrix.ndim != 2
@@ -202,22 +202,22 @@ def _matrices(what: str, given: Any) -> list[Any]:
 def of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[Listed, np.ndarray | None]:
     """The outcomes in `states` [S][A], but for terminal states, and their `terminated` where they have it."""
     num_actions, every, count = 0, [], []
-    for s, given in enumerate(states):
-        actions = in_order(f"the actions of s = {s}", given)
+    for s, of_state in enumerate(states):
+        actions = in_order(f"the actions of s = {s}", of_state)
         num_actions = num_actions if s else len(actions)
         if len(actions) != num_actions:
             raise InputError(
                 f"{NAME}: s = {s} has {len(actions)} actions, and s = 0 has {num_actions}; "
                 "all states must have the same number"
             )
-        for a, found in enumerate(actions):
-            found = () if is_terminal[s] else found
-            if not is_list(found):
+        for a, outcomes in enumerate(actions):
+            outcomes = () if is_terminal[s] else outcomes
+            if not is_list(outcomes):
                 raise InputError(
-                    f"{NAME}: outcomes after (s, a) = {(s, a)} must be a list, not {shown(found)}"
+                    f"{NAME}: outcomes after (s, a) = {(s, a)} must be a list, not {shown(outcomes)}"
                 )
-            every.extend(found)
-            count.append(len(found))
+            every.extend(outcomes)
+            count.append(len(outcomes))
     row = np.repeat(np.arange(len(count)), count)
     listed = Listed(len(states), num_actions, row, row, *np.zeros((2, len(row))))
     for i, outcome in enumerate(every):
@@ -252,47 +252,51 @@ def of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[Listed,
     return listed, ends[0] == 1 if ends else None
 
 
-def _column(listed: Listed, what: str, given: Sequence[Any], right: str, are_wrong: Any = None) -> np.ndarray:
+def _column(
+    listed: Listed, what: str, column: Sequence[Any], right: str, are_wrong: Any = None
+) -> np.ndarray:
     """What stands in one place of all outcomes, as numbers [n]."""
-    array = _as_numbers(given)
+    array = _as_numbers(column)
     if array is None:
-        wrong = (next(i for i, x in enumerate(given) if _as_numbers([x]) is None),)
-    elif are_wrong is None or (wrong := first(are_wrong(given, array))) is None:
+        wrong = (next(i for i, x in enumerate(column) if _as_numbers([x]) is None),)
+    elif are_wrong is None or (wrong := first(are_wrong(column, array))) is None:
         return array
-    raise InputError(f"{NAME}: {what} {listed.after(wrong[0])} must be {right}, not {shown(given[wrong[0]])}")
+    raise InputError(
+        f"{NAME}: {what} {listed.after(wrong[0])} must be {right}, not {shown(column[wrong[0]])}"
+    )
 
 
-def _as_numbers(given: Sequence[Any]) -> np.ndarray | None:
-    """`given` as an array [n] of numbers, or None where it is none."""
+def _as_numbers(column: Sequence[Any]) -> np.ndarray | None:
+    """`column` as an array [n] of numbers, or None where it is none."""
     try:
-        array = np.asarray(given)
+        array = np.asarray(column)
     except ValueError:  # of several shapes
         return None
     return array if array.ndim == 1 and array.dtype.kind in "biuf" else None
 
 
-def _are_no_states(given: Sequence[Any], array: np.ndarray) -> np.ndarray:
-    is_bool = np.array([isinstance(x, bool | np.bool_) for x in given])
+def _are_no_states(column: Sequence[Any], array: np.ndarray) -> np.ndarray:
+    is_bool = np.array([isinstance(x, bool | np.bool_) for x in column])
     return is_bool | (np.floor(array.astype(float)) != array)
 
 
-def _are_no_flags(given: Sequence[Any], array: np.ndarray) -> np.ndarray:
+def _are_no_flags(column: Sequence[Any], array: np.ndarray) -> np.ndarray:
     return (array != 0) & (array != 1)
 
 
-def in_order(what: str, given: Any) -> Sequence[Any]:
+def in_order(what: str, listing: Any) -> Sequence[Any]:
     """A list; or what a dict has for 0, 1, 2 ..., in this order."""
-    if isinstance(given, Mapping):
-        if (odd := next((key for key in given if not is_whole(key, 0)), None)) is not None:
+    if isinstance(listing, Mapping):
+        if (odd := next((key for key in listing if not is_whole(key, 0)), None)) is not None:
             raise InputError(f"{NAME}: the keys of {what} must be whole numbers, not {shown(odd)}")
-        if (gap := next((i for i in range(len(given)) if i not in given), None)) is not None:
-            raise InputError(f"{NAME}: the keys of {what} must be 0 to {max(given)}, and {gap} is missing")
-        return [given[i] for i in range(len(given))]
-    if is_list(given):
-        return given
-    hint = "; FiniteMDP.from_arrays takes sparse matrices" if is_sparse(given) else foreign(given)
+        if (gap := next((i for i in range(len(listing)) if i not in listing), None)) is not None:
+            raise InputError(f"{NAME}: the keys of {what} must be 0 to {max(listing)}, and {gap} is missing")
+        return [listing[i] for i in range(len(listing))]
+    if is_list(listing):
+        return listing
+    hint = "; FiniteMDP.from_arrays takes sparse matrices" if is_sparse(listing) else foreign(listing)
     raise InputError(
-        f"{NAME}: {what} must be a list, or a dict with the keys 0, 1, 2 ..., not {shown(given)}{hint}"
+        f"{NAME}: {what} must be a list, or a dict with the keys 0, 1, 2 ..., not {shown(listing)}{hint}"
     )
 
 

@@ -124,12 +124,12 @@ class Program:
         def run(choices, *inputs):
             reader = Reader(lambda outcomes, size: next(chosen), left)
             chosen = enumerate(choices)
-            given = self._read(reader, inputs)
-            self.is_exact = list(map(is_plain, given))
+            outputs = self._read(reader, inputs)
+            self.is_exact = list(map(is_plain, outputs))
             made = [draw for draw in reader.draws if draw.sites]
             bounds = [jnp.broadcast_to(x, choices[y.sites[0]].shape) for y in made for x in (y.low, y.high)]
             self._made = [draw.sites for draw in made]
-            return [reader.plain(x) for x in given], bounds
+            return [reader.plain(x) for x in outputs], bounds
 
         choices = [jax.ShapeDtypeStruct((size,), jnp.int32) for _, size in self._sites]
         self._program = jax.make_jaxpr(run)(choices, *self._examples)
@@ -176,9 +176,9 @@ class Program:
         def function(choice, key, *args):
             ends = itertools.accumulate((self._sites[i][1] for i in sites), initial=0)
             parts = {i: choice[a:b] for i, (a, b) in zip(sites, itertools.pairwise(ends), strict=True)}
-            given = [parts.get(i, jnp.zeros(size, jnp.int32)) for i, (_, size) in enumerate(self._sites)]
-            given = program(*given, key, *jax.tree.leaves(args))
-            low, high = (jnp.concatenate([jnp.zeros(0), *(given[i] for i in bounds[e::2])]) for e in (0, 1))
-            return [given[i] for i in outputs], low, high
+            inputs = [parts.get(i, jnp.zeros(size, jnp.int32)) for i, (_, size) in enumerate(self._sites)]
+            results = program(*inputs, key, *jax.tree.leaves(args))
+            low, high = (jnp.concatenate([jnp.zeros(0), *(results[i] for i in bounds[e::2])]) for e in (0, 1))
+            return [results[i] for i in outputs], low, high
 
         return Enumeration(choices, function, [self.is_exact[i] for i in outputs])

@@ -165,8 +165,8 @@ def _check_steps(name: str, inner: gymnasium.Env, limit: int) -> None:
     try:
         wrong = _wrong_step(inner, limit)
     except Exception as error:
-        said = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InputError(f"{name}: its steps could not be compared with its table ({said}); {hint}") from None
+        why = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"{name}: its steps could not be compared with its table ({why}); {hint}") from None
     if wrong:
         raise InputError(f"{name}: {wrong}, which its table P does not have; {hint}")
 
@@ -211,9 +211,9 @@ class Tabular(gymnasium.Env):
         self.observation_space = spaces.Discrete(env.num_states)
         self.action_space = spaces.Discrete(env.num_actions)
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
-        there = available_actions(env)
-        self._available = None if there is None else np.asarray(there)
-        self._done = None if there is None else np.asarray(stand_ins(there))
+        available = available_actions(env)
+        self._available = None if available is None else np.asarray(available)
+        self._done = None if available is None else np.asarray(stand_ins(available))
         self._s: int | None = None
         self._steps = 0
         if isinstance(env, FiniteEnvironment):

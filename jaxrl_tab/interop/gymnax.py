@@ -154,8 +154,8 @@ def arguments(name: str) -> dict[str, Any]:
     """The keyword arguments of a registered environment and the fields of its `params`, with their defaults."""
     env, params = _made(name, None, {})
     keywords = inspect.signature(type(env)).parameters.values()
-    found = {keyword.name: keyword.default for keyword in keywords if keyword.default is not keyword.empty}
-    return found | {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
+    defaults = {keyword.name: keyword.default for keyword in keywords if keyword.default is not keyword.empty}
+    return defaults | {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
 
 
 def by_name(name: str, **values: Any) -> EnumeratedGymnax | SampledGymnax:
@@ -171,9 +171,9 @@ def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environ
         if env not in gymnax.registered_envs:
             close = nearest(env, gymnax.registered_envs)
             raise InputError(f"gymnax has no environment {shown(env)}; {close}")
-        given = tuple(sorted(parameters.items()))
+        items = tuple(sorted(parameters.items()))
         try:
-            env = _make(env, given) if _is_hashable(given) else _make.__wrapped__(env, given)
+            env = _make(env, items) if _is_hashable(items) else _make.__wrapped__(env, items)
         except Exception as error:  # whatever its constructor makes of them
             raise InputError(f"{env}: {' '.join(str(error).split()) or type(error).__name__}") from None
     elif parameters:
@@ -197,18 +197,18 @@ def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environ
     return env, _params(env, params)
 
 
-def _params(env: environment.Environment, given: Any) -> Any:
-    """The parameters `given` for `env`: its own, or a mapping of those that differ from the default ones."""
+def _params(env: environment.Environment, params: Any) -> Any:
+    """The parameters of `env`, where `params` are such, or a mapping of those that differ from the default ones."""
     default = env.default_params
     known = [field.name for field in dataclasses.fields(default)]
-    if isinstance(given, type(default)):
-        changed: dict[Any, Any] = {field: getattr(given, field) for field in known}
-    elif given is None or isinstance(given, Mapping):
-        changed = dict(given or {})
+    if isinstance(params, type(default)):
+        changed: dict[Any, Any] = {field: getattr(params, field) for field in known}
+    elif params is None or isinstance(params, Mapping):
+        changed = dict(params or {})
     else:
         raise InputError(
             f"{env.name}: params must be those of this environment, or a dict of what differs from "
-            f"env.default_params, not {shown(given)}"
+            f"env.default_params, not {shown(params)}"
         )
     for field, value in changed.items():
         if field not in known:
@@ -275,15 +275,17 @@ class Tabular(environment.Environment):
         return s, TabularState(time=jnp.int32(0), s=s, terminal=jnp.bool(False))
 
     def step_env(self, key: Any, state: TabularState, action: Any, params: Any) -> tuple[Any, ...]:
-        there, action = available_actions(self.env), jnp.asarray(action, jnp.int32)
-        if there is not None:
-            action = stand_ins(there)[state.s, action]
+        available, action = available_actions(self.env), jnp.asarray(action, jnp.int32)
+        if available is not None:
+            action = stand_ins(available)[state.s, action]
         outcome = self.env.step(key, state.s, action)
         s, terminal = jnp.asarray(outcome.s_next, jnp.int32), jnp.asarray(outcome.terminal, bool)
         reward = jnp.asarray(outcome.reward, float)
         state = TabularState(time=state.time + 1, s=s, terminal=terminal)
         info = {"discount": self.discount(state, params)}
-        return s, state, reward, terminal, info if there is None else {**info, "action_mask": there[s]}
+        if available is not None:
+            info["action_mask"] = available[s]
+        return s, state, reward, terminal, info
 
     def observe(self, key: Any, state: TabularState, action: Any, params: Any) -> Any:
         return state.s

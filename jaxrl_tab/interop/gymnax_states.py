@@ -79,8 +79,8 @@ class Task:
 
     def beginnings(self, keys: Any) -> "Seen":
         """What may be at the start, [K, C]: for each key and choice."""
-        given = jax.jit(_over_draws(self.reset.function))(self.reset.choices, keys)
-        return Seen.of(given, len(self.leaves))
+        outcomes = jax.jit(_over_draws(self.reset.function))(self.reset.choices, keys)
+        return Seen.of(outcomes, len(self.leaves))
 
     def transitions(self, block: int) -> Callable[[Any, list[np.ndarray]], "Seen"]:
         """A function of keys and the leaves of B = `block` states [B, ...]: what may follow, [B, A, K, C]."""
@@ -133,8 +133,8 @@ class Seen(NamedTuple):
     observation: list[np.ndarray]
 
     @classmethod
-    def of(cls, given: Any, size: int) -> "Seen":
-        outputs, low, high = jax.tree.map(np.asarray, given)
+    def of(cls, outcomes: Any, size: int) -> "Seen":
+        outputs, low, high = jax.tree.map(np.asarray, outcomes)
         return cls(draws.probabilities(low, high), outputs[:size], outputs[size], outputs[size + 1 :])
 
 
@@ -248,8 +248,8 @@ def explore(task: Task, found: States) -> tuple[dict[int, float], list[Any]]:
             continue
         padded = np.resize(todo, block)  # of one size, so that one program does
         states = [np.array(x) for x in zip(*(found.states[s] for s in padded), strict=True)]
-        given = step(keys, states)
-        seen = jax.tree.map(lambda x: x[: len(todo)], given)  # noqa: B023
+        seen = step(keys, states)
+        seen = jax.tree.map(lambda x: x[: len(todo)], seen)  # noqa: B023
         *observation, reward, terminal = seen.observation
         reward = draws.exact(reward)
         numbers = found.add(seen, observation, terminal)

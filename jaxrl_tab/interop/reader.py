@@ -126,15 +126,15 @@ class Reader:
         values = [self.plain(x) for x in inputs]
         constant = not any(isinstance(x, Tracer) for x in values)
         with jax.ensure_compile_time_eval() if constant else contextlib.nullcontext():  # it stays known
-            given = eqn.primitive.bind(*values, **eqn.params)
-        given = given if eqn.primitive.multiple_results else [given]
+            outputs = eqn.primitive.bind(*values, **eqn.params)
+        outputs = outputs if eqn.primitive.multiple_results else [outputs]
         keyed = any(isinstance(x, Key) for x in inputs)
         opaque = any(isinstance(x, Opaque | Uniform | Gumbel) for x in inputs)
         derived = eqn.primitive.name, str(eqn.params), tuple(map(self.name_of, inputs))
         return [
             Key(x, (derived, i)) if keyed and not opaque and is_key(x) else
             Opaque(x) if keyed or opaque else x
-            for i, x in enumerate(given)
+            for i, x in enumerate(outputs)
         ]  # fmt: skip
 
     def plain(self, x: Any) -> Any:
