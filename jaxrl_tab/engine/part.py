@@ -145,9 +145,11 @@ def compute(
         if not len(at):
             continue
         leaves = (leaves_as_arrays(part.configs[i]) for i in members)
+        # [members, 1]: broadcast to [members, seeds], which `batch.run` numbers in C order.
         stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *leaves)
         seeds = part.first_seed + np.arange(part.num_seeds, dtype=np.uint32)
         seeds = np.broadcast_to(seeds, (len(members), part.num_seeds))
+        # `members` ascends, so this is the place of each configuration among them.
         within = np.searchsorted(members, config[at]) * part.num_seeds + place[at]
         report = lambda n, done=done: progress(done + n, steps)
         seconds = batch.run(part.env, stacked, root, seeds, part.budget, keep, report, room, runs=within)
@@ -165,6 +167,6 @@ def _same_program(configs: Sequence[Algorithm]) -> list[list[int]]:
     """The configurations, as indices, grouped by what shapes the program: all but the leaves' values."""
     groups: dict[Any, list[int]] = {}
     for i, config in enumerate(configs):
-        leaves, treedef = jax.tree.flatten(config)
+        leaves, treedef = jax.tree.flatten(config)  # what is static is in the treedef
         groups.setdefault((treedef, tuple(np.shape(x) for x in leaves)), []).append(i)
     return list(groups.values())

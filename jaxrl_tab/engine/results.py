@@ -146,6 +146,7 @@ def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
     There is a NaN or an infinity in one of these; or an entry of the table is larger in size than `largest` [...].
     """
     diverged = np.zeros(q.shape[:-2], bool)
+    # `flat` is a view: what is written into it is in `diverged`.
     flat, beyond = diverged.reshape(-1), np.broadcast_to(largest, diverged.shape).reshape(-1)
     nowhere = np.array(UNAVAILABLE, q.dtype)
     for x in (q, *sums):
@@ -178,6 +179,7 @@ def _save_large(x: "xr.DataArray", file: Path, group: str) -> None:
     import h5netcdf
 
     before, seeds = x.dims.index("seed"), x.sizes["seed"]
+    # The bytes of one seed in one setting.
     each = max(1, x.nbytes // (x.size // int(np.prod(x.shape[before + 1 :], dtype=int))))
     with h5netcdf.File(file, "a") as whole:
         to = whole[group]
@@ -188,6 +190,7 @@ def _save_large(x: "xr.DataArray", file: Path, group: str) -> None:
         missing = np.nan if x.dtype.kind == "f" else None
         packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "chunks": chunks}
         variable = to.create_variable(x.name, x.dims, x.dtype, fillvalue=missing, **packed)
+        # As xarray writes it, or what was drawn would be no coordinate when the file is read.
         if drawn := [str(name) for name in x.coords if name not in x.dims]:
             variable.attrs["coordinates"] = " ".join(drawn)
         for setting in np.ndindex(x.shape[:before]):

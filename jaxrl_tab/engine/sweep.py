@@ -245,7 +245,7 @@ def configurations(
     swept = [name for name in axes if name != DRAW]
 
     def instance(point: tuple) -> Algorithm:
-        *values, trial = point if DRAW in axes else (*point, {})
+        *values, trial = point if DRAW in axes else (*point, {})  # draws are the last axis
         return build(cls, name, single | dict(zip(swept, values, strict=True)) | trial)
 
     return axes, [instance(point) for point in itertools.product(*axes.values())]
@@ -269,6 +269,7 @@ def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
     same = [config for config in configs if config.gamma == gamma]
     if of_method(same[0]).learns is Learns.ACTIONS:
         return same[:1]
+    # Tables are not compared entry by entry: the configurations of one Table in the grid share the object.
     by_pi: dict[int, Any] = {id(config.pi): config for config in cast(list[Any], same)}
     return list(by_pi.values())
 

@@ -229,6 +229,7 @@ def _fields(listed: Listed, is_terminal: Any, start_prob: Any, max_steps: Any) -
     _check_reachable(listed, is_terminal, start_prob)
     shape = listed.num_states, listed.num_actions, -1
     count = np.bincount(listed.row, minlength=listed.num_states * listed.num_actions)
+    # Outcomes of one (s, a) follow one another, so a place in its row of K is that after the row's first.
     at = listed.row, np.arange(len(listed.row)) - (np.cumsum(count) - count)[listed.row]
     successors = _others(listed, count)
     prob, reward = np.zeros(successors.shape), np.zeros(successors.shape)
@@ -263,12 +264,12 @@ def _added_up(listed: Listed) -> Listed:
     """`listed`, where outcomes of one (s, a), s' and reward are one, in the place of the first."""
     if (np.diff(listed.row * listed.num_states + listed.s_next) > 0).all():
         return listed  # as of arrays
-    order = np.lexsort((listed.reward, listed.s_next, listed.row))
+    order = np.lexsort((listed.reward, listed.s_next, listed.row))  # the last key is the first to sort by
     alike = listed.of(order)
     keys = np.stack([alike.row, alike.s_next, alike.reward])
     is_new = np.append(True, (np.diff(keys) != 0).any(axis=0))
     total = np.bincount(np.cumsum(is_new) - 1, alike.prob)
-    one = order[is_new]
+    one = order[is_new]  # the sort is stable, so it is the first of those that are alike
     place = np.argsort(one)
     return listed.of(one[place])._replace(prob=total[place])
 

@@ -89,6 +89,7 @@ class Program:
 
         self._examples = [jax.eval_shape(lambda: rng.key(0)), *leaves]
         self._closed = jax.make_jaxpr(flat)(*self._examples)
+        # A draw that is left to its key may make another one unclear that was chosen before.
         left: set | None = set()
         while unclear := self._first_pass(left):
             left |= unclear

@@ -64,6 +64,7 @@ class Task:
         reward, terminal = count, count + 1
         seen = range(count + 2, count + 2 + len(observed))
         self.leaves: list[int] = []
+        # What the leaves that matter depend on matters too, until there are no more.
         needed = lambda: sorted(
             i for i in go_on.arguments([*self.leaves, reward, terminal, *seen]) if i < count
         )
@@ -206,6 +207,7 @@ class States:
                 return number, space.n
         columns = [*zip(*self.states, strict=True), self.is_terminal]
         columns = np.concatenate([np.array(x).reshape(len(self.states), -1) for x in columns], axis=1)
+        # The inverse of the order by the first column, then the second, ...: the rank of each state.
         return np.argsort(np.lexsort(columns.T[::-1])), len(self.states)
 
 

@@ -174,6 +174,7 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
             ax.xaxis.set_minor_locator(NullLocator())
         return lambda x: x.astype(float)
     names = list(dict.fromkeys(text_of(v) for x in tried for v in x.tolist()))
+    # Longer names would run into one another.
     tilt = {"rotation": 20, "ha": "right"} if sum(map(len, names)) > 30 else {}
     ax.set_xticks(range(len(names)), [literal(shortened(name)) for name in names], **tilt)
     ax.set_xlim(-0.5, len(names) - 0.5)
@@ -265,6 +266,7 @@ def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float)
     if high < 0 and low / high > 5:
         bottom, top = low * 1.2, high / 1.35
         ticks = np.outer(10.0 ** np.arange(-6, 12), [1, 2, 5]).ravel()
+        # All values are beyond the threshold, so this is a logarithmic axis of negative numbers.
         ax.set_yscale("symlog", linthresh=-top)
         ax.set_yticks([-t for t in ticks if -top <= t <= -bottom])
         ax.yaxis.set_major_formatter(lambda y, _: significant(y))

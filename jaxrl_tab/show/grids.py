@@ -138,6 +138,7 @@ class _Moves(NamedTuple):
         likeliest = np.isclose(likelihood, likelihood.max(-1, keepdims=True))
         rank = likeliest.cumsum(-1)
         middle = (rank[..., -1:] + 1) // 2
+        # Of k likeliest outcomes number (k + 1) // 2: of three gusts of wind the one in the middle.
         k = ((rank == middle) & likeliest).argmax(-1)[..., None]
 
         return cls(
@@ -151,7 +152,7 @@ class _Moves(NamedTuple):
         """Steps to a terminal state by greedy actions, float32 [n, S] for `q` [n, S, A]; inf if never."""
         cost = np.where(np.moveaxis(greedy_actions(q), 0, -1), np.float32(1), np.float32(np.inf))  # [S, A, n]
         cost[self.terminal] = 0
-        steps = np.full((len(cost), len(q)), np.float32(np.inf))
+        steps = np.full((len(cost), len(q)), np.float32(np.inf))  # float32 is exact for so few steps
         steps[self.terminal] = 0
         while True:
             before, steps = steps, (steps[self.successor] + cost).min(1)
