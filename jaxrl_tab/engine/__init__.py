@@ -3,7 +3,8 @@
 Its modules, from the ground up:
 
     budget      how long a run is, and what is recorded of it
-    loop        step after step of an agent in its environment, and a log of sums
+    log         what is recorded of a run, row by row
+    loop        step after step of an agent in its environment
     train       one run, checked and compiled
     provenance  what the bits of a result depend on beside the experiment
     programs    compiled programs that outlive the process

@@ -14,7 +14,7 @@ from jaxrl_tab.core.declared import of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment
 from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.loop import Log
+from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
@@ -28,7 +28,7 @@ class Computed(NamedTuple):
 
     Attributes:
         q: their final tables, float [n, S, A].
-        log: what happened, [n, rows] each; see `loop.Log`.
+        log: what happened, [n, rows] each; see `log.Log`.
         seconds: how long it took.
     """
 

@@ -15,7 +15,7 @@ from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine.axes import DRAW
-from jaxrl_tab.engine.loop import Log
+from jaxrl_tab.engine.log import Log
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,7 +34,7 @@ class SweepResult:
         grid: swept hyperparameters in the order of the axes, each with its values. Those that were drawn at
             random go together: they are the axis `draw`, each value a dict of them.
         fixed: the other hyperparameters.
-        log: what happened, NumPy [*grid, seeds, rows] each; see `loop.Log`.
+        log: what happened, NumPy [*grid, seeds, rows] each; see `log.Log`.
         q: the final tables, float [*grid, seeds, S, A].
         optimal_value: v* from the start distribution, for prediction v_pi; float64 [gammas] where gamma is
             swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over

@@ -20,7 +20,8 @@ from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, restricted
 from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.budget import Budget, Record
-from jaxrl_tab.engine.loop import Log, Measured
+from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.loop import Measured
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.exact import planning
 

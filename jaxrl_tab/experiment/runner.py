@@ -26,7 +26,7 @@ from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
 from jaxrl_tab.engine import batch, room
-from jaxrl_tab.engine.loop import Log
+from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
