@@ -69,7 +69,7 @@ class ValueState(NamedTuple):
 
 @pytree
 class Prediction:
-    """What all share. A method says by which method of `control` it learns; hyperparameters of one name are one."""
+    """What all share. A method names its method of control, and passes on the hyperparameters that both have."""
 
     pi: Any = field(
         default=None,
@@ -82,7 +82,7 @@ class Prediction:
 
     learns: ClassVar[Learns] = Learns.STATES
     acts_after_update: ClassVar[bool] = True
-    method: ClassVar[type]  # of control, which learns V
+    method: ClassVar[type]  # the method of control that learns V
 
     def __post_init__(self):
         _as_table(self, "pi")
@@ -92,7 +92,7 @@ class Prediction:
             raise error.renamed(type(self).__name__) from None
 
     def control(self, **policies: Table) -> Any:
-        """The method of control that learns V, with the hyperparameters of this one."""
+        """The method of control that learns V, with the hyperparameters that both have, and these policies."""
         names = {field.name for field in dataclasses.fields(self.method)}
         shared = {name: x for name, x in vars(self).items() if name in names - {"behaviour"}}
         return self.method(q0=self.v0, **shared, **policies)

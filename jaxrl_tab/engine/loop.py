@@ -75,7 +75,7 @@ def run(
     """What a method learned in an environment, and what happened.
 
     Args:
-        stream: the random words of the run.
+        stream: from which the random words of the run come.
         algorithm: the method, which takes available actions only.
         env: the environment.
         budget: how long the run is.

@@ -84,8 +84,8 @@ class Part:
         """Of each configuration, the |Q| beyond which a run has diverged; infinite where that is not judged.
 
         It is `BEYOND` times what no average of returns exceeds: the initial value, and the largest return of
-        as many steps as the run has. Judged are environments whose rewards are those of their outcomes, and
-        methods that multiply no return by ratios.
+        as many steps as the run has. Only runs of methods that multiply no return by ratios are judged, in
+        environments whose rewards are those of their outcomes.
         """
         budget, env = self.budget, self.env
         steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps

@@ -105,7 +105,7 @@ def digest(surroundings: Mapping[str, Any]) -> str:
 
 
 def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """What of `now` was otherwise, a line for each. `was` may be what an earlier version recorded."""
+    """What of `now` was different before, a line for each. `was` may be what an earlier version recorded."""
     return [_change(name, was.get(name), value) for name, value in now.items() if was.get(name) != value]
 
 

@@ -216,7 +216,7 @@ class _Needs(NamedTuple):
 
 
 def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> _Needs:
-    """What a run of this method needs; its hyperparameters are arrays, whose values do not matter."""
+    """What one run of this method needs of memory. Its hyperparameters are arrays, whose values do not matter."""
     return _needs(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
 
 

@@ -87,7 +87,7 @@ class Task:
         """A function of keys and the leaves of B = `block` states [B, ...]: what may follow, [B, A, K, C]."""
 
         def step(choice, key, state, action):
-            leaves = list(self.first)  # of no consequence, but for these:
+            leaves = list(self.first)  # those that do not matter may have any value
             for i, x in zip(self.leaves, state, strict=True):
                 leaves[i] = x
             return self.step.function(choice, key, jax.tree.unflatten(self.state_def, leaves), action)

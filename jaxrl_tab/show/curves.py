@@ -97,7 +97,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     some runs finished no episode in the last tenth, and so count with what they collected there. A method
     that did not sweep the parameter is drawn at the one value that it had. Schedules and policies, and
     numbers beside them, stand side by side in the order in which they come. Where the parameter was drawn at
-    random there is a point for each draw, in which what was drawn with it is another, too.
+    random there is a point for each draw; what was drawn together with it differs from point to point, too.
 
     Args:
         soft: as in `learning_curves`.
