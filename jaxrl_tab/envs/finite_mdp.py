@@ -23,6 +23,7 @@ from jaxrl_tab.envs.listed import (
     of_arrays,
     of_other_arrays,
     of_outcomes,
+    refusal,
 )
 from jaxrl_tab.exact.model import spread
 
@@ -136,14 +137,12 @@ class FiniteMDP(Finite):
             InputError: something given is wrong; the message names the first wrong (s, a) or state.
         """
         if is_sparse(outcomes) or (isinstance(outcomes, np.ndarray) and outcomes.ndim == 3):
-            raise InputError(
-                f"{NAME}: outcomes must be lists of (p, s', reward); FiniteMDP.from_arrays takes arrays and matrices"
+            raise refusal(
+                "outcomes must be lists of (p, s', reward); FiniteMDP.from_arrays takes arrays and matrices"
             )
         states = in_order("outcomes", outcomes)
         if not len(states) or not len(in_order("the actions of s = 0", states[0])):
-            raise InputError(
-                f"{NAME}: outcomes must be a list of states, each a list of actions with outcomes"
-            )
+            raise refusal("outcomes must be a list of states, each a list of actions with outcomes")
         is_terminal = _terminal(terminal, len(states))
         start_prob = _start(start, is_terminal)
         listed, ends = of_outcomes(states, is_terminal)
@@ -159,13 +158,13 @@ class FiniteMDP(Finite):
         """
         path = as_path("the file of a table", path)
         if path.suffix != ".npz":
-            raise InputError(f"{NAME}: the name of the file must end in .npz, not {shown(str(path))}")
+            raise refusal(f"the name of the file must end in .npz, not {shown(str(path))}")
         path.write_bytes(self.to_bytes())
 
     def to_bytes(self) -> bytes:
         """What `save` writes."""
         if np.ndim(self.successors) != 3:
-            raise InputError(f"{NAME}: a batch of environments cannot be saved; save them one by one")
+            raise refusal("a batch of environments cannot be saved; save them one by one")
         content = io.BytesIO()
         arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in _SAVED}
         np.savez(content, **arrays)
@@ -337,7 +336,7 @@ def _check_saved(saved: Mapping[str, np.ndarray]) -> None:
             sizes.setdefault(axis, n) == n > 0 for axis, n in zip(axes, shape, strict=True)
         )
         if saved[name].dtype.kind != numbers_of or not fits:
-            raise InputError(f"{NAME}: {name} has the shape {shape} and the type {saved[name].dtype}")
+            raise refusal(f"{name} has the shape {shape} and the type {saved[name].dtype}")
     successors, prob = saved["successors"], saved["prob"]
     _check_states("successor", successors.ravel(), sizes["S"])
     _check_states("start state", saved["start_states"], sizes["S"])
@@ -355,16 +354,16 @@ def _terminal(terminal: Any, num_states: int) -> np.ndarray:
     if array.dtype == bool and array.shape == (num_states,):
         return array.copy()
     if array.ndim != 1 or (array.dtype.kind not in "iu" and array.size):
-        raise InputError(
-            f"{NAME}: terminal must be a list of states, or True or False for each of the {num_states} "
+        raise refusal(
+            f"terminal must be a list of states, or True or False for each of the {num_states} "
             f"states, not {kind(array)}"
         )
     states = array.astype(np.int64)
     _check_states("terminal state", states, num_states)
     seen, count = np.unique(states, return_counts=True)
     if (twice := seen[count > 1]).size:
-        raise InputError(
-            f"{NAME}: terminal has state {twice[0]} more than once; give a list of states, "
+        raise refusal(
+            f"terminal has state {twice[0]} more than once; give a list of states, "
             "or True or False for each state"
         )
     return np.isin(np.arange(num_states), states)
@@ -379,16 +378,15 @@ def _start(start: Any, is_terminal: np.ndarray) -> np.ndarray:
     elif array.shape == (num_states,):
         prob = array.astype(np.float64)
     else:
-        raise InputError(
-            f"{NAME}: start must be a state or the probabilities of the {num_states} states, "
-            f"not {kind(array)}"
+        raise refusal(
+            f"start must be a state or the probabilities of the {num_states} states, not {kind(array)}"
         )
     if (s := first(~((prob >= 0) & np.isfinite(prob)))) is not None:
-        raise InputError(f"{NAME}: the start probability of s = {s[0]} is {prob[s]}, not from 0 to 1")
+        raise refusal(f"the start probability of s = {s[0]} is {prob[s]}, not from 0 to 1")
     if abs(prob.sum() - 1) > TOLERANCE:
-        raise InputError(f"{NAME}: the start distribution adds up to {prob.sum():.6g}, not to 1")
+        raise refusal(f"the start distribution adds up to {prob.sum():.6g}, not to 1")
     if (s := first((prob > 0) & is_terminal)) is not None:
-        raise InputError(f"{NAME}: episodes may start in s = {s[0]}, which is terminal")
+        raise refusal(f"episodes may start in s = {s[0]}, which is terminal")
     return prob / prob.sum()
 
 
@@ -396,20 +394,20 @@ def _check_outcomes(listed: Listed) -> None:
     """Raises InputError unless they are distributions, with finite rewards of what can happen."""
     p, r = listed.prob, listed.reward
     if (at := first(~((p >= 0) & np.isfinite(p)))) is not None:
-        raise InputError(
-            f"{NAME}: the probability of s' = {listed.s_next[at]} {listed.after(*at)} is {p[at]}, not from 0 to 1"
+        raise refusal(
+            f"the probability of s' = {listed.s_next[at]} {listed.after(*at)} is {p[at]}, not from 0 to 1"
         )
     total = np.bincount(listed.row, p, listed.num_states * listed.num_actions)
     if (at := first(abs(total - 1) > TOLERANCE)) is not None:
         where = f"after (s, a) = {divmod(at[0], listed.num_actions)}"
-        raise InputError(f"{NAME}: the probabilities {where} add up to {total[at]:.6g}, not to 1")
+        raise refusal(f"the probabilities {where} add up to {total[at]:.6g}, not to 1")
     if (at := first((p > 0) & ~np.isfinite(r))) is not None:
         hint = (
             "; an action that a state does not have can be a copy of one that it has"
             if r[at] == -np.inf
             else ""
         )
-        raise InputError(f"{NAME}: the reward {listed.after(*at)} is {r[at]}, not a finite number{hint}")
+        raise refusal(f"the reward {listed.after(*at)} is {r[at]}, not a finite number{hint}")
 
 
 def _check_reachable(listed: Listed, is_terminal: np.ndarray, start_prob: np.ndarray) -> None:
@@ -417,12 +415,12 @@ def _check_reachable(listed: Listed, is_terminal: np.ndarray, start_prob: np.nda
     source = listed.row // listed.num_actions
     ends = spread(listed.s_next, source, is_terminal)
     if is_terminal.any() and (s := first((start_prob > 0) & ~ends)) is not None:
-        raise InputError(
-            f"{NAME}: no terminal state can be reached from start state s = {s[0]}; "
+        raise refusal(
+            f"no terminal state can be reached from start state s = {s[0]}; "
             "a task that is meant to go on for ever has no terminal states"
         )
 
 
 def _check_states(what: str, states: np.ndarray, num_states: int) -> None:
     if (i := first((states < 0) | (states >= num_states))) is not None:
-        raise InputError(f"{NAME}: there is no {what} {states[i]}; states are 0 to {num_states - 1}")
+        raise refusal(f"there is no {what} {states[i]}; states are 0 to {num_states - 1}")

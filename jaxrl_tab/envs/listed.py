@@ -1,5 +1,6 @@
 """What may happen in a finite MDP, read from arrays, sparse matrices and tables of outcomes; see `FiniteMDP`."""
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -8,6 +9,7 @@ import numpy as np
 from jaxrl_tab.core.checks import InputError, first, foreign, is_list, is_whole, numbers, shown
 
 NAME = "FiniteMDP"
+refusal = functools.partial(InputError, who=NAME)  # the error of what people gave for it
 FORMS = {"state": "[S, A, S']", "action": "[A, S, S']"}  # of probabilities, by their first axis
 PAIRS = "; ddp.to_product_form() of QuantEcon turns pairs of states and actions into [S, A, S']"
 
@@ -40,11 +42,9 @@ class Listed(NamedTuple):
 
 def _probabilities(probabilities: Any, rewards: Any) -> np.ndarray:
     """p [S, A, S'] as the class takes it."""
-    wanted = f"{NAME}: probabilities must be an array [S, A, S']"
+    wanted = "probabilities must be an array [S, A, S']"
     if is_sparse(probabilities):
-        raise InputError(
-            f"{wanted}; FiniteMDP.from_arrays takes sparse matrices, one [S, S'] for each action"
-        )
+        raise refusal(f"{wanted}; FiniteMDP.from_arrays takes sparse matrices, one [S, S'] for each action")
     _check_is_array(probabilities, rewards)
     p = numbers(NAME, "probabilities", probabilities).astype(np.float64)
     if p.ndim == 3 and p.shape[0] == p.shape[2] and p.size > 0:
@@ -52,7 +52,7 @@ def _probabilities(probabilities: Any, rewards: Any) -> np.ndarray:
     hint = _hint(p, rewards)
     if p.ndim == 3 and p.shape[1] == p.shape[2]:
         hint = "; FiniteMDP.from_arrays takes [A, S, S'], and the rewards that belong to it"
-    raise InputError(f"{NAME}: probabilities must have shape [S, A, S'], not {p.shape}{hint}")
+    raise refusal(f"probabilities must have shape [S, A, S'], not {p.shape}{hint}")
 
 
 def _check_is_array(probabilities: Any, rewards: Any) -> None:
@@ -61,7 +61,7 @@ def _check_is_array(probabilities: Any, rewards: Any) -> None:
     if isinstance(probabilities, Mapping) or rewards is None:
         hint = hint or "; FiniteMDP.from_outcomes takes tables of outcomes"
     if hint:
-        raise InputError(f"{NAME}: probabilities must be an array, with rewards beside it{hint}")
+        raise refusal(f"probabilities must be an array, with rewards beside it{hint}")
 
 
 def _hint(p: np.ndarray, rewards: Any) -> str:
@@ -73,9 +73,9 @@ def _hint(p: np.ndarray, rewards: Any) -> str:
 
 def _rewards(rewards: Any, shape: tuple[int, ...]) -> np.ndarray:
     """r [S, A, 1 or S'] as the class takes it."""
-    wanted = f"{NAME}: rewards must have shape [S, A] = {shape[:2]} or [S, A, S'] = {shape}"
+    wanted = f"rewards must have shape [S, A] = {shape[:2]} or [S, A, S'] = {shape}"
     if is_sparse(rewards):
-        raise InputError(f"{wanted}; FiniteMDP.from_arrays takes sparse ones")
+        raise refusal(f"{wanted}; FiniteMDP.from_arrays takes sparse ones")
     r = numbers(NAME, "rewards", rewards).astype(np.float64)
     if r.shape in (shape[:2], shape):
         return r.reshape(*shape[:2], -1)
@@ -84,7 +84,7 @@ def _rewards(rewards: Any, shape: tuple[int, ...]) -> np.ndarray:
         hint = "; FiniteMDP.from_arrays takes [S]"
     elif r.shape in ((shape[1], shape[0]), (shape[1], shape[0], shape[0])):
         hint = "; np.swapaxes(rewards, 0, 1) turns it into one of them"
-    raise InputError(f"{wanted}, not {r.shape}{hint}")
+    raise refusal(f"{wanted}, not {r.shape}{hint}")
 
 
 def of_arrays(probabilities: Any, rewards: Any) -> Listed:
@@ -99,10 +99,10 @@ def of_arrays(probabilities: Any, rewards: Any) -> Listed:
 def of_other_arrays(probabilities: Any, rewards: Any, first_axis: Any) -> Listed:
     """The outcomes in what `from_arrays` takes."""
     if first_axis is not None and not (isinstance(first_axis, str) and first_axis in FORMS):
-        raise InputError(f"{NAME}: first_axis must be 'state' or 'action', not {shown(first_axis)}")
+        raise refusal(f"first_axis must be 'state' or 'action', not {shown(first_axis)}")
     if is_sparse(probabilities):
         if first_axis == "state":
-            raise InputError(f"{NAME}: sparse matrices are one for each action, so first_axis is 'action'")
+            raise refusal("sparse matrices are one for each action, so first_axis is 'action'")
         first_axis, matrices = "action", _matrices("probabilities", probabilities)
         num_states, num_actions = matrices[0].shape[0], len(matrices)
         s, s_next, p = (
@@ -132,10 +132,10 @@ def _first_axis(shape: tuple[int, ...], first_axis: str | None, hint: str) -> st
     possible = [axis for axis in asked if len({*squares.get(axis, (1, 2))}) == 1]
     wanted = " or ".join(asked.values())
     if not possible:
-        raise InputError(f"{NAME}: probabilities must have shape {wanted}, not {shape}{hint}")
+        raise refusal(f"probabilities must have shape {wanted}, not {shape}{hint}")
     if len(possible) > 1:
-        raise InputError(
-            f"{NAME}: probabilities of shape {shape} may be {wanted}; say first_axis='state' or first_axis='action'"
+        raise refusal(
+            f"probabilities of shape {shape} may be {wanted}; say first_axis='state' or first_axis='action'"
         )
     return possible[0]
 
@@ -165,8 +165,8 @@ def _rewards_at(
                 return r[index]
         if shape == each:
             return r[(a, s, s_next) if first_axis == "action" else at]
-    raise InputError(
-        f"{NAME}: rewards must have shape [S] = {(num_states,)}, [S, A] = {size} or {FORMS[first_axis]} = {each}, "
+    raise refusal(
+        f"rewards must have shape [S] = {(num_states,)}, [S, A] = {size} or {FORMS[first_axis]} = {each}, "
         f"not {shape}"
     )
 
@@ -183,11 +183,9 @@ def _matrices(what: str, several: Any) -> list[Any]:
     """A list of one matrix [S, S'] for each action as csr_matrix of SciPy."""
     from scipy import sparse  # late, for importing the package is to stay cheap
 
-    wanted = f"{NAME}: sparse {what} must be a list of one matrix [S, S'] for each action"
+    wanted = f"sparse {what} must be a list of one matrix [S, S'] for each action"
     if hasattr(several, "tocoo"):
-        raise InputError(
-            f"{wanted}, not one of shape {several.shape}{PAIRS if what == 'probabilities' else ''}"
-        )
+        raise refusal(f"{wanted}, not one of shape {several.shape}{PAIRS if what == 'probabilities' else ''}")
     matrices = [x if hasattr(x, "tocoo") else numbers(NAME, what, x) for x in several]
     for a, matrix in enumerate(matrices):
         if (
@@ -195,7 +193,7 @@ def _matrices(what: str, several: Any) -> list[Any]:
             or len({*matrix.shape, *matrices[0].shape}) != 1
             or matrix.dtype.kind not in "biuf"
         ):
-            raise InputError(f"{wanted}, and that of a = {a} is {kind(matrix)}")
+            raise refusal(f"{wanted}, and that of a = {a} is {kind(matrix)}")
     return [sparse.csr_matrix(sparse.coo_matrix(matrix)) for matrix in matrices]  # duplicates are added up
 
 
@@ -206,16 +204,14 @@ def of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[Listed,
         actions = in_order(f"the actions of s = {s}", of_state)
         num_actions = num_actions if s else len(actions)
         if len(actions) != num_actions:
-            raise InputError(
-                f"{NAME}: s = {s} has {len(actions)} actions, and s = 0 has {num_actions}; "
+            raise refusal(
+                f"s = {s} has {len(actions)} actions, and s = 0 has {num_actions}; "
                 "all states must have the same number"
             )
         for a, outcomes in enumerate(actions):
             outcomes = () if is_terminal[s] else outcomes
             if not is_list(outcomes):
-                raise InputError(
-                    f"{NAME}: outcomes after (s, a) = {(s, a)} must be a list, not {shown(outcomes)}"
-                )
+                raise refusal(f"outcomes after (s, a) = {(s, a)} must be a list, not {shown(outcomes)}")
             every.extend(outcomes)
             count.append(len(outcomes))
     row = np.repeat(np.arange(len(count)), count)
@@ -227,13 +223,13 @@ def of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[Listed,
                 if _as_numbers([every[0]]) is not None
                 else ""
             )
-            raise InputError(
-                f"{NAME}: an outcome {listed.after(i)} must be (p, s', reward) or (p, s', reward, terminated), "
+            raise refusal(
+                f"an outcome {listed.after(i)} must be (p, s', reward) or (p, s', reward, terminated), "
                 f"not {shown(outcome)}{hint}"
             )
         if len(outcome) != len(every[0]):
-            raise InputError(
-                f"{NAME}: an outcome {listed.after(i)} has {len(outcome)} entries, and the first one has "
+            raise refusal(
+                f"an outcome {listed.after(i)} has {len(outcome)} entries, and the first one has "
                 f"{len(every[0])}; all or none must say whether they are terminated"
             )
     if not every:
@@ -243,8 +239,8 @@ def of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[Listed,
     entered = _column(listed, "s' of an outcome", s_next, "the number of a state", _are_no_states)
     reward = _column(listed, "the reward", reward, "a number")
     if (at := first((entered < 0) | (entered >= len(states)))) is not None:
-        raise InputError(
-            f"{NAME}: there is no state {s_next[at[0]]}, an outcome {listed.after(at[0])}; "
+        raise refusal(
+            f"there is no state {s_next[at[0]]}, an outcome {listed.after(at[0])}; "
             f"states are 0 to {len(states) - 1}"
         )
     listed = listed._replace(prob=prob.astype(float), s_next=entered.astype(int), reward=reward.astype(float))
@@ -261,9 +257,7 @@ def _column(
         wrong = (next(i for i, x in enumerate(column) if _as_numbers([x]) is None),)
     elif are_wrong is None or (wrong := first(are_wrong(column, array))) is None:
         return array
-    raise InputError(
-        f"{NAME}: {what} {listed.after(wrong[0])} must be {right}, not {shown(column[wrong[0]])}"
-    )
+    raise refusal(f"{what} {listed.after(wrong[0])} must be {right}, not {shown(column[wrong[0]])}")
 
 
 def _as_numbers(column: Sequence[Any]) -> np.ndarray | None:
@@ -288,16 +282,14 @@ def in_order(what: str, listing: Any) -> Sequence[Any]:
     """A list; or what a dict has for 0, 1, 2 ..., in this order."""
     if isinstance(listing, Mapping):
         if (odd := next((key for key in listing if not is_whole(key, 0)), None)) is not None:
-            raise InputError(f"{NAME}: the keys of {what} must be whole numbers, not {shown(odd)}")
+            raise refusal(f"the keys of {what} must be whole numbers, not {shown(odd)}")
         if (gap := next((i for i in range(len(listing)) if i not in listing), None)) is not None:
-            raise InputError(f"{NAME}: the keys of {what} must be 0 to {max(listing)}, and {gap} is missing")
+            raise refusal(f"the keys of {what} must be 0 to {max(listing)}, and {gap} is missing")
         return [listing[i] for i in range(len(listing))]
     if is_list(listing):
         return listing
     hint = "; FiniteMDP.from_arrays takes sparse matrices" if is_sparse(listing) else foreign(listing)
-    raise InputError(
-        f"{NAME}: {what} must be a list, or a dict with the keys 0, 1, 2 ..., not {shown(listing)}{hint}"
-    )
+    raise refusal(f"{what} must be a list, or a dict with the keys 0, 1, 2 ..., not {shown(listing)}{hint}")
 
 
 def kind(array: Any) -> str:
