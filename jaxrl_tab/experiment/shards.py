@@ -95,7 +95,7 @@ def forget_parts() -> None:
 
 
 def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
+    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `part.Part`."""
     one = [part.configs[config]]
     return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
 
