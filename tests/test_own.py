@@ -19,7 +19,7 @@ import quick
 import jaxrl_tab as rl
 from jaxrl_tab import cli, plot
 from jaxrl_tab.algorithms.prediction import METHOD
-from jaxrl_tab.core import names
+from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.envs import ENVIRONMENT
@@ -158,7 +158,7 @@ def test_the_same_file_is_one_module_and_a_changed_one_another(here):
     [
         ("none.py:Coin", "there is no file none.py"),
         ("mine.py:Con", "there is no 'Con' in mine.py; did you mean 'Coin'?"),
-        ("mine.py", "mine.py is a file: name the class in it as well, as in 'mine.py:MyClass'"),
+        ("mine.py", "mine.py is a file: name what is in it as well, as in 'mine.py:NAME'"),
         (
             "mine.py:Hasty",
             "mine.py:Hasty is not an environment: it has no num_states, num_actions, max_steps, ",
@@ -359,7 +359,7 @@ def test_classes_and_instances(here):
         {
             "name": f"{here}/mine.py:Coin",
             "label": "Coin",
-            "sha256": names.read(Path("mine.py")).sha256,
+            "sha256": modules.read(Path("mine.py")).sha256,
             "heads": 0.25,
             "max_steps": 100,
         }

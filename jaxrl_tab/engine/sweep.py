@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxrl_tab.algorithms.prediction import METHOD, METHODS
-from jaxrl_tab.core import names, rng
+from jaxrl_tab.core import modules, names, rng
 from jaxrl_tab.core.checks import (
     InputError,
     build,
@@ -32,9 +32,9 @@ from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, avai
 from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.axes import DRAW, check_settings, spread, swept_names
 from jaxrl_tab.engine.budget import Budget, Record
+from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.results import SweepResult, label, parameters
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.engine.train import Log
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
@@ -221,7 +221,7 @@ def prepare(
     Raises:
         InputError: something given is wrong.
     """
-    names.check_not_importing()
+    modules.check_not_importing()
     for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0), ("first_seed", first_seed, 0)):
         whole(None, name, value, least)
     if not isinstance(env, Environment):

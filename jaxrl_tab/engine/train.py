@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import policies, rng, schedules, tables
-from jaxrl_tab.core.checks import InputError, check_held, check_pytree, concrete
+from jaxrl_tab.core.checks import check_held, check_pytree, concrete
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import (
     Algorithm,
@@ -28,6 +28,7 @@ from jaxrl_tab.core.types import (
     restricted,
 )
 from jaxrl_tab.engine.budget import Budget, Record
+from jaxrl_tab.engine.log import Log, recorded
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
@@ -37,35 +38,6 @@ T = TypeVar("T")
 
 DRAWN_TOGETHER = 32  # for so many steps at most the random words are worked out at once; see `_steps`
 CHUNKS = 256, 16  # so many steps are taken at once where a run ends with an episode; see `_run_until`
-
-
-class Log(NamedTuple):
-    """What happened, in rows: sums over so many steps (`num_steps`) or episodes (`num_episodes`).
-
-    Attributes:
-        steps: steps taken, int32 [rows].
-        episodes: episodes that ended in the row, int32 [rows].
-        returns: sum of their returns G = sum_t gamma^t R_{t+1}, float [rows].
-        lengths: sum of their lengths in steps, int32 [rows].
-        rewards: sum of the rewards of all steps, float [rows].
-        greedy_value: exact value, from the start distribution, of the policy that is greedy to Q at the end
-            of the row; -inf where it may go round for ever at a cost; float [rows]. None unless recorded.
-        q_error: the largest |Q - Q*| at the end of the row, over the states that can be reached from the
-            start and are not terminal, float [rows]. None unless recorded.
-        v_error: of a method of `prediction`, the root of the mean squared error of V at the end of the row,
-            over the same states, float [rows]. None unless recorded.
-        recorded: what `record` gave at the end of the row, [rows] of each. None unless asked for.
-    """
-
-    steps: Int[Array, "*rows"]
-    episodes: Int[Array, "*rows"]
-    returns: Float[Array, "*rows"]
-    lengths: Int[Array, "*rows"]
-    rewards: Float[Array, "*rows"]
-    greedy_value: Float[Array, "*rows"] | None = None
-    q_error: Float[Array, "*rows"] | None = None
-    v_error: Float[Array, "*rows"] | None = None
-    recorded: dict[str, Array] | None = None
 
 
 class _Run(NamedTuple):
@@ -424,19 +396,9 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
             exact_algorithm, exact_env = _restored(full, (algorithm, env))
             exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
         measures.append(_exact_measurer(exact_algorithm, exact_env))
-    if record:
-        measures.append(lambda learner: {"recorded": _recorded(record, learner)})
+    if record is not None:
+        measures.append(lambda learner: {"recorded": recorded(record, algorithm, learner)})
     return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
-
-
-def _recorded(record: Record, learner: Any) -> dict[str, Array]:
-    """What `record` says of the learner, as arrays. Raises InputError unless each has a name of its own."""
-    found = record(learner) if callable(record) else None
-    if not isinstance(found, dict):
-        raise InputError("record must be a function from the state of the learner to a dict of arrays")
-    if taken := sorted({*Log._fields, "q", "seed", "row"} & set(found)):
-        raise InputError(f"record: {taken[0]!r} is already a name in the results; choose another one")
-    return jax.tree.map(jnp.asarray, found)
 
 
 def _exact_measurer(algorithm: Any, env: Environment) -> Measured:
