@@ -73,7 +73,8 @@ def read(path: Path, alone: bool = False) -> File:
         raise InputError(f"there is no file {path}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read: {reason(error)}") from None
-    return _contents.setdefault(file.sha256, file)._replace(path=file.path)
+    keep([file])
+    return file
 
 
 def of_checksum(path: Path, sha256: str | None) -> File:

@@ -96,7 +96,8 @@ def _as_array(name: Any, x: Any) -> Array:
         )
     with contextlib.suppress(TypeError, ValueError):
         x = jnp.asarray(x)
-    if not isinstance(x, jax.Array) or not re.fullmatch(r"bool|u?int(8|16|32|64)|float(32|64)", str(x.dtype)):
-        of = f"{x.dtype}{list(x.shape)}" if isinstance(x, jax.Array) else shown(x)
+    is_array = isinstance(x, jax.Array)
+    if not is_array or not x.size or not re.fullmatch(r"bool|u?int(8|16|32|64)|float(32|64)", str(x.dtype)):
+        of = f"{x.dtype}{list(x.shape)}" if is_array else shown(x)
         raise InputError(f"record: {name} must be a number or an array of numbers, not {of}")
     return x
