@@ -425,7 +425,7 @@ def test_what_cannot_be_saved_is_refused_where_there_is_a_folder(here, monkeypat
     notebook = type(sys)("__main__")
     exec(OWN, vars(notebook))
     monkeypatch.setitem(sys.modules, "__main__", notebook)
-    advice = "put it into a file of its own, and name it 'file.py:Class'; or run it without a folder"
+    advice = "put it into a file of its own, and name it 'file.py:NAME'; or run it without a folder"
     for environment, method, message in (
         ("random-walk", Inner, "Inner is made inside a function: "),
         (notebook.Coin(), "sarsa", "Coin is made in a notebook or at a prompt: "),
@@ -471,7 +471,7 @@ def test_a_copy_or_a_file_that_was_changed_stops_resume(here):
     )
     os.remove("mine.py")
     Path("run/sources/mine.py").write_text(OWN.replace("-jnp.ones", "jnp.ones"))
-    refused(lambda: rl.resume("run"), "the copy of mine.py:Coin in run/sources is missing or was altered")
+    refused(lambda: rl.resume("run"), "the copy of mine.py in run/sources is missing or was altered")
     Path("run/sources/mine.py").write_text(OWN)
     for damaged in ("run/resolved.json", "run/experiment.toml", "run/sources/sources.json"):
         before = Path(damaged).read_text()
