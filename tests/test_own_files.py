@@ -30,7 +30,7 @@ class Mine(rl.Sarsa):
         from later import quarter
         return super().learn(state, t, quarter(half(delta)))
 """
-HELPERS = "import later\n\ndef half(x):\n    return x / 2\n"
+HELPERS = "def half(x):\n    import later\n\n    return x / 2\n"
 LATER = "import helpers  # in a circle\n\ndef quarter(x):\n    return x / 4\n"
 BUDGET = {"seeds": 3, "steps": 300}
 
@@ -91,7 +91,7 @@ def test_files_that_a_file_imports_are_kept_and_loaded_with_it(here):
 
 
 def test_another_process_has_them_from_the_job(here):
-    """Broken once: the neighbours are left out of `File` where it is pickled -> fails."""
+    """Broken once: the job goes without its files -> fails."""
     one = experiment()
     Path("job").write_bytes(pickle.dumps(shards.Job(json.dumps(one.data()), None, files=one.files)))
     for name in ("mine", "helpers", "later"):
