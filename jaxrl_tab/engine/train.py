@@ -15,12 +15,12 @@ from jaxtyping import Array, Key
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
-from jaxrl_tab.core.checks import InputError, check_held, check_pytree, concrete
+from jaxrl_tab.core.checks import check_held, check_pytree, concrete
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, restricted
 from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.budget import Budget, Record
-from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.log import Log, recorded
 from jaxrl_tab.engine.loop import Measured
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.exact import planning
@@ -137,19 +137,9 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
             exact_algorithm, exact_env = _restored(full, (algorithm, env))
             exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
         measures.append(_exact_measurer(exact_algorithm, exact_env))
-    if record:
-        measures.append(lambda learner: {"recorded": _recorded(record, learner)})
+    if record is not None:
+        measures.append(lambda learner: {"recorded": recorded(record, algorithm, learner)})
     return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
-
-
-def _recorded(record: Record, learner: Any) -> dict[str, Array]:
-    """What `record` says of the learner, as arrays. Raises InputError unless each has a name of its own."""
-    recorded = record(learner) if callable(record) else None
-    if not isinstance(recorded, dict):
-        raise InputError("record must be a function from the state of the learner to a dict of arrays")
-    if taken := sorted({*Log._fields, "q", "seed", "row"} & set(recorded)):
-        raise InputError(f"record: {taken[0]!r} is already a name in the results; choose another one")
-    return jax.tree.map(jnp.asarray, recorded)
 
 
 def _exact_measurer(algorithm: Any, env: Environment) -> Measured:

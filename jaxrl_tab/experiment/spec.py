@@ -35,11 +35,12 @@ import jax
 import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core import memory, names
+from jaxrl_tab.core import memory, modules
 from jaxrl_tab.core.checks import InputError, as_path, nearest, one_line, shown, whole
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.log import recorded_shapes
 from jaxrl_tab.engine.part import Part
 from jaxrl_tab.engine.sweep import prepare
 from jaxrl_tab.envs import ENVS
@@ -53,6 +54,7 @@ from jaxrl_tab.experiment.resolve import (
     grid_of,
     keys,
     methods,
+    recorder,
     selection,
 )
 
@@ -82,6 +84,8 @@ class Experiment:
         log_every: how many steps, or episodes, are summed up in a row of the log.
         seed: the root seed, of runs and of draws.
         exact: whether exact values are recorded at every row; prediction always records its error.
+        record: a function that records more at every row, as in `train`, or its name, "mine.py:function" or
+            "package.module:function"; its arrays are variables of the results.
         select: whether the best setting of each method is run again on fresh seeds, and by what it is chosen:
             a dict as `Selection` has it; None: not.
         source: the file that it was read from; not part of the data.
@@ -96,12 +100,13 @@ class Experiment:
     log_every: int | None = None
     seed: int = 0
     exact: bool = False
+    record: Any = None
     select: Any = None
     source: Source | None = dataclasses.field(default=None, repr=False, compare=False)
     references: References = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        names.check_not_importing()
+        modules.check_not_importing()
         with located(self.source):
             for name, least in (("seeds", 1), ("steps", 1), ("episodes", 1), ("log_every", 1), ("seed", 0)):
                 with at(name):
@@ -121,6 +126,10 @@ class Experiment:
             prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
             self._set("exact", bool(self.exact) or prediction)
             self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
+            with at("record"):
+                self._set(
+                    "record", None if self.record is None else recorder(self.record, source, references)
+                )
             with at("select"):
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
 
@@ -180,7 +189,7 @@ class Experiment:
         return hashlib.sha256(_canonical(self.data()).encode()).hexdigest()
 
     @property
-    def files(self) -> tuple[names.File, ...]:
+    def files(self) -> tuple[modules.File, ...]:
         """The files that its own classes and tables are in."""
         files = {x.file.sha256: x.file for x in self.references.values() if x.file}
         return tuple(files.values())
@@ -192,7 +201,8 @@ class Experiment:
             InputError: a method does not fit an environment.
         """
         found = {}
-        budget = Budget(self.steps, self.episodes, self.log_every, self.exact)
+        record = self.references[self.record["name"]].cls if self.record else None
+        budget = Budget(self.steps, self.episodes, self.log_every, self.exact, record)
         with located(self.source):
             for environment in self.environment:
                 values = {key: x for key, x in environment.items() if key not in ABOUT}
@@ -210,6 +220,8 @@ class Experiment:
                         )
                         for config, *_ in part.programs:  # policies in tables must be of the task's size
                             jax.eval_shape(partial(init_learner, part.configs[config], env))
+                    with at("record"):
+                        recorded_shapes(record, part.configs[0], env)
                     found[f"{environment['label']}/{method['label']}"] = part
         return found
 
