@@ -461,14 +461,16 @@ def test_the_template_gives_results(tmp_path):
     assert len((tmp_path / "out" / "summary.csv").read_text().splitlines()) == 41
 
 
-def test_all_of_the_template_is_true_with_its_comments_taken_away(load):
+def test_all_of_the_template_is_true_with_its_comments_taken_away(load, tmp_path):
     """What it proposes in comments can be written as it stands there."""
+    (tmp_path / "mine.py").write_text('def q_of_start(state):\n    return {"q_start": state.q[0]}\n')
     lines = template().splitlines()
     code = [line[2:] if line.startswith("# ") and _is_toml(line[2:]) else line for line in lines]
     whole = load("\n".join(code))
     assert len(whole.environment) == 3
     assert whole.environment[2]["label"] == "strong wind"
     assert whole.select == {"by": "score", "fresh_seeds": 20}
+    assert whole.record["name"] == "mine.py:q_of_start"
 
 
 def _is_toml(line):

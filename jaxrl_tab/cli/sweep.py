@@ -137,6 +137,8 @@ class Sweep(Where):
     exact: Switch = False
     """Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the log.
     (The error of methods of prediction is always recorded.)"""
+    record: Annotated[str | None, word("FILE:FUNCTION"), arg(help_behavior_hint="")] = None
+    """Also record at every row what a function of your own says of the learner, such as mine.py:q_of_start."""
     out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
     """New folder for the data and the pictures."""
     dry_run: Switch = False
@@ -193,6 +195,7 @@ def _experiment(options: Any, hyperparameters: Group, environment: Group) -> Exp
     """The experiment that is in a file, or was typed."""
     typed = {"steps": options.steps, "episodes": options.episodes, "log_every": options.log_every}
     typed |= {"seeds": options.seeds, "seed": options.seed, "exact": options.exact or None}
+    typed |= {"record": options.record}
     typed |= {"select": {} if options.select else None}
     typed: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
     is_file = options.env.endswith(".toml") or Path(options.env).is_file()

@@ -15,6 +15,7 @@ from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.results import save
+from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp
 from jaxrl_tab.experiment.storage import DATA, FRESH_DATA, GIVEN, SELECTION, SUMMARY, Store
@@ -172,7 +173,8 @@ def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
         "finished": timestamp(),
         **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
         **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
-        "versions": {name: now[name] for name in provenance.installed()} | {"python": one.get("python")},
+        "versions": {x: now[x] for x in (*provenance.installed(), *ENVIRONMENT.libraries) if x in now}
+        | {"python": one.get("python")},
         "XLA flags": now["XLA_FLAGS"],
         "computed on": f"{one.get('processor')}, {one.get('devices')} devices, {one.get('platform')}",
         **({"git commit": one["git_commit"]} if one.get("git_commit") else {}),

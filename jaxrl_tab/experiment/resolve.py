@@ -18,6 +18,7 @@ from jaxrl_tab.core.checks import InputError, check_choice, nearest, repeated, s
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.axes import DRAW
+from jaxrl_tab.engine.budget import RECORDER
 from jaxrl_tab.engine.sweep import configurations
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment.instances import is_array, made, table_of
@@ -34,7 +35,7 @@ class Selection:
 
     Attributes:
         by: "score": the mean return of the last tenth, of prediction the error (see `stats.score`).
-        fresh_seeds: how many seeds it is then run on. They have a root of their own (see `sweep.Part`), so no
+        fresh_seeds: how many seeds it is then run on. They have a root of their own (see `part.Part`), so no
             other sweep has them, be it ever so large.
     """
 
@@ -368,6 +369,15 @@ def _depth(value: Any) -> int:
 
 def _depth_of_lists(value: Any) -> int:
     return 1 + max(map(_depth_of_lists, value), default=0) if isinstance(value, list) else 0
+
+
+def recorder(given: Any, source: Source | None, references: References) -> dict[str, Any]:
+    """The plain data of a recorder: the name of the function, and the checksum of its file."""
+    table = dict(given) if isinstance(given, Mapping) else {"name": given}
+    if "name" not in table or table.keys() - {"name", "sha256"}:
+        raise InputError(f"record must be a function, or its name, not {shown(given)}")
+    reference = _find(RECORDER, table, source, references)
+    return {"name": reference.name} | ({"sha256": reference.file.sha256} if reference.file else {})
 
 
 def selection(given: Any, seeds: int) -> dict[str, Any]:

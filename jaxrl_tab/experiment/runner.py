@@ -25,16 +25,17 @@ import numpy as np
 from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import batch, room
+from jaxrl_tab.engine import batch, provenance, room
+from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.engine.sweep import Computed, Part, leaves_as_arrays, result
-from jaxrl_tab.engine.train import Log
+from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import Outcome, write_files
 from jaxrl_tab.experiment.progress import Meter
-from jaxrl_tab.experiment.records import Origin, is_session, session, settings_of
+from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
 from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, RESOLVED, Store, warn
@@ -142,14 +143,15 @@ def _go_on(
     store = Store(path, experiment.fingerprint)
     _warn_of_what_was(store)
     records = _records(store)
-    job = Job.of(experiment, limit)
+    libraries = library_versions(experiment.data())
+    job = Job.of(experiment, limit, libraries)
     select = experiment.select
     with settings_of(store, records), reporting(progress) as report:
         meter = Meter(report)
-        origin = Origin.of(store, records, mixed)
+        origin = Origin.of(store, records, mixed, libraries)
         if _missing(store, job):
             origin.check(path)
-        with session(store, records, command):
+        with session(store, records, command, libraries):
             later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
             executor = executor or Local()
             new = _compute(store, job, executor, meter, later, origin)
@@ -207,8 +209,7 @@ def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
     """(shape, dtype) of each array of a shard."""
     method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
     q, log = room.gives(part.env, method, part.root, part.budget)
-    of_one = {"q": q, **{name: x for name, x in log._asdict().items() if x is not None}}
-    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in of_one.items()}
+    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in {"q": q, **log.named()}.items()}
     return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
@@ -232,8 +233,8 @@ def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[
                 room -= needed if needed <= room else 0
             results.write(runs(part, shard), arrays)
         assert results is not None
-        log = {key: x for key, x in results.arrays.items() if key != "q"}
-        computed = Computed(results.arrays["q"], Log(**log), batch.Seconds(*seconds.tolist()))
+        log = Log.of(results.arrays)
+        computed = Computed(results.arrays["q"], log, batch.Seconds(*seconds.tolist()))
         datasets[name] = result(part, computed).to_xarray()
     return datasets, room
 
@@ -305,6 +306,8 @@ def _experiment_in(path: Path) -> Experiment:
         experiment = given
         _warn_of_a_new(path / RESOLVED, f"made again, of {GIVEN}")
         storage.write_json(path / RESOLVED, experiment.data())
+    elif changed := _other_libraries(path, data):  # then an environment may be another one, or none
+        raise InputError(f"{'; '.join(changed)}: install what it was, to go on in {path}")
     elif resolved or given:
         raise InputError(
             f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed or damaged since"
@@ -317,6 +320,14 @@ def _experiment_in(path: Path) -> Experiment:
             f"{source} was changed since: {changed}; put it back, or rename it to go on with what it was"
         )
     return experiment
+
+
+def _other_libraries(path: Path, data: Any) -> list[str]:
+    """What has another version among the libraries from which environments come, a line for each."""
+    sessions = (_records_in(path) or {"sessions": []})["sessions"]
+    was = sessions[0].get("surroundings", {}) if sessions else {}
+    now = {library: version for library, version in library_versions(data).items() if library in was}
+    return provenance.differences(was, now)
 
 
 def _understood(read: Callable[[], Experiment]) -> Experiment | None:

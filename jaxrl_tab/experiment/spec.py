@@ -22,12 +22,12 @@ on them alone, and `fingerprint` is their checksum. `template()` is a file that 
 """
 
 import dataclasses
-import functools
 import hashlib
 import json
 import re
 import tomllib
 from collections.abc import Mapping
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -35,12 +35,14 @@ import jax
 import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core import memory, names
+from jaxrl_tab.core import memory, modules
 from jaxrl_tab.core.checks import InputError, as_path, nearest, one_line, shown, whole
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.sweep import Part, prepare
+from jaxrl_tab.engine.log import recorded_shapes
+from jaxrl_tab.engine.part import Part
+from jaxrl_tab.engine.sweep import prepare
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.instances import made
 from jaxrl_tab.experiment.places import Source, at, located, split_statements
@@ -52,6 +54,7 @@ from jaxrl_tab.experiment.resolve import (
     grid_of,
     keys,
     methods,
+    recorder,
     selection,
 )
 
@@ -81,6 +84,8 @@ class Experiment:
         log_every: how many steps, or episodes, are summed up in a row of the log.
         seed: the root seed, of runs and of draws.
         exact: whether exact values are recorded at every row; prediction always records its error.
+        record: a function that records more at every row, as in `train`, or its name, "mine.py:function" or
+            "package.module:function"; its arrays are variables of the results.
         select: whether the best setting of each method is run again on fresh seeds, and by what it is chosen:
             a dict as `Selection` has it; None: not.
         source: the file that it was read from; not part of the data.
@@ -95,12 +100,13 @@ class Experiment:
     log_every: int | None = None
     seed: int = 0
     exact: bool = False
+    record: Any = None
     select: Any = None
     source: Source | None = dataclasses.field(default=None, repr=False, compare=False)
     references: References = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        names.check_not_importing()
+        modules.check_not_importing()
         with located(self.source):
             for name, least in (("seeds", 1), ("steps", 1), ("episodes", 1), ("log_every", 1), ("seed", 0)):
                 with at(name):
@@ -118,6 +124,10 @@ class Experiment:
             classes = [references[method["name"]].cls for method in self.method]
             prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
             self._set("exact", bool(self.exact) or prediction)
+            with at("record"):
+                self._set(
+                    "record", None if self.record is None else recorder(self.record, source, references)
+                )
             with at("select"):
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
 
@@ -177,7 +187,7 @@ class Experiment:
         return hashlib.sha256(_canonical(self.data()).encode()).hexdigest()
 
     @property
-    def files(self) -> tuple[names.File, ...]:
+    def files(self) -> tuple[modules.File, ...]:
         """The files that its own classes and tables are in."""
         files = {x.file.sha256: x.file for x in self.references.values() if x.file}
         return tuple(files.values())
@@ -190,10 +200,11 @@ class Experiment:
         """
         return self._parts
 
-    @functools.cached_property
+    @cached_property
     def _parts(self) -> dict[str, Part]:
         found = {}
-        budget = Budget(self.steps, self.episodes, self.log_every, self.exact)
+        record = self.references[self.record["name"]].cls if self.record else None
+        budget = Budget(self.steps, self.episodes, self.log_every, self.exact, record)
         with located(self.source):
             for environment in self.environment:
                 values = {key: x for key, x in environment.items() if key not in ABOUT}
@@ -210,7 +221,9 @@ class Experiment:
                             seed=self.seed,
                         )
                         for config, *_ in part.programs:  # policies in tables must be of the task's size
-                            jax.eval_shape(functools.partial(init_learner, part.configs[config], env))
+                            jax.eval_shape(partial(init_learner, part.configs[config], env))
+                    with at("record"):
+                        recorded_shapes(record, part.configs[0], env)
                     found[f"{environment['label']}/{method['label']}"] = part
         return found
 

@@ -348,7 +348,7 @@ def selection(ds: Sweep, fresh: Sweep, by: Measure = score, confidence: float = 
 
     Raises:
         InputError: `fresh` has no such setting, or shares a seed with `ds`: one of the same number under the
-            same root. (What was run with `sweep.Part.fresh` has a root of its own.)
+            same root. (What was run with `part.Part.fresh` has a root of its own.)
     """
     settings = Settings.of(ds, by)
     ds, setting = settings.ds, settings.best
