@@ -3,23 +3,19 @@
 import contextlib
 import itertools
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
 
 import jax
-from tyro.conf import FlagCreatePairsOff, arg
 
 from jaxrl_tab import envs
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHOD, METHODS, PREDICTION
-from jaxrl_tab.cli.options import Group, parameters, values
+from jaxrl_tab.cli.options import Group
 from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, nearest, one_line, shown
 from jaxrl_tab.engine import batch, programs
 from jaxrl_tab.envs import ENVS
-
-Switch = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
 PROG = "jaxrl-tab"
 
@@ -64,9 +60,7 @@ def with_own(group: Group, words: Sequence[str]) -> Group:
     own = {}
     for word in words:
         if not any(word in kind.registry for kind in names.KINDS) and not word.endswith(".toml"):
-            with contextlib.suppress(
-                InputError
-            ):  # it may be a value; if it is a name, `find` says what is wrong
+            with contextlib.suppress(InputError):  # it may be a value; a wrong name `find` refuses
                 own[word] = names.find(group.kind, word).cls
     return group._replace(registry=own | dict(group.registry))
 
@@ -85,13 +79,6 @@ def find(group: Group, name: str) -> type:
     if not name:
         raise InputError(f"name {group.kind.noun}: {', '.join(group.registry)}")
     return group.registry[name] if name in group.registry else names.find(group.kind, name).cls
-
-
-def parameters_of(name: str, typed: Mapping[str, tuple[str, ...]], group: Group) -> dict[str, Any]:
-    """The parameters of an environment that were typed, with their values."""
-    chosen = values([name], typed, group)[name]
-    defaults = {p.name: p.default for p in parameters(group.registry[name])}
-    return {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in chosen.items()}
 
 
 @contextlib.contextmanager

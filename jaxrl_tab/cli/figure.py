@@ -1,19 +1,18 @@
 """`jaxrl-tab figure`: published figures again, and their numbers checked."""
 
-import dataclasses
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 from rich.table import Table
-from tyro.conf import Positional, arg
 
-from jaxrl_tab.cli.common import PROG, Switch, known_name, new_folder, prepare, start_jax
-from jaxrl_tab.cli.options import parse, place
+from jaxrl_tab.cli.common import PROG, known_name, new_folder, prepare, start_jax
+from jaxrl_tab.cli.options import parse, word
 from jaxrl_tab.cli.screen import busy, console, print_json, say_where
 from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine.results import save
 from jaxrl_tab.experiment import storage
@@ -48,7 +47,7 @@ def make_runs(
     return datasets
 
 
-@dataclasses.dataclass
+@checked_dataclass
 class Figure:
     """Runs the setting of a published figure again, draws it, and checks its numbers; or of all figures.
 
@@ -61,21 +60,18 @@ class Figure:
       jaxrl-tab figure --all --out runs/figures
     """
 
-    name: Annotated[Positional[str], arg(metavar="NAME", help_behavior_hint="")] = ""
-    """Name of the figure; see `jaxrl-tab list`."""
-    all: Switch = False
-    """Make all figures; with --out, also index.html, which shows them."""
-    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
-    """New folder for the picture, as PNG and as PDF, and the data."""
-    json: Switch = False
-    """Print the numbers as JSON."""
-    quiet: Switch = False
-    """Show no progress."""
+    name: str = word("NAME", "Name of the figure; see `jaxrl-tab list`.")
+    all: bool = field(default=False, help="Make all figures; with --out, also index.html, which shows them.")
+    out: Path | None = field(
+        default=None, help="New folder for the picture, as PNG and as PDF, and the data."
+    )
+    json: bool = field(default=False, help="Print the numbers as JSON.")
+    quiet: bool = field(default=False, help="Show no progress.")
 
 
 def figure_command(argv: list[str]) -> int:
     prepare()
-    options = parse(f"{PROG} figure", Figure, argv)
+    options, _ = parse(Figure, argv)
     if options.all and options.name:
         raise InputError("name a figure or give --all, not both")
     names = tuple(FIGURES) if options.all else (known_name("a figure", options.name, FIGURES),)

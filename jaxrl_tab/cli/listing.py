@@ -10,16 +10,17 @@ from rich.table import Table
 
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import PREDICTION
-from jaxrl_tab.cli.common import HYPERPARAMETERS, PROG, Switch
+from jaxrl_tab.cli.common import HYPERPARAMETERS
 from jaxrl_tab.cli.options import about, option_of, parameters, parse, words
 from jaxrl_tab.cli.screen import console, print_json
 from jaxrl_tab.core import describe, names
+from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.engine.results import label
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.figures import FIGURES
 
 
-@dataclasses.dataclass
+@checked_dataclass
 class List:
     """The environments and the methods, with their parameters, defaults, and one line each; the figures.
 
@@ -28,12 +29,11 @@ class List:
       jaxrl-tab list --json
     """
 
-    json: Switch = False
-    """Print JSON."""
+    json: bool = field(default=False, help="Print JSON.")
 
 
 def list_command(argv: list[str]) -> int:
-    options = parse(f"{PROG} list", List, argv)
+    options, _ = parse(List, argv)
     complaints = [line for kind in names.KINDS for line in names.add_entry_points(kind)]
     registries = {"environments": ENVS, "methods": ALGORITHMS, "prediction": PREDICTION}
     figures = {name: f"{figure.title} ({figure.source})" for name, figure in FIGURES.items()}

@@ -310,15 +310,26 @@ def checked(who: str, field: dataclasses.Field, value: Any) -> Any:
     if rule.get("static") and get_origin(field.type) is Literal:
         check_choice(who, field.name, value, get_args(field.type))
     elif "limits" in rule or (rule.get("static") and field.type is bool):
-        kind = KINDS.get(field.type)
-        return value if kind is None else kind.check(who, field, value)
+        is_left_out = value is None and field.type not in KINDS
+        kind = _kind(field)
+        return value if kind is None or is_left_out else kind.check(who, field, value)
     return value
+
+
+def _kind(field: dataclasses.Field) -> Kind | None:
+    return KINDS.get(field.type) or KINDS.get(but_none(field.type))
+
+
+def but_none(annotation: Any) -> Any:
+    """`X` of the annotation `X | None`; any other annotation as it is."""
+    others = [x for x in get_args(annotation) if x is not type(None)]
+    return others[0] if len(others) == 1 and type(None) in get_args(annotation) else annotation
 
 
 def explained(field: dataclasses.Field) -> str:
     """The help of a field, with what it takes."""
     limits, takes = in_words(field.metadata.get("limits", {})), ""
-    if limits and (kind := KINDS.get(field.type)):
+    if limits and (kind := _kind(field)):
         takes = f"{kind.noun} {limits}{kind.otherwise}"
     if get_origin(field.type) is Literal:
         *others, last = (f'"{choice}"' for choice in get_args(field.type))

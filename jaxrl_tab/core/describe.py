@@ -10,6 +10,7 @@ import sys
 import typing
 from fractions import Fraction
 from numbers import Integral, Real
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxrl_tab.core import clock, policies, schedules
@@ -61,11 +62,12 @@ def takes_policy(parameter: Parameter) -> bool:
 
 
 def kind(parameter: Parameter) -> type:
-    """The type of its value, or of the entries of its value: that of its default; float for a schedule."""
-    if takes_schedule(parameter):
-        return float
-    if parameter.default is dataclasses.MISSING:  # it must be given
-        return parameter.type if parameter.type in _KINDS else float
+    """The type of its value, or of the entries of its value, as it is written: of a policy the text."""
+    if takes_schedule(parameter) or takes_policy(parameter):
+        return float if takes_schedule(parameter) else str
+    if parameter.default is dataclasses.MISSING or parameter.default is None:  # its annotation says it
+        named = [x for x in (parameter.type, *typing.get_args(parameter.type)) if x in _KINDS]
+        return named[0] if named else float
     entry = parameter.default
     while isinstance(entry, tuple):
         entry = entry[0] if entry else 0.0
@@ -110,4 +112,5 @@ _KINDS: dict[type, tuple[str, type]] = {
     int: ("a whole number", Integral),
     float: ("a number", Real),
     str: ("text", str),
+    Path: ("the name of a file", str),
 }

@@ -2,7 +2,6 @@
 
 import pickle
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -10,12 +9,13 @@ import numpy as np
 from jax.experimental.multihost_utils import process_allgather
 
 from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, given
 
 _SECONDS = 10  # that a process waits for the others at its end, where they do not answer any more
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class Distributed:
     """On all processes of a `jax.distributed` job, each on its own devices, one shard each in every round.
 
@@ -30,10 +30,10 @@ class Distributed:
     takes all others with it. What was given until then is there: start the job again, with what is missing.
 
     Attributes:
-        address: of process 0, "HOST:PORT", where PORT is free. On SLURM, Open MPI, Kubernetes and TPUs JAX
+        address: Of process 0, "HOST:PORT", where PORT is free. On SLURM, Open MPI, Kubernetes and TPUs JAX
             finds out by itself what is not given here.
-        num_processes: how many processes there are.
-        process_id: the number of this one, from 0.
+        num_processes: How many processes there are.
+        process_id: The number of this one, from 0.
 
     Raises:
         InputError: JAX does not know the cluster.
@@ -41,8 +41,8 @@ class Distributed:
     """
 
     address: str | None = None
-    num_processes: int | None = None
-    process_id: int | None = None
+    num_processes: int | None = field(default=None, at_least=1)
+    process_id: int | None = field(default=None, at_least=0)
 
     def __post_init__(self) -> None:
         try:
