@@ -54,7 +54,7 @@ def test_a_job_does_the_work_and_returns_its_errors(tmp_path):
     assert base.given(3, job(3)) == (3, {"square": np.array(9)})
     with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$") as raised:
         base.given(1, job(1))
-    assert "in fails" in raised.value.__notes__[0]  # where it happened
+    assert "in fails" in str(raised.value.__cause__)  # where it happened
 
 
 @pytest.mark.parametrize(

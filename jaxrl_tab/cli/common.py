@@ -3,7 +3,7 @@
 import contextlib
 import itertools
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import jax
@@ -16,6 +16,7 @@ from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, nearest, one_line, shown
 from jaxrl_tab.engine import batch, programs
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.experiment import storage
 
 PROG = "jaxrl-tab"
 
@@ -57,6 +58,7 @@ def known_name(kind: str, name: str, choices: Collection[str]) -> str:
 
 def with_own(group: Group, words: Sequence[str]) -> Group:
     """The group with the classes from outside of its registry that some words name, before the others."""
+    assert group.kind
     own = {}
     for word in words:
         if not any(word in kind.registry for kind in names.KINDS) and not word.endswith(".toml"):
@@ -76,37 +78,17 @@ def named_in(argv: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
 
 def find(group: Group, name: str) -> type:
     """The class that a word names, which must be of the kind of this group."""
+    assert group.kind
     if not name:
         raise InputError(f"name {group.kind.noun}: {', '.join(group.registry)}")
     return group.registry[name] if name in group.registry else names.find(group.kind, name).cls
 
 
-@contextlib.contextmanager
-def new_folder(path: Path | None) -> Iterator[Path | None]:
-    """A new folder to write into, which gets the name `path` when all is written.
+def new_folder(path: Path | None) -> contextlib.AbstractContextManager[Path | None]:
+    """A new folder to write into, which gets the name `path` when all is written; none where `path` is None.
 
-    Until then, and if anything fails, it stands beside as `path.unfinished-...`, and keeps what was finished.
+    If anything fails it stands beside, and keeps what was finished.
     """
     if path is None:
-        yield None
-        return
-    path = Path(os.path.normpath(path))
-    try:
-        if path.exists() or path.is_symlink():
-            raise InputError(f"--out: {one_line(str(path))} exists already; name a new folder")
-        unfinished = path.with_name(f"{path.name}.unfinished-{os.getpid()}")
-        unfinished.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"--out: {one_line(str(path))} cannot be made: {error.strerror}") from None
-    try:
-        yield unfinished
-        unfinished.rename(path)
-    except BaseException as error:
-        if not any(unfinished.iterdir()):
-            unfinished.rmdir()
-            raise
-        kept = f"what was finished is in {unfinished}"
-        if isinstance(error, KeyboardInterrupt):
-            raise KeyboardInterrupt(kept) from None
-        error.add_note(kept)
-        raise
+        return contextlib.nullcontext()
+    return storage.new_folder(Path(os.path.normpath(path)), keep=True)

@@ -24,7 +24,7 @@ from jaxrl_tab.cli.interrupt import interruptible
 from jaxrl_tab.cli.options import Group, Typed, parse, values, values_of, word
 from jaxrl_tab.cli.screen import busy, print_json, show_outcome
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError, RunError, one_line
+from jaxrl_tab.core.checks import InputError, one_line
 from jaxrl_tab.core.names import is_from_outside
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.envs import ENVS
@@ -281,10 +281,6 @@ def _watched(options: Where, folder: Path | None) -> Iterator[Report]:
     except InputError:
         raise
     except BaseException as stop:
-        if folder is None or not folder.is_dir():
-            raise
-        kept = f"what is finished is kept, `{PROG} resume {shlex.quote(str(folder))}` goes on"
-        if isinstance(stop, KeyboardInterrupt | RunError):
-            raise type(stop)("; ".join([*map(str, stop.args), kept])) from None
-        stop.add_note(kept)
+        if folder and folder.is_dir():
+            stop.add_note(f"what is finished is kept, `{PROG} resume {shlex.quote(str(folder))}` goes on")
         raise

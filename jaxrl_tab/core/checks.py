@@ -49,7 +49,7 @@ class InputError(ValueError):
     def __str__(self) -> str:
         return self.problem if self.who is None else f"{self.who}: {self.problem}"
 
-    def renamed(self, who: str, field: str | None = None) -> Self:
+    def renamed(self, who: str | None, field: str | None = None) -> Self:
         """The same said by another; of what is inside its `field`, where that is given."""
         error = copy.copy(self)
         error.who = who
@@ -87,7 +87,7 @@ def assign(obj: Any, **values: Any) -> None:
         object.__setattr__(obj, field, value)
 
 
-def numbers(name: str, what: str, value: Any) -> Any:
+def numbers(name: str | None, what: str, value: Any) -> Any:
     """`value` as a NumPy array; a tracer, which has no value to check yet, as it is.
 
     Raises InputError unless it is numbers in a rectangular array.
@@ -147,7 +147,7 @@ def nearest(name: Any, names: Iterable[str]) -> str:
     return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
 
 
-def check_choice(name: str, what: str, value: Any, choices: Iterable[str]) -> None:
+def check_choice(name: str | None, what: str, value: Any, choices: Iterable[str]) -> None:
     """Raises InputError unless `value` is one of the texts in `choices`; the message names the nearest."""
     if not isinstance(value, str) or value not in choices:
         problem = f"{what} {shown(value)} is unknown; {nearest(value, choices)}"
@@ -291,7 +291,7 @@ class Kind(NamedTuple):
         otherwise: what it may also be.
     """
 
-    check: Callable[[str, dataclasses.Field, Any], Any]
+    check: Callable[[str | None, dataclasses.Field, Any], Any]
     noun: str = ""
     otherwise: str = ""
 
@@ -304,7 +304,7 @@ def check_fields(obj: Any) -> None:
             object.__setattr__(obj, field.name, kept)
 
 
-def checked(who: str, field: dataclasses.Field, value: Any) -> Any:
+def checked(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     """`value` as a field of the class `who` keeps it. A field of a plain annotation takes anything."""
     rule = field.metadata
     if rule.get("static") and get_origin(field.type) is Literal:
@@ -352,7 +352,7 @@ def within(limits: Mapping[str, float], number: np.ndarray) -> np.ndarray:
     )
 
 
-def check_number(who: str, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
+def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
     """`value`, unless it is neither a number, nor an array of them, nor a tracer.
 
     All must be within the limits, and still be it in the precision in which JAX computes.
@@ -383,17 +383,17 @@ def check_number(who: str, field: dataclasses.Field, value: Any, kinds: str = "a
     return value
 
 
-def _whole(who: str, field: dataclasses.Field, value: Any) -> int:
+def _whole(who: str | None, field: dataclasses.Field, value: Any) -> int:
     return whole(who, field.name, value, field.metadata["limits"]["at_least"])
 
 
-def _switch(who: str, field: dataclasses.Field, value: Any) -> bool:
+def _switch(who: str | None, field: dataclasses.Field, value: Any) -> bool:
     if not isinstance(value, bool | np.bool_):
-        raise unfit(who, field.name, "True or False", value)
+        raise unfit(who, field.name, "true or false", value)
     return bool(value)
 
 
-def _numbers(who: str, field: dataclasses.Field, value: Any) -> Any:
+def _numbers(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     array = numbers(who, field.name, value)
     if not isinstance(array, np.ndarray):
         return array

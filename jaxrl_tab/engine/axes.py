@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from jaxrl_tab.core.checks import InputError, is_whole, shown
+from jaxrl_tab.core.pytree import checked_dataclass, field
 
 DRAW = "draw"  # the axis of trials; each of its values is a dict of what is drawn together
 MOST = 1e100  # so large an end may be; and so small, where its logarithm is taken
@@ -40,13 +41,13 @@ class Random:
         raise NotImplementedError
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class LinearGrid(Grid):
     """So many points from `low` to `high` with equal differences; whole numbers where all of them are."""
 
     low: float
     high: float
-    points: int
+    points: int = field(at_least=2)
 
     def __post_init__(self):
         _check_grid(self)
@@ -55,13 +56,13 @@ class LinearGrid(Grid):
         return _spaced(self, lambda share: self.low + (self.high - self.low) * share)
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class LogGrid(Grid):
     """So many points from `low` to `high`, both above 0, with equal ratios."""
 
     low: float
     high: float
-    points: int
+    points: int = field(at_least=2)
 
     def __post_init__(self):
         _check_grid(self, positive=True)
@@ -98,20 +99,14 @@ class LogUniform(Random):
         return _rounded(self.low * (self.high / self.low) ** u)
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class Integers(Random):
     """A whole number from `low` to `high`, both included."""
 
-    low: int
-    high: int
+    low: int = field(at_least=-(2**31))
+    high: int = field(at_least=-(2**31))
 
     def __post_init__(self):
-        for name in ("low", "high"):
-            value = getattr(self, name)
-            if not is_whole(value, -(2**31)):
-                raise InputError(
-                    f"the {name} end of whole numbers must be a whole number, not {shown(value)}"
-                )
         _check_ends(self)
 
     def value(self, u: float) -> int:
@@ -209,8 +204,6 @@ def _rounded(x: float) -> float:
 
 def _check_grid(grid: Any, positive: bool = False) -> None:
     _check_ends(grid, positive)
-    if not is_whole(grid.points, 2):
-        raise InputError(f"points must be a whole number of at least 2, not {shown(grid.points)}")
     check_settings(grid.points, f"{grid.points} points")
 
 

@@ -8,14 +8,15 @@ import math
 import re
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import clock, describe, names, policies, schedules
-from jaxrl_tab.core.checks import InputError, check_choice, nearest, repeated, shown, whole
+from jaxrl_tab.core.checks import InputError, build, nearest, repeated, shown
 from jaxrl_tab.core.declared import Learns, of_method
+from jaxrl_tab.core.pytree import checked_dataclass, field, static
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.sweep import configurations
@@ -28,7 +29,7 @@ ABOUT = ("name", "label", "sha256")  # in a table, beside parameters; the last i
 References = dict[str, names.Reference]  # what names stand for, as they were typed and as they are recorded
 
 
-@dataclasses.dataclass(frozen=True)
+@checked_dataclass
 class Selection:
     """How the best setting of each method is chosen, to be run again on seeds that had no part in the choice.
 
@@ -38,17 +39,8 @@ class Selection:
             other sweep has them, be it ever so large.
     """
 
-    by: str = "score"
-    fresh_seeds: int = 100
-
-    def __post_init__(self):
-        with at("by"):
-            check_choice("select", "by", self.by, CRITERIA)
-        with at("fresh_seeds"):
-            whole(None, "fresh_seeds", self.fresh_seeds)
-
-
-CRITERIA = ("score",)
+    by: Literal["score"] = static("score")
+    fresh_seeds: int = field(default=100, at_least=1)
 
 
 def environments(given: Any, source: Source | None, references: References) -> list[dict[str, Any]]:
@@ -371,15 +363,13 @@ def _depth_of_lists(value: Any) -> int:
 
 
 def selection(given: Any, seeds: int) -> dict[str, Any]:
+    """The plain data of how the best settings are chosen; by default they are run on `seeds` fresh seeds."""
     if isinstance(given, Selection):
         return dataclasses.asdict(given)
     if not isinstance(given, Mapping):
         raise InputError(f"select must be a table of {', '.join(keys(Selection))}, not {shown(given)}")
-    for key in given:
-        with at(key):
-            if key not in keys(Selection):
-                raise InputError(f"select has no {shown(key)}; {nearest(key, keys(Selection))}")
-    return dataclasses.asdict(Selection(**{"fresh_seeds": seeds, **given}))
+    with blame(given):
+        return dataclasses.asdict(build(Selection, "select", {"fresh_seeds": seeds, **given}))
 
 
 def keys(cls: type) -> list[str]:

@@ -113,9 +113,7 @@ def given(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
     if isinstance(result, Failed):
         if not result.trace:
             raise InputError(result.line)
-        error = RunError(f"shard {task} failed: {result.line}")
-        error.add_note(result.trace)
-        raise error
+        raise RunError(f"shard {task} failed: {result.line}") from RuntimeError(result.trace)
     return task, result
 
 
