@@ -93,11 +93,11 @@ def figure_command(argv: list[str]) -> int:
             (folder / "index.html").write_text(page(checked, __version__), encoding="utf-8")
 
     if options.json:
-        found = [
+        results = [
             {"figure": name, "numbers": [c._asdict() | {"ok": c.ok} for c in checks]}
             for name, (_, checks) in checked.items()
         ]
-        print_json({"figures": found} if options.all else found[0])
+        print_json({"figures": results} if options.all else results[0])
     elif options.out:
         say_where(options.out, groups[0])
     return 0 if all(c.ok for _, checks in checked.values() for c in checks) else 1

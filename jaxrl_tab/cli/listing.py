@@ -71,7 +71,9 @@ def _shared(registry: Mapping[str, type]) -> list[describe.Parameter]:
     everywhere = [parameters(cls) for cls in registry.values()]
     names = [{p.name for p in ps} for ps in everywhere]
     counts = Counter(p for ps in everywhere for p in ps)
-    return [p for p, n in counts.items() if 2 * n > len(registry) and all(p.name in known for known in names)]
+    return [
+        p for p, n in counts.items() if 2 * n > len(registry) and all(p.name in of_one for of_one in names)
+    ]
 
 
 def _parameter_table(shown: Sequence[describe.Parameter]) -> Table:

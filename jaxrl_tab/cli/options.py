@@ -103,13 +103,13 @@ def parse(command: type, argv: Sequence[str], **groups: Group) -> tuple[Any, dic
             raise InputError(f"unexpected argument {shown(unknown)}")
         hint = nearest(unknown.partition("=")[0], [flag for of_group in flags.values() for flag in of_group])
         raise InputError(f"there is no option {one_line(unknown)}; {hint}")
-    found = vars(namespace)
+    read = vars(namespace)
     as_words = lambda x: (x,) if isinstance(x, str) else tuple(x or ())
     typed = {
-        group: {flag: as_words(found[flag]) for flag in of_group if flag in found}
+        group: {flag: as_words(read[flag]) for flag in of_group if flag in read}
         for group, of_group in flags.items()
     }
-    places = {key: tuple(x) if isinstance(x, list) else x for key, x in found.items() if "-" not in key}
+    places = {key: tuple(x) if isinstance(x, list) else x for key, x in read.items() if "-" not in key}
     return build(command, name, places | values_of(name, typed["options"], own["options"])), typed
 
 

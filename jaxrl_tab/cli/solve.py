@@ -65,7 +65,7 @@ def solve_command(argv: list[str]) -> int:
             _draw_solutions(env, solutions, folder)
     if options.json:
         keys = ("optimal", "epsilon_soft")
-        found = {
+        numbers = {
             key: {
                 "start_value": planning.start_value(env, v),
                 "v": v.tolist(),
@@ -74,7 +74,7 @@ def solve_command(argv: list[str]) -> int:
             }
             for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
         }
-        print_json({"environment": options.env, "gamma": options.gamma, "epsilon": options.epsilon} | found)
+        print_json({"environment": options.env, "gamma": options.gamma, "epsilon": options.epsilon} | numbers)
         return 0
     out = console()
     for title, (_, v, q) in solutions.items():

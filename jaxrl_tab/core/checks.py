@@ -162,10 +162,10 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
         InputError: a parameter is unknown, with the nearest right one, or missing; or `cls` refuses a value.
     """
     fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
-    known = [f.name for f in fields]
+    names = [f.name for f in fields]
     for parameter in parameters:
-        if parameter not in known:
-            wanted = nearest(parameter, known)
+        if parameter not in names:
+            wanted = nearest(parameter, names)
             problem = f"{name} has no parameter {shown(parameter)}; {wanted}"
             raise InputError(problem, field=parameter, wanted=wanted)
     is_ours = cls.__module__.partition(".")[0] == __name__.partition(".")[0]
@@ -183,15 +183,15 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
         raise InputError(f"{name} refuses its parameters: {type(error).__name__}: {reason(error)}") from error
 
 
-def as_path(what: str, given: Any) -> Path:
-    """`given` as a path. Raises InputError unless it is one that the system can be asked for."""
+def as_path(what: str, value: Any) -> Path:
+    """`value` as a path. Raises InputError unless it is one that the system can be asked for."""
     try:
-        known = isinstance(given, str | os.PathLike) and b"\0" not in os.fsencode(given)
+        can_be_one = isinstance(value, str | os.PathLike) and b"\0" not in os.fsencode(value)
     except UnicodeEncodeError:
-        known = False
-    if not known:
-        raise InputError(f"{what} must be named by a text, or a Path, not {shown(given)}")
-    return Path(given)
+        can_be_one = False
+    if not can_be_one:
+        raise InputError(f"{what} must be named by a text, or a Path, not {shown(value)}")
+    return Path(value)
 
 
 TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds written as 0.333 do not

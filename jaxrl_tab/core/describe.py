@@ -74,12 +74,12 @@ def kind(parameter: Parameter) -> type:
     return type(entry)
 
 
-def value(what: str, given: Any, parameter: Parameter) -> Any:
-    """`given` as a value of a parameter, or as an entry of one that is a tuple.
+def value(what: str, written: Any, parameter: Parameter) -> Any:
+    """`written` as a value of a parameter, or as an entry of one that is a tuple.
 
     Args:
         what: what the person calls the parameter.
-        given: a number, a switch or a text, as it is typed: "glie", "softmax:0.5"; schedules and policies
+        written: a number, a switch or a text, as it is typed: "glie", "softmax:0.5"; schedules and policies
             stay as they are.
         parameter: which parameter it is for.
 
@@ -87,24 +87,24 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
         InputError: it is of the wrong type, or a text that means nothing.
     """
     if parameter.type == Plain:
-        return given
+        return written
     rate, policy = takes_schedule(parameter), takes_policy(parameter)
     try:
         if policy:
-            return given if isinstance(given, policies.Policy) else policies.parse(given)
-        if rate and isinstance(given, str):
-            given = schedules.read(given)
+            return written if isinstance(written, policies.Policy) else policies.parse(written)
+        if rate and isinstance(written, str):
+            written = schedules.read(written)
     except InputError as error:
         raise error.renamed(what) from None
-    if rate and isinstance(given, clock.Schedule):
-        return given
+    if rate and isinstance(written, clock.Schedule):
+        return written
     wanted, fits = _KINDS[kind(parameter)]
-    wrong = not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool)
-    if wrong or (isinstance(given, int | Fraction) and abs(given) > sys.float_info.max):
+    wrong = not isinstance(written, fits) or (isinstance(written, bool) and fits is not bool)
+    if wrong or (isinstance(written, int | Fraction) and abs(written) > sys.float_info.max):
         wanted += f" or a schedule ({schedules.forms()})" if rate else ""
-        problem = f"{what} takes {wanted}, not {shown(given)}"
-        raise InputError(problem, field=what, wanted=wanted, value=given)
-    return kind(parameter)(given)
+        problem = f"{what} takes {wanted}, not {shown(written)}"
+        raise InputError(problem, field=what, wanted=wanted, value=written)
+    return kind(parameter)(written)
 
 
 _KINDS: dict[type, tuple[str, type]] = {

@@ -208,8 +208,8 @@ def is_from_outside(name: str) -> bool:
 def reference(kind: Kind, cls: type) -> Reference:
     """The reference to a class: by its name in the registry, its module, or its file."""
     if cls.__module__.partition(".")[0] == PACKAGE:
-        for name, known in kind.registry.items():
-            if known is cls:
+        for name, registered in kind.registry.items():
+            if registered is cls:
                 return Reference(name, cls, name)
     kind.check(cls.__name__, cls)
     module, path = sys.modules.get(cls.__module__), cls.__qualname__
@@ -228,17 +228,17 @@ def reference(kind: Kind, cls: type) -> Reference:
     file, spec = read(Path(place)), getattr(module, "__spec__", None)
     if spec and ("." in spec.name or "site-packages" in Path(place).parts):
         return Reference(f"{spec.name}:{path}", cls, cls.__name__, file)
-    found = Reference(f"{file.path}:{path}", cls, cls.__name__, file)
-    return _here.setdefault((found.name, file.sha256), found)
+    in_file = Reference(f"{file.path}:{path}", cls, cls.__name__, file)
+    return _here.setdefault((in_file.name, file.sha256), in_file)
 
 
 def remember(cls: type, label: str, refusal: str) -> Reference:
     """A reference to what can only be found again in this process."""
-    for known in _here.values():
-        if known.cls is cls:
-            return known
-    found = Reference(f"memory:{label}-{len(_here)}", cls, label, None, refusal)
-    return _here.setdefault((found.name, None), found)
+    for remembered in _here.values():
+        if remembered.cls is cls:
+            return remembered
+    new = Reference(f"memory:{label}-{len(_here)}", cls, label, None, refusal)
+    return _here.setdefault((new.name, None), new)
 
 
 def forget(files: Iterable[File]) -> None:

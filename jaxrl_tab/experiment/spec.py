@@ -186,7 +186,7 @@ class Experiment:
         Raises:
             InputError: a method does not fit an environment.
         """
-        found = {}
+        parts = {}
         budget = Budget(self.steps, self.episodes, self.log_every, self.exact)
         with located(self.source):
             for environment in self.environment:
@@ -205,8 +205,8 @@ class Experiment:
                         )
                         for config, *_ in part.programs:  # policies in tables must be of the task's size
                             jax.eval_shape(partial(init_learner, part.configs[config], env))
-                    found[f"{environment['label']}/{method['label']}"] = part
-        return found
+                    parts[f"{environment['label']}/{method['label']}"] = part
+        return parts
 
     def to_toml(self) -> str:
         """The data as a file, which `load` reads as the same experiment."""
@@ -282,8 +282,8 @@ def _read(source: Source) -> dict[str, Any]:
         return tomllib.loads(source.text)
     except tomllib.TOMLDecodeError as error:
         what, _, place = str(error).partition(" (at ")
-        found = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
-        line = found[1] if found else statements[-1].line
+        numbered = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
+        line = numbered[1] if numbered else statements[-1].line
         raise InputError(f"{source}, line {line}: {one_line(what[0].lower() + what[1:])}") from None
     except ValueError:
         raise InputError(f"{source}: a whole number has more digits than Python reads") from None

@@ -108,7 +108,7 @@ class Job(NamedTuple):
             )
 
 
-def given(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
+def result_of(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
     """What `Executor.run` gives of a task that a worker has finished; raises what it raised."""
     if isinstance(result, Failed):
         if not result.trace:

@@ -15,7 +15,7 @@ from typing import Any
 
 from jaxrl_tab.core.checks import InputError, RunError, reason
 from jaxrl_tab.core.pytree import checked_dataclass, field
-from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, environment, given, need
+from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, environment, need, result_of
 
 _SECONDS = 5  # in which the address of a cluster must answer
 _PATIENCE = 30  # seconds in which it must let us in
@@ -75,7 +75,7 @@ class Ray:
                         under_way[call.remote(job, task)] = task
                     with contextlib.redirect_stdout(sys.stderr):  # Ray tells on it of nodes that go away
                         ready, _ = ray.wait(list(under_way), num_returns=1)
-                    yield given(*self._fetch(under_way, ready.pop()))
+                    yield result_of(*self._fetch(under_way, ready.pop()))
             finally:
                 for reference in under_way:
                     ray.cancel(reference, force=True)
@@ -110,7 +110,7 @@ class Ray:
         with _alone() if own else contextlib.nullcontext():
             import ray  # which looks at variables now
 
-            if there := ray.is_initialized():
+            if was_connected := ray.is_initialized():
                 own = False
             else:
                 self._connect()
@@ -118,7 +118,7 @@ class Ray:
             self._say_what_it_is(own)
             yield
         finally:
-            if not there:
+            if not was_connected:
                 with contextlib.redirect_stdout(sys.stderr):
                     ray.shutdown()
 
@@ -143,12 +143,12 @@ class Ray:
         cores = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
         log = logging.getLogger(__name__)
         if not own:
-            given = self._address.startswith("ray://")  # then this process knows no other
-            address = self._address if given else ray.get_runtime_context().gcs_address
+            by_client = self._address.startswith("ray://")  # then this process knows no other
+            address = self._address if by_client else ray.get_runtime_context().gcs_address
             log.warning("on the Ray cluster at %s: %d nodes, %d cores", address, len(cores), sum(cores))
         if max(cores, default=0) < self.num_cpus:
-            said = "no node of the Ray cluster has %d cores, only %d: waiting for one"
-            log.warning(said, self.num_cpus, max(cores, default=0))
+            warning = "no node of the Ray cluster has %d cores, only %d: waiting for one"
+            log.warning(warning, self.num_cpus, max(cores, default=0))
 
 
 def _call(job: Job, task: int) -> Arrays | Failed:

@@ -10,7 +10,7 @@ from typing import Any
 
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.pytree import checked_dataclass, field
-from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, given, need
+from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, need, result_of
 
 _SECONDS = 1.0  # between looks at the jobs
 _DEFAULTS = {"name": "jaxrl-tab", "timeout_min": 60}
@@ -65,7 +65,7 @@ class Slurm:
                     if results is None:
                         under_way[executor.submit(_several, job, share)] = share, deaths + 1
                     while results:
-                        yield given(*results.pop(0))
+                        yield result_of(*results.pop(0))
                 if under_way:
                     time.sleep(_SECONDS)
         except _JobError:
