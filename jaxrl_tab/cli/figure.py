@@ -12,7 +12,7 @@ from jaxrl_tab.cli.common import PROG, known_name, new_folder, prepare, start_ja
 from jaxrl_tab.cli.options import parse, word
 from jaxrl_tab.cli.screen import busy, console, print_json, say_where
 from jaxrl_tab.core.checks import InputError
-from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.core.pytree import checked_dataclass
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine.results import save
 from jaxrl_tab.experiment import storage
@@ -58,15 +58,20 @@ class Figure:
       jaxrl-tab figure windy-gridworld --out runs/windy-figure
       jaxrl-tab figure cliff-walking --json
       jaxrl-tab figure --all --out runs/figures
+
+    Attributes:
+        name: Name of the figure; see `jaxrl-tab list`.
+        all: Make all figures; with --out, also index.html, which shows them.
+        out: New folder for the picture, as PNG and as PDF, and the data.
+        json: Print the numbers as JSON.
+        quiet: Show no progress.
     """
 
-    name: str = word("NAME", "Name of the figure; see `jaxrl-tab list`.")
-    all: bool = field(default=False, help="Make all figures; with --out, also index.html, which shows them.")
-    out: Path | None = field(
-        default=None, help="New folder for the picture, as PNG and as PDF, and the data."
-    )
-    json: bool = field(default=False, help="Print the numbers as JSON.")
-    quiet: bool = field(default=False, help="Show no progress.")
+    name: str = word("NAME")
+    all: bool = False
+    out: Path | None = None
+    json: bool = False
+    quiet: bool = False
 
 
 def figure_command(argv: list[str]) -> int:

@@ -14,7 +14,7 @@ from jaxrl_tab.cli.common import HYPERPARAMETERS
 from jaxrl_tab.cli.options import about, option_of, parameters, parse, words
 from jaxrl_tab.cli.screen import console, print_json
 from jaxrl_tab.core import describe, names
-from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.core.pytree import checked_dataclass
 from jaxrl_tab.engine.results import label
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.figures import FIGURES
@@ -27,9 +27,12 @@ class List:
     Examples:
       jaxrl-tab list
       jaxrl-tab list --json
+
+    Attributes:
+        json: Print JSON.
     """
 
-    json: bool = field(default=False, help="Print JSON.")
+    json: bool = False
 
 
 def list_command(argv: list[str]) -> int:

@@ -72,9 +72,9 @@ class Group(NamedTuple):
         return ", ".join(in_words + left)
 
 
-def word(metavar: str, help: str, many: bool = False) -> Any:
+def word(metavar: str, many: bool = False) -> Any:
     """A field of a command that is not an option: a word, or any number of words, in its place."""
-    return dataclasses.field(default=() if many else "", metadata={"metavar": metavar, "help": help})
+    return dataclasses.field(default=() if many else "", metadata={"metavar": metavar})
 
 
 def parse(command: type, argv: Sequence[str], **groups: Group) -> tuple[Any, dict[str, Typed]]:
@@ -140,7 +140,7 @@ def _parser(
     parser._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
     for f in places:
         count = "*" if f.default == () else "?"
-        parser.add_argument(f.name, nargs=count, metavar=f.metadata["metavar"], help=f.metadata["help"])
+        parser.add_argument(f.name, nargs=count, metavar=f.metadata["metavar"], help=f.metadata.get("help"))
     width = max(40, shutil.get_terminal_size().columns - 4)
     flags: dict[str, list[str]] = {}
     for title, group in groups.items():

@@ -29,25 +29,21 @@ class Solve:
       jaxrl-tab solve windy-gridworld --moves king --epsilon 0.1 --out runs/king
       jaxrl-tab solve mdp.npz
       jaxrl-tab solve random-walk --states 5 --left-reward 0 --json
+
+    Attributes:
+        env: Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv, mdp.npz,
+            gymnasium:NAME.
+        gamma: Discount rate.
+        epsilon: Also find the best policy among those that take a random action with this probability.
+        out: New folder for a picture (PNG).
+        json: Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A].
     """
 
-    env: str = word(
-        "ENV",
-        "Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv, mdp.npz, "
-        "gymnasium:NAME.",
-    )
-    gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
-    epsilon: float | None = field(
-        default=None,
-        at_least=0,
-        at_most=1,
-        help="Also find the best policy among those that take a random action with this probability.",
-    )
-    out: Path | None = field(default=None, help="New folder for a picture (PNG).")
-    json: bool = field(
-        default=False,
-        help="Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A].",
-    )
+    env: str = word("ENV")
+    gamma: float = field(default=1.0, at_least=0, at_most=1)
+    epsilon: float | None = field(default=None, at_least=0, at_most=1)
+    out: Path | None = None
+    json: bool = False
 
 
 def solve_command(argv: list[str]) -> int:

@@ -37,19 +37,21 @@ from jaxrl_tab.show.progress import Report, reporting
 
 @checked_dataclass
 class Where:
-    """Where a sweep is computed, and how much of it is shown."""
+    """Where a sweep is computed, and how much of it is shown.
 
-    executor: str = field(
-        default="local",
-        help="local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see docs/scaling.md.",
-    )
-    memory: str | None = field(
-        default=None,
-        help="How much memory a method may take, such as 4GB; results that do not fit go to temporary files. "
-        "By default it is half of what is free.",
-    )
-    json: bool = field(default=False, help="Print the summary, or what would be run, as JSON.")
-    quiet: bool = field(default=False, help="Show no progress and no table.")
+    Attributes:
+        executor: local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see
+            docs/scaling.md.
+        memory: How much memory a method may take, such as 4GB; results that do not fit go to temporary files.
+            By default it is half of what is free.
+        json: Print the summary, or what would be run, as JSON.
+        quiet: Show no progress and no table.
+    """
+
+    executor: str = "local"
+    memory: str | None = None
+    json: bool = False
+    quiet: bool = False
 
     def __post_init__(self):
         _ = self.bytes  # what is no size is refused before anything is computed
@@ -103,46 +105,40 @@ class Sweep(Where):
       jaxrl-tab sweep --write-template experiment.toml
       jaxrl-tab sweep experiment.toml --dry-run
       jaxrl-tab sweep experiment.toml --out runs/experiment
+
+    Attributes:
+        env: Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv,
+            package.module:MyEnv, a table mdp.npz, gymnasium:NAME, gymnax:NAME; or an experiment in a file
+            FILE.toml.
+        methods: Names of one or more methods; see `jaxrl-tab list`; or of your own, mine.py:MyMethod. An
+            option goes to all that have it.
+        seeds: How many seeds.
+        steps: How many steps each run takes.
+        episodes: How many episodes each run finishes, instead of --steps.
+        log_every: How many steps, or episodes, are summed up in one row of the log: 100 steps, or 1 episode,
+            by default.
+        seed: Which sequence of seeds.
+        select: Run the best setting of each method again, on as many fresh seeds; show both numbers.
+        exact: Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the
+            log. (The error of methods of prediction is always recorded.)
+        out: New folder for the data and the pictures.
+        dry_run: Show what would be run, in how much memory, and stop.
+        write_template: Write an experiment that explains itself, to FILE or, without one, to the screen, and
+            stop.
     """
 
-    env: str = word(
-        "ENV|FILE",
-        "Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv, package.module:MyEnv, "
-        "a table mdp.npz, gymnasium:NAME, gymnax:NAME; or an experiment in a file FILE.toml.",
-    )
-    methods: tuple[str, ...] = word(
-        "METHOD ...",
-        "Names of one or more methods; see `jaxrl-tab list`; or of your own, mine.py:MyMethod. An option goes to "
-        "all that have it.",
-        many=True,
-    )
-    seeds: int = field(default=SEEDS, at_least=1, help="How many seeds.")
-    steps: int = field(default=STEPS, at_least=1, help="How many steps each run takes.")
-    episodes: int | None = field(
-        default=None, at_least=1, help="How many episodes each run finishes, instead of --steps."
-    )
-    log_every: int | None = field(
-        default=None,
-        at_least=1,
-        help="How many steps, or episodes, are summed up in one row of the log: 100 steps, or 1 episode, by "
-        "default.",
-    )
-    seed: int = field(default=0, at_least=0, help="Which sequence of seeds.")
-    select: bool = field(
-        default=False,
-        help="Run the best setting of each method again, on as many fresh seeds; show both numbers.",
-    )
-    exact: bool = field(
-        default=False,
-        help="Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the "
-        "log. (The error of methods of prediction is always recorded.)",
-    )
-    out: Path | None = field(default=None, help="New folder for the data and the pictures.")
-    dry_run: bool = field(default=False, help="Show what would be run, in how much memory, and stop.")
-    write_template: bool = field(
-        default=False,
-        help="Write an experiment that explains itself, to FILE or, without one, to the screen, and stop.",
-    )
+    env: str = word("ENV|FILE")
+    methods: tuple[str, ...] = word("METHOD ...", many=True)
+    seeds: int = field(default=SEEDS, at_least=1)
+    steps: int = field(default=STEPS, at_least=1)
+    episodes: int | None = field(default=None, at_least=1)
+    log_every: int | None = field(default=None, at_least=1)
+    seed: int = field(default=0, at_least=0)
+    select: bool = False
+    exact: bool = False
+    out: Path | None = None
+    dry_run: bool = False
+    write_template: bool = False
 
 
 OF_EXPERIMENT = ("--seeds", "--steps", "--episodes", "--log-every", "--seed", "--select", "--exact")
@@ -246,12 +242,14 @@ class Resume(Where):
 
     Examples:
       jaxrl-tab resume runs/windy
+
+    Attributes:
+        folder: The folder of the sweep: what --out named.
+        mixed: Go on nevertheless; the report tells what was not the same for all numbers.
     """
 
-    folder: str = word("DIR", "The folder of the sweep: what --out named.")
-    mixed: bool = field(
-        default=False, help="Go on nevertheless; the report tells what was not the same for all numbers."
-    )
+    folder: str = word("DIR")
+    mixed: bool = False
 
 
 def resume_command(argv: list[str]) -> int:
