@@ -52,7 +52,9 @@ def give_up(stream: TextIO) -> None:
 def complain(what: str, error: BaseException, code: int = 1) -> int:
     """Prints one line on stderr, with the notes of the error, if that is possible. Returns the exit code."""
     try:
-        line = "; ".join([what, *getattr(error, "__notes__", ())])
+        # JAX adds a note of several lines, on its own frames, to whatever is raised within its functions.
+        notes = [note for note in getattr(error, "__notes__", ()) if "\n" not in note]
+        line = "; ".join([what, *notes])
         print(f"{PROG}: {line}", file=sys.stderr, flush=True)
     except OSError:
         give_up(sys.stderr)
