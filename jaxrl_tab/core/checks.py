@@ -359,6 +359,16 @@ def within(limits: Mapping[str, float], number: np.ndarray) -> np.ndarray:
     )
 
 
+RATE = {"at_least": 0, "at_most": 1}
+FRACTION = {"greater_than": 0, "less_than": 1}
+
+
+def check_within(name: str, value: Any, limits: Mapping[str, float]) -> None:
+    """Raises InputError unless `value` is one finite number within limits as a field has them, such as `RATE`."""
+    if not isinstance(value, int | float | np.number) or not within(limits, np.asarray(value)):
+        raise unfit(None, name, in_words(limits), value)
+
+
 def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
     """`value`, unless it is neither a number, nor an array of them, nor a tracer.
 

@@ -83,12 +83,16 @@ class Results:
         return np.ndarray(shape, dtype, buffer=mapped)
 
 
-def blocks(count: int, each: int) -> Iterator[slice]:
-    """Slices of `count` things of `each` bytes, to look at one after another: no larger than a block."""
-    most = max(1, BLOCK // max(1, each))
-    for first in range(0, count, most):
-        yield slice(first, min(first + most, count))
+def blocks(count: int, each: int, most: int = BLOCK) -> Iterator[slice]:
+    """Slices of `count` things of `each` bytes, to look at one after another: alike, of about `most` or less."""
+    number = max(1, min(count, -(-count * each // most)))
+    size, larger = divmod(count, number)
+    first = 0
+    for i in range(number):
+        last = first + size + (i < larger)
+        yield slice(first, last)
         let_go()
+        first = last
 
 
 def let_go() -> None:

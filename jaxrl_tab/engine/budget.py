@@ -42,7 +42,7 @@ class Budget:
 
     def __post_init__(self):
         if (self.num_steps is None) == (self.num_episodes is None):
-            raise InputError("give either num_steps or num_episodes")
+            raise InputError("give either a number of steps or one of episodes: how long a run is")
         for name in ("num_steps", "num_episodes", "log_every"):
             if (value := getattr(self, name)) is not None and not is_whole(value):
                 raise InputError(f"{name} must be a whole number of at least 1, not {shown(value)}")

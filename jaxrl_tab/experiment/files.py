@@ -55,6 +55,17 @@ class Outcome:
 
         return by_environment(self.fresh, self.envs)
 
+    @property
+    def chosen(self) -> dict[str, int]:
+        """For each part the number of the configuration with the best score."""
+        found = {}
+        for label, methods in self.methods.items():
+            for name, own in methods.settings.items():
+                place = [own.ds[axis].values.tolist().index(value) for axis, value in own.best.items()]
+                sizes = [own.ds.sizes[axis] for axis in own.best]
+                found[f"{label}/{name}"] = int(np.ravel_multi_index(place, sizes)) if place else 0
+        return found
+
     @cached_property
     def summary(self) -> "pd.DataFrame":
         """`stats.summary` of all environments; their names are a column where there are several."""
@@ -79,9 +90,9 @@ class Outcome:
         from jaxrl_tab import stats
 
         rows = []
-        for name, fresh in self.fresh.items():
+        for name in self.fresh:
             environment, _, method = name.partition("/")
-            own = self.methods[environment].settings[method]
+            own, fresh = (x[environment].settings[method] for x in (self.methods, self.fresh_methods))
             setting, chosen, again, _ = stats.selection(own, fresh)
             row = {"environment": environment, "method": method, **stats.named(own.ds, setting)}
             for kind, found in (("chosen", chosen), ("fresh", again)):
@@ -92,16 +103,6 @@ class Outcome:
         names = dict.fromkeys(name for row in rows for name in row)
         scores = [name for name in names if name.startswith(("chosen_", "fresh_"))]
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
-
-
-def chosen(ds: "xr.Dataset", by: str) -> int:
-    """The number of the configuration that did best, by a function of `stats`."""
-    from jaxrl_tab import stats
-
-    best = stats.best(ds, getattr(stats, by))
-    axes = [str(dim) for dim in ds.diverged.dims if dim != "seed"]
-    place = [ds[axis].values.tolist().index(best[axis]) for axis in axes]
-    return int(np.ravel_multi_index(place, [ds.sizes[axis] for axis in axes])) if axes else 0
 
 
 def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:

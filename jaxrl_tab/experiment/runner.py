@@ -33,10 +33,10 @@ from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import Outcome, chosen, write_files
+from jaxrl_tab.experiment.files import Outcome, write_files
 from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
-from jaxrl_tab.experiment.shards import FRESH, Job, Shard, forget_parts, runs, shard_runs
+from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
 from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report, reporting
@@ -74,10 +74,10 @@ def run(
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
-            _begin(path, experiment, memory, keep=False)
+            experiment = _begin(path, experiment, memory, keep=False)
             return _go_on(path, experiment, executor, memory, progress, command, keep=False)
     path = _path(folder)
-    _begin(path, experiment, memory)
+    experiment = _begin(path, experiment, memory)
     with storage.lock(path):
         return _go_on(path, experiment, executor, memory, progress, command)
 
@@ -144,7 +144,7 @@ def _go_on(
     _warn_of_what_was(store)
     records = _records(store)
     libraries = library_versions(experiment.data())
-    job = Job(json.dumps(experiment.data()), limit, files=experiment.files, libraries=libraries)
+    job = Job.of(experiment, limit, libraries)
     select = experiment.select
     with settings_of(store, records), reporting(progress) as report:
         meter = Meter(report)
@@ -157,15 +157,12 @@ def _go_on(
             new = _compute(store, job, executor, meter, later, origin)
             datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
             envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-            fresh = {}
+            outcome = Outcome(datasets, {}, envs)
             if select:
-                job = job._replace(
-                    chosen=json.dumps({name: chosen(ds, select["by"]) for name, ds in datasets.items()})
-                )
+                job = job._replace(chosen=json.dumps(outcome.chosen))
                 new |= _compute(store, job, executor, meter, {}, origin)
                 fresh, _ = _collect(store, job, list(later), room)
-                fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
-            outcome = Outcome(datasets, fresh, envs)
+                outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
             if keep and (new or not store.files):
                 if origin.changed and not new:
                     warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
@@ -242,17 +239,17 @@ def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[
     return datasets, room
 
 
-def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> None:
+def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> Experiment:
     """A new folder with the experiment in it, and no shards. Raises InputError where it cannot be run.
 
-    Where the folder is kept, all is computed with the classes that are in the copies there.
+    Where the folder is kept, it gives the experiment with the classes that are in the copies there.
     """
     source = experiment.source
     with storage.new_folder(path) as new:
         if keep:
             sources.write(new, experiment.references)
+        if keep and experiment.files:
             names.forget(experiment.files)
-            forget_parts()
             experiment = Experiment(**experiment.data(), source=source)
         _check_room(experiment.parts(), limit, new)
         storage.write(new / GIVEN, source.text if source else experiment.to_toml())
@@ -260,6 +257,7 @@ def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = T
         records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
         storage.write_json(new / PROVENANCE, records)
         Store.begin(new, experiment.fingerprint)
+    return experiment
 
 
 def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> None:
@@ -291,7 +289,6 @@ def _experiment_in(path: Path) -> Experiment:
     begun_with = manifest and manifest["fingerprint"]
     data = storage.read_json(path / RESOLVED)
     pinned = sources.read(path, data)
-    forget_parts()
     resolved = _understood(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
     given = None
     if storage.is_file(path / GIVEN):

@@ -6,6 +6,7 @@ import json
 import platform
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
+from weakref import WeakValueDictionary
 
 import jax
 import numpy as np
@@ -22,6 +23,7 @@ SHARD_STEPS = 2**27  # of the runs in a shard, about: a few seconds on two cores
 SHARD_BYTES = 2**26  # that its runs give, at most, unless one block of lanes gives more
 EPISODE_STEPS = 100  # so long an episode is taken to be, where episodes are the budget
 FRESH = "fresh seeds/"  # before the name of a part that runs a chosen setting again
+_read: WeakValueDictionary[str, Experiment] = WeakValueDictionary()  # by their data, not to be read again
 
 
 class Shard(NamedTuple):
@@ -54,6 +56,14 @@ class Job(NamedTuple):
     chosen: str | None = None
     files: tuple[modules.File, ...] = ()
     libraries: Mapping[str, str] = {}
+
+    @classmethod
+    def of(cls, experiment: Experiment, memory: int | None, libraries: Mapping[str, str]) -> "Job":
+        """All of an experiment. While that lives, this process takes its parts from it."""
+        forget_parts()
+        job = cls(json.dumps(experiment.data()), memory, files=experiment.files, libraries=libraries)
+        _read[job.experiment] = experiment
+        return job
 
     @property
     def parts(self) -> dict[str, Part]:
@@ -89,7 +99,7 @@ class Job(NamedTuple):
 @functools.lru_cache(maxsize=4)
 def _parts(experiment: str, chosen: str | None) -> dict[str, Part]:
     if chosen is None:
-        return Experiment.from_data(json.loads(experiment)).parts()
+        return (_read.get(experiment) or Experiment.from_data(json.loads(experiment))).parts()
     parts, seeds = _parts(experiment, None), json.loads(experiment)["select"]["fresh_seeds"]
     again = {FRESH + name: _again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
     return parts | again
@@ -102,6 +112,7 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
 
 def forget_parts() -> None:
     """Parts are made anew from now on, as of classes that are loaded from copies."""
+    _read.clear()
     _parts.cache_clear()
     _shards.cache_clear()
 

@@ -27,7 +27,7 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -111,9 +111,8 @@ class Experiment:
             for f in dataclasses.fields(self):
                 with at(f.name):
                     self._set(f.name, checked(None, f, getattr(self, f.name)))
-            if (self.steps is None) == (self.episodes is None):
-                with at("episodes"):
-                    raise InputError("give either steps or episodes: how long a run is")
+            with at("episodes"):
+                self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
             source, references = self.source, self.references
             self._set("environment", environments(self.environment, source, references))
             count = len(self.environment)
@@ -121,7 +120,6 @@ class Experiment:
             classes = [references[method["name"]].cls for method in self.method]
             prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
             self._set("exact", self.exact or prediction)
-            self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
             with at("record"):
                 self._set(
                     "record", None if self.record is None else recorder(self.record, source, references)
@@ -196,6 +194,10 @@ class Experiment:
         Raises:
             InputError: a method does not fit an environment.
         """
+        return self._parts
+
+    @cached_property
+    def _parts(self) -> dict[str, Part]:
         parts = {}
         record = self.references[self.record["name"]].cls if self.record else None
         budget = Budget(self.steps, self.episodes, self.log_every, self.exact, record)
