@@ -295,7 +295,7 @@ WRONG = [  # what stands in the file, what stands there instead, the line, and w
         "it is of the whole experiment: write it above the first table",
     ),
     ("[select]", "[selct]", 24, "an experiment has no 'selct'; did you mean 'select'?"),
-    ("fresh_seeds", "fresh", 25, "select has no 'fresh'; did you mean 'fresh_seeds'?"),
+    ("fresh_seeds", "fresh", 25, "select has no parameter 'fresh'; did you mean 'fresh_seeds'?"),
     ("= 7", "= 0", 25, "fresh_seeds must be a whole number of at least 1"),
     ("fresh_seeds = 7", "by = 'scor'", 25, "by 'scor' is unknown; did you mean 'score'?"),
 ]

@@ -195,7 +195,7 @@ def is_from_outside(name: str) -> bool:
 
 def registered_name(registry: Mapping[str, type], cls: type) -> str:
     """The name of a class in a registry; that of the class itself where it is not there."""
-    return next((name for name, known in registry.items() if known is cls), cls.__name__)
+    return next((name for name, registered in registry.items() if registered is cls), cls.__name__)
 
 
 def reference(kind: Kind, cls: Any) -> Reference:
@@ -203,8 +203,8 @@ def reference(kind: Kind, cls: Any) -> Reference:
     module_name, label = (getattr(cls, key, "") or "" for key in ("__module__", "__name__"))
     label = label or type(cls).__name__
     if module_name.partition(".")[0] == PACKAGE:
-        for name, known in kind.registry.items():
-            if known is cls:
+        for name, registered in kind.registry.items():
+            if registered is cls:
                 return Reference(name, cls, name)
     kind.check(label, cls)
     module, path = sys.modules.get(module_name), getattr(cls, "__qualname__", label)
@@ -221,17 +221,17 @@ def reference(kind: Kind, cls: Any) -> Reference:
     if spec and ("." in spec.name or "site-packages" in Path(place).parts):
         return Reference(f"{spec.name}:{path}", cls, label, modules.read(Path(place), alone=True))
     file = modules.read(Path(place))
-    found = Reference(f"{file.path}:{path}", cls, label, file, modules.refusal(file))
-    return _here.setdefault((found.name, file.sha256), found)
+    in_file = Reference(f"{file.path}:{path}", cls, label, file, modules.refusal(file))
+    return _here.setdefault((in_file.name, file.sha256), in_file)
 
 
 def remember(cls: Any, label: str, refusal: str) -> Reference:
     """A reference to what can only be found again in this process."""
-    for known in _here.values():
-        if known.cls is cls:
-            return known
-    found = Reference(f"memory:{label}-{len(_here)}", cls, label, None, refusal)
-    return _here.setdefault((found.name, None), found)
+    for remembered in _here.values():
+        if remembered.cls is cls:
+            return remembered
+    new = Reference(f"memory:{label}-{len(_here)}", cls, label, None, refusal)
+    return _here.setdefault((new.name, None), new)
 
 
 def forget(files: Iterable[File]) -> None:

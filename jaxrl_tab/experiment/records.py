@@ -90,12 +90,12 @@ def settings_of(store: Store, records: Mapping[str, Any]) -> contextlib.Abstract
     return provenance.using({name: was[name] for name in provenance.settings() if name in was})
 
 
-def is_session(found: Any) -> bool:
+def is_session(data: Any) -> bool:
     """Whether data are the record of a session, with what is looked at later."""
     return (
-        isinstance(found, dict)
-        and isinstance(found.get("command"), str)
-        and isinstance(found.get("started"), str)
+        isinstance(data, dict)
+        and isinstance(data.get("command"), str)
+        and isinstance(data.get("started"), str)
     )
 
 

@@ -32,12 +32,12 @@ from pathlib import Path
 from typing import Any, Self
 
 import jax
-import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import memory, modules
-from jaxrl_tab.core.checks import InputError, as_path, nearest, one_line, shown, whole
+from jaxrl_tab.core.checks import InputError, as_path, checked, nearest, one_line, shown
 from jaxrl_tab.core.declared import Learns, of_method
+from jaxrl_tab.core.pytree import field
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import recorded_shapes
@@ -94,12 +94,12 @@ class Experiment:
 
     environment: Any
     method: Any
-    seeds: int = 100
-    steps: int | None = None
-    episodes: int | None = None
-    log_every: int | None = None
-    seed: int = 0
-    exact: bool = False
+    seeds: int = field(default=100, at_least=1)
+    steps: int | None = field(default=None, at_least=1)
+    episodes: int | None = field(default=None, at_least=1)
+    log_every: int | None = field(default=None, at_least=1)
+    seed: int = field(default=0, at_least=0)
+    exact: bool = field(default=False)
     record: Any = None
     select: Any = None
     source: Source | None = dataclasses.field(default=None, repr=False, compare=False)
@@ -108,22 +108,18 @@ class Experiment:
     def __post_init__(self):
         modules.check_not_importing()
         with located(self.source):
-            for name, least in (("seeds", 1), ("steps", 1), ("episodes", 1), ("log_every", 1), ("seed", 0)):
-                with at(name):
-                    if name in ("seeds", "seed") or getattr(self, name) is not None:
-                        self._set(name, whole(None, name, getattr(self, name), least))
+            for f in dataclasses.fields(self):
+                with at(f.name):
+                    self._set(f.name, checked(None, f, getattr(self, f.name)))
             with at("episodes"):
                 self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
-            with at("exact"):
-                if not isinstance(self.exact, bool | np.bool_):
-                    raise InputError(f"exact must be true or false, not {shown(self.exact)}")
             source, references = self.source, self.references
             self._set("environment", environments(self.environment, source, references))
             count = len(self.environment)
             self._set("method", methods(self.method, source, references, self.seed, count))
             classes = [references[method["name"]].cls for method in self.method]
             prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
-            self._set("exact", bool(self.exact) or prediction)
+            self._set("exact", self.exact or prediction)
             with at("record"):
                 self._set(
                     "record", None if self.record is None else recorder(self.record, source, references)
@@ -202,7 +198,7 @@ class Experiment:
 
     @cached_property
     def _parts(self) -> dict[str, Part]:
-        found = {}
+        parts = {}
         record = self.references[self.record["name"]].cls if self.record else None
         budget = Budget(self.steps, self.episodes, self.log_every, self.exact, record)
         with located(self.source):
@@ -224,8 +220,8 @@ class Experiment:
                             jax.eval_shape(partial(init_learner, part.configs[config], env))
                     with at("record"):
                         recorded_shapes(record, part.configs[0], env)
-                    found[f"{environment['label']}/{method['label']}"] = part
-        return found
+                    parts[f"{environment['label']}/{method['label']}"] = part
+        return parts
 
     def to_toml(self) -> str:
         """The data as a file, which `load` reads as the same experiment."""
@@ -301,8 +297,8 @@ def _read(source: Source) -> dict[str, Any]:
         return tomllib.loads(source.text)
     except tomllib.TOMLDecodeError as error:
         what, _, place = str(error).partition(" (at ")
-        found = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
-        line = found[1] if found else statements[-1].line
+        numbered = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
+        line = numbered[1] if numbered else statements[-1].line
         raise InputError(f"{source}, line {line}: {one_line(what[0].lower() + what[1:])}") from None
     except ValueError:
         raise InputError(f"{source}: a whole number has more digits than Python reads") from None
