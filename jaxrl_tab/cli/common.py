@@ -47,7 +47,7 @@ def start_jax() -> None:
         raise InputError(f"JAX cannot start: {one_line(str(error))}") from None
 
 
-def known_name(kind: str, name: str, choices: Collection[str]) -> str:
+def checked_name(kind: str, name: str, choices: Collection[str]) -> str:
     """`name`, which must be one of `choices`."""
     if not name:
         raise InputError(f"name {kind}: {', '.join(choices)}")

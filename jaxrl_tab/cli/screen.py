@@ -124,8 +124,8 @@ def print_summary(environment: str, methods: "Methods") -> None:
                     f"the {kind} is {cell(x[0], digits)} ({_interval(x[1], x[2], digits)})"
                     for kind, x in (("median", row["median"]), ("interquartile mean", row["iqm"]))
                 ]
-                wanted = f"{row['seeds_wanted']} seeds would be needed to trust the mean"
-                notes.append(f"! {title_of(method)}: {', '.join(ends)}; {wanted}.")
+                needed = f"{row['seeds_wanted']} seeds would be needed to trust the mean"
+                notes.append(f"! {title_of(method)}: {', '.join(ends)}; {needed}.")
         view.add_section()
         edges += [edge_warning(name, method, end) for name, end in own.edges.items() if choice]
     out = console()

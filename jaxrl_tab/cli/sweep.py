@@ -13,8 +13,8 @@ from jaxrl_tab.cli.common import (
     PROG,
     SEEDS,
     STEPS,
+    checked_name,
     find,
-    known_name,
     named_in,
     prepare,
     start_jax,
@@ -72,7 +72,7 @@ EXECUTOR = Group(
 @contextlib.contextmanager
 def _executor(options: Any, typed: Typed, out: Path | None) -> Iterator[Executor]:
     """The executor that was asked for, with the options that are its own."""
-    name = known_name("an executor", options.executor, executors.EXECUTORS)
+    name = checked_name("an executor", options.executor, executors.EXECUTORS)
     parameters = values_of(name, typed, EXECUTOR)
     if name == "slurm":
         if out is None:

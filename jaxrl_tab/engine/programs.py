@@ -140,12 +140,12 @@ class _Named(pickle.Pickler):
 
     def reducer_override(self, obj: Any) -> Any:
         of = obj if hasattr(obj, "__qualname__") else type(obj)  # classes and functions have a name
-        if (of.__module__ or "").partition(".")[0] not in _KNOWN:
+        if (of.__module__ or "").partition(".")[0] not in _COVERED:
             raise pickle.PicklingError(f"{obj} is not of jaxrl_tab")
         return NotImplemented
 
 
-_KNOWN = ("jaxrl_tab", "jax", "jaxlib", "numpy", "ml_dtypes", "builtins", "copyreg")
+_COVERED = ("jaxrl_tab", "jax", "jaxlib", "numpy", "ml_dtypes", "builtins", "copyreg")
 
 
 @cache
@@ -217,9 +217,9 @@ def _make_room(folder: Path) -> None:
         with contextlib.suppress(FileNotFoundError):  # another process makes room, too
             if named := _OWN.fullmatch(file.name):
                 ages[file] = named["unfinished"], time.time() - file.lstat().st_mtime
-    left = [file for file, (unfinished, age) in ages.items() if unfinished and age > UNFINISHED_SECONDS]
+    abandoned = [file for file, (unfinished, age) in ages.items() if unfinished and age > UNFINISHED_SECONDS]
     finished = sorted((age, file) for file, (unfinished, age) in ages.items() if not unfinished)
-    for file in [*left, *(file for _, file in finished[AT_MOST:])]:
+    for file in [*abandoned, *(file for _, file in finished[AT_MOST:])]:
         file.unlink(missing_ok=True)
 
 

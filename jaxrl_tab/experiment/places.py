@@ -105,18 +105,18 @@ def split_statements(source: Source) -> list[_Statement]:
 def _line(source: Source, path: Sequence[str | int]) -> int | None:
     """The line on which what is at `path` begins, or as much of the way there as there is."""
     data = tomllib.loads(source.text)
-    while path and not _is_there(data, path):
+    while path and not _has_entry(data, path):
         path = path[:-1]
     if not path:
         return None
     # What is at the path stays there as the file goes on: so the first statement with which it is there is found
     # by bisection. To parse the file up to each statement would take half a minute for 2,400 lines.
-    is_there = lambda statement: _is_there(tomllib.loads(source.text[: statement.end]), path)
+    has_entry = lambda statement: _has_entry(tomllib.loads(source.text[: statement.end]), path)
     statements = split_statements(source)
-    return statements[bisect.bisect_left(statements, True, key=is_there)].line
+    return statements[bisect.bisect_left(statements, True, key=has_entry)].line
 
 
-def _is_there(data: Any, path: Sequence[Any]) -> bool:
+def _has_entry(data: Any, path: Sequence[Any]) -> bool:
     for key in path:
         if isinstance(key, int) and not isinstance(data, list):
             continue  # a table alone is the first of one

@@ -21,11 +21,11 @@ def seconds_left(runs: Mapping[str, int], took: Mapping[str, tuple[int, float]])
     if not finished:
         return None
     all_runs, all_seconds = map(sum, zip(*finished.values(), strict=True))
-    left = 0.0
+    seconds_to_go = 0.0
     for part, total in runs.items():
         n, seconds = finished.get(part, (0, 0.0))
-        left += (total - n) * (seconds / n if n else all_seconds / all_runs)
-    return left
+        seconds_to_go += (total - n) * (seconds / n if n else all_seconds / all_runs)
+    return seconds_to_go
 
 
 class Meter:

@@ -14,7 +14,7 @@ from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import storage
-from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, Store
+from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, Store
 
 NOT_RECORDED = "what it was computed with is not recorded"
 
@@ -48,7 +48,7 @@ class Origin(NamedTuple):
         if self.changed and not self.mixed:
             raise InputError(
                 f"what is missing in {path} would not be computed as the rest was: {'; '.join(self.changed)}; "
-                f"go on with what it was, or begin a new folder with {path / GIVEN}, or allow it with --mixed "
+                f"go on with what it was, or begin a new folder with {path / AS_WRITTEN}, or allow it with --mixed "
                 "(mixed=True): the report then says so"
             )
 
@@ -57,12 +57,12 @@ def library_versions(data: Any) -> dict[str, str]:
     """The versions of the libraries from which environments in the data of an experiment come."""
     tables = data.get("environment", []) if isinstance(data, Mapping) else []
     names = [str(table.get("name")) for table in tables if isinstance(table, Mapping)]
-    found = {}
+    versions = {}
     for library in sorted({name.partition(":")[0] for name in names} & ENVIRONMENT.libraries.keys()):
-        found[library] = "not installed"
+        versions[library] = "not installed"
         with contextlib.suppress(metadata.PackageNotFoundError):
-            found[library] = metadata.version(library)
-    return found
+            versions[library] = metadata.version(library)
+    return versions
 
 
 def origins_of(store: Store) -> set[str | None]:

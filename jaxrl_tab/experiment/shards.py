@@ -140,10 +140,10 @@ def shard_runs(part: Part) -> int:
     steps = budget.num_steps or length * EPISODE_STEPS
     if budget.exact:  # a system of equations in each row, a hundred multiply-adds in the time of a step
         steps += rows * states**3 // 300
-    own = sum(x.size for x in jax.tree.leaves(recorded_shapes(budget.record, part.configs[0], part.env)))
+    recorded = sum(x.size for x in jax.tree.leaves(recorded_shapes(budget.record, part.configs[0], part.env)))
     # A table; and in each row at most 7 numbers (sums, and exact values), and those of the recorder.
-    given = 4 * (states * part.env.num_actions + rows * (7 + own))
-    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // given) // room.LANES) * room.LANES
+    bytes_per_run = 4 * (states * part.env.num_actions + rows * (7 + recorded))
+    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // bytes_per_run) // room.LANES) * room.LANES
 
 
 def runs(part: Part, shard: Shard) -> np.ndarray:

@@ -70,14 +70,14 @@ class Number:
     def check(self, datasets: "Datasets") -> Check:
         """Compares what `measure` gives with what is expected."""
         x = np.asarray(self.measure(datasets), float)
-        got = float(x.mean())
+        mean = float(x.mean())
         error = float(x.std(ddof=1) / math.sqrt(x.size)) if x.ndim else 0.0
-        over = got - self.expected
+        over = mean - self.expected
         wrong = {"is": abs(over), "at most": np.maximum(over, 0), "at least": np.maximum(-over, 0)}
         unit = math.hypot(error, self.standard_error)
         distance = float(wrong[self.relation])
         apart = distance / unit if unit else (0.0 if distance == 0 else math.inf)
-        return Check(self.what, got, error, self.relation, self.expected, self.standard_error, apart)
+        return Check(self.what, mean, error, self.relation, self.expected, self.standard_error, apart)
 
 
 @dataclass(frozen=True)

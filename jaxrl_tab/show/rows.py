@@ -52,7 +52,7 @@ def varied(rows: Sequence[Row]) -> list[str]:
     for row in rows:
         for name, value in row.setting.items():
             values.setdefault(name, set()).add(plot.written(value))
-    return [name for name, found in values.items() if len(found) > 1]
+    return [name for name, texts in values.items() if len(texts) > 1]
 
 
 def runs_in_words(ds: xr.Dataset) -> str:
@@ -68,9 +68,9 @@ def finding(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> str:
     if np.isnan(mean):
         return "no run has a result to compare"
     setting = setting_of(next(star for star in stars if star.method == row.method), view)
-    known = "" if view.prediction or np.isnan(optimum) else f"; the exact optimum is {number(optimum)}"
+    optimum_text = "" if view.prediction or np.isnan(optimum) else f"; the exact optimum is {number(optimum)}"
     seeds = " on fresh seeds" if on_fresh else ""
-    return f"best: {setting}, with a {view.what} of {number(mean, view.decimals)}{seeds}{known}"
+    return f"best: {setting}, with a {view.what} of {number(mean, view.decimals)}{seeds}{optimum_text}"
 
 
 def _difference_cells(row: Row, view: View) -> list[str]:

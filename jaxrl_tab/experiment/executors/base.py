@@ -99,9 +99,9 @@ class Job(NamedTuple):
                 jax.config.update("jax_num_cpu_devices", self.cores)
         self._compare(provenance.surroundings())
 
-    def _compare(self, here: Mapping[str, Any]) -> None:
+    def _compare(self, of_this_process: Mapping[str, Any]) -> None:
         """Raises InputError where this process would compute other numbers than the one that sent the work."""
-        if changed := provenance.differences(self.surroundings, here):
+        if changed := provenance.differences(self.surroundings, of_this_process):
             raise InputError(
                 f"{platform.node()} would not compute as the machine where this was started: "
                 f"{'; '.join(changed)} there; install and set the same on all machines"

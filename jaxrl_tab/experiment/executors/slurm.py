@@ -56,12 +56,12 @@ class Slurm:
         shares = [tasks[i :: self.max_jobs] for i in range(min(self.max_jobs, len(tasks)))]
         with executor.batch():
             handed_in = [executor.submit(_several, job, share) for share in shares]
-        under_way = {one: (share, 0) for one, share in zip(handed_in, shares, strict=True)}
+        under_way = {submitted: (share, 0) for submitted, share in zip(handed_in, shares, strict=True)}
         try:
             while under_way:
-                for one in [one for one in under_way if one.done()]:
-                    share, deaths = under_way.pop(one)
-                    results = self._fetch(one, share, deaths + 1)
+                for submitted in [submitted for submitted in under_way if submitted.done()]:
+                    share, deaths = under_way.pop(submitted)
+                    results = self._fetch(submitted, share, deaths + 1)
                     if results is None:
                         under_way[executor.submit(_several, job, share)] = share, deaths + 1
                     while results:
@@ -76,8 +76,8 @@ class Slurm:
         else:
             _remove(folder)
         finally:
-            for one in under_way:
-                one.cancel(check=False)
+            for submitted in under_way:
+                submitted.cancel(check=False)
 
     def _executor(self, folder: str | Path) -> Any:
         """submitit's."""
