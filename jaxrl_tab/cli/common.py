@@ -87,7 +87,7 @@ def find(group: Group, name: str) -> type:
 def new_folder(path: Path | None) -> contextlib.AbstractContextManager[Path | None]:
     """A new folder to write into, which gets the name `path` when all is written; none where `path` is None.
 
-    If anything fails it stands beside, and keeps what was finished.
+    If anything fails, what was finished stays in a folder beside it.
     """
     if path is None:
         return contextlib.nullcontext()

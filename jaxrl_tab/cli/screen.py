@@ -35,7 +35,7 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> i
         return 0
     for environment, methods in outcome.methods.items():
         with busy("summing up"):
-            _ = methods.rows
+            _ = methods.rows  # worked out now, while the line is shown; kept for the tables
         print_summary(environment, methods)
     if outcome.fresh:
         _print_selection(outcome.selection)
@@ -63,6 +63,7 @@ def _print_selection(table: "pd.DataFrame") -> None:
     for column in view.columns[-4:]:
         column.justify = "right"
     for row in table.to_dict("records"):
+        # NaN, which is not equal to itself, stands where a method does not have the hyperparameter.
         setting = [f"{h} {words(row[h])}" for h in hyperparameters if row[h] == row[h]]
         cells = []
         for kind in ("chosen", "fresh"):
@@ -200,7 +201,7 @@ def say_where(folder: Path, group: str | None = None) -> None:
 
 
 def console() -> Console:
-    """Where tables are printed, :100: as it is; a pipe or a file is wide enough for all of them."""
+    """Where tables are printed. Text such as :100: is no emoji; a pipe or a file is wide enough for all columns."""
     return Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 160)
 
 

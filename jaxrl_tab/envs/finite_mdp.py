@@ -262,8 +262,8 @@ def _absorbed(listed: Listed, is_terminal: np.ndarray) -> Listed:
 def _added_up(listed: Listed) -> Listed:
     """`listed`, where outcomes of one (s, a), s' and reward are one, in the place of the first."""
     if (np.diff(listed.row * listed.num_states + listed.s_next) > 0).all():
-        return listed  # as of arrays
-    order = np.lexsort((listed.reward, listed.s_next, listed.row))  # the last key is the first to sort by
+        return listed  # strictly rising, as from arrays: there is nothing to add up
+    order = np.lexsort((listed.reward, listed.s_next, listed.row))  # sorted by the last key first
     alike = listed.of(order)
     keys = np.stack([alike.row, alike.s_next, alike.reward])
     is_new = np.append(True, (np.diff(keys) != 0).any(axis=0))
@@ -310,7 +310,7 @@ def _ended(
         num_states=listed.num_states + len(both_ways),
         s_next=np.where(ends, number[listed.s_next], listed.s_next),
     )
-    more = np.zeros(len(both_ways))
+    more = np.zeros(len(both_ways))  # the second numbers: terminal, and never the start
     return listed, np.append(is_end & ~goes_on, more == 0), np.append(start_prob, more)
 
 

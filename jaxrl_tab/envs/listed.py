@@ -36,7 +36,7 @@ class Listed(NamedTuple):
         return f"after (s, a) = {divmod(int(self.row[i]), self.num_actions)}"
 
     def of(self, chosen: np.ndarray) -> "Listed":
-        """Some of them, in another order perhaps."""
+        """The outcomes at these places, or where this mask is true, in that order."""
         return Listed(*self[:2], *(column[chosen] for column in self[2:]))
 
 
@@ -181,7 +181,7 @@ def is_sparse(matrices: Any) -> bool:
 
 def _matrices(what: str, several: Any) -> list[Any]:
     """A list of one matrix [S, S'] for each action as csr_matrix of SciPy."""
-    from scipy import sparse  # late, for importing the package is to stay cheap
+    from scipy import sparse  # here, so that importing the package stays cheap
 
     rule = f"sparse {what} must be a list of one matrix [S, S'] for each action"
     if hasattr(several, "tocoo"):
@@ -251,7 +251,7 @@ def of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[Listed,
 def _column(
     listed: Listed, what: str, column: Sequence[Any], right: str, are_wrong: Any = None
 ) -> np.ndarray:
-    """What stands in one place of all outcomes, as numbers [n]."""
+    """One entry of all outcomes, such as their probabilities, as numbers [n]."""
     array = _as_numbers(column)
     if array is None:
         wrong = (next(i for i, x in enumerate(column) if _as_numbers([x]) is None),)

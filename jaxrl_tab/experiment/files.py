@@ -163,7 +163,7 @@ def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
     first, last = records["sessions"][0], records["sessions"][-1]
     sessions, origins = len(records["sessions"]), origins_of(store)
     computed = recorded(records, origins)
-    session = (computed or [last])[0]  # the last may have made nothing but files
+    session = (computed or [last])[0]  # the last session may have computed no shard
     surroundings = session["surroundings"]
     packages = (*provenance.installed(), *ENVIRONMENT.libraries)
     return {

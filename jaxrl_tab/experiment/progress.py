@@ -9,7 +9,7 @@ from jaxrl_tab.show.progress import Progress, Report
 
 
 def seconds_left(runs: Mapping[str, int], took: Mapping[str, tuple[int, float]]) -> float | None:
-    """How much longer an experiment will take, as far as what is done tells; None before anything is.
+    """How much longer an experiment will take, judged by what is finished; None before anything is.
 
     A part goes on as fast as it went; one that has not begun, as fast as the others on average, per run.
 

@@ -57,7 +57,7 @@ def environments(written: Any, source: Source | None, references: References) ->
 
 
 def _environment(table: Mapping[str, Any], cls: type, others: int) -> list[dict[str, Any]]:
-    """Those that a table describes, beside so many others."""
+    """The environments that a table describes; `others` is how many the tables before it describe."""
     label, about = table["label"], {key: table[key] for key in ABOUT if key in table}
     parameters = {p.name: p for p in describe.parameters(cls)}
     tried = {}
@@ -83,7 +83,7 @@ def _short(value: Any) -> str:
 
 
 def _values_of_environment(key: str, written: Any, parameter: describe.Parameter) -> list[Any]:
-    """What is to be tried of a parameter of an environment."""
+    """The values of a parameter of an environment that are to be tried."""
     if is_array(written):
         return [written]
     written = _axis(key, written)
@@ -106,14 +106,14 @@ def _values_of_environment(key: str, written: Any, parameter: describe.Parameter
 
 
 def _depth_of_value(parameter: describe.Parameter) -> int:
-    """How deep lists are in one another in a value of a parameter."""
+    """How deeply lists are nested in a value of a parameter."""
     if parameter.default is dataclasses.MISSING:
         return 1 if typing.get_origin(parameter.type) is tuple else 0
     return _depth(parameter.default) if isinstance(parameter.default, tuple) else 0
 
 
 def _deep(value: Any, change: Callable[[Any], Any]) -> Any:
-    """`change` of all that is in lists in one another."""
+    """Nested lists with `change` applied to each entry."""
     return [_deep(x, change) for x in value] if isinstance(value, list) else change(value)
 
 
@@ -263,7 +263,7 @@ def _check_labels(kind: str, tables: Sequence[Mapping[str, Any]], places: Sequen
 
 
 def belongs(key: str) -> str | None:
-    """Below what a parameter belongs that was not written in a table."""
+    """Which kind of table has a parameter that was written outside of any, as a hint."""
     for table, kind in (("method", METHOD), ("environment", ENVIRONMENT)):
         if any(key in keys(cls) for cls in kind.registry.values()):
             return f"write it below a [[{table}]] that has it"
@@ -345,7 +345,7 @@ def _plain(key: str, value: Any) -> Any:
     if not isinstance(value, clock.Schedule | policies.Policy):
         return value
     parse = schedules.parse if isinstance(value, clock.Schedule) else policies.parse
-    with contextlib.suppress(InputError):
+    with contextlib.suppress(InputError):  # its text will do only if that is read as the same value again
         if repr(parse(str(value))) == repr(value):
             return str(value)
     raise InputError(f"{key}: {shown(value)} cannot be written in a file; sweep(...) takes it")
@@ -360,7 +360,7 @@ def _listed(value: Any, depth: int = 0) -> Any:
 
 
 def _depth(value: Any) -> int:
-    """How deep lists are in one another; of lists of unlike entries the deepest."""
+    """How deeply lists are nested, at the deepest place."""
     return _depth_of_lists(_listed(value))
 
 

@@ -248,6 +248,7 @@ def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = T
     with storage.new_folder(path) as new:
         if keep:
             sources.write(new, experiment.references)
+        # The classes are taken from the copies now, as `resume` will take them.
         if keep and experiment.files:
             names.forget(experiment.files)
             experiment = Experiment(**experiment.data(), source=source)
@@ -268,7 +269,7 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
         runs = min(part.runs, shard_runs(part))
         planned = plan(part.env, instances, part.root, runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
-    if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
+    if 2 * needed > (room := shutil.disk_usage(folder).free):  # the shards, and results.nc
         raise InputError(
             f"the results need {words(2 * needed)} on the disk, and there is room for {words(room)} in "
             f"{folder.parent}: take fewer seeds, or a larger log_every"
@@ -293,7 +294,7 @@ def _experiment_in(path: Path) -> Experiment:
     as_written = None
     if storage.is_file(path / AS_WRITTEN):
         with storage.as_run_error(path / AS_WRITTEN, "read"):
-            (path / AS_WRITTEN).read_bytes()
+            (path / AS_WRITTEN).read_bytes()  # `_parsed` would take a file that cannot be read for damaged
         as_written = _parsed(lambda: Experiment.load(path / AS_WRITTEN, pinned))
     if resolved and fingerprint in (None, resolved.fingerprint):
         experiment = resolved
@@ -335,7 +336,7 @@ def _other_libraries(path: Path, data: Any) -> list[str]:
 
 
 def _parsed(read: Callable[[], Experiment]) -> Experiment | None:
-    """The experiment, or None where what is read is none."""
+    """The experiment, or None where the data are damaged."""
     try:
         return read()
     except Exception:  # there is no end to what a flipped bit makes of data

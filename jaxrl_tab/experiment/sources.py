@@ -129,7 +129,7 @@ def _check_original(entry: Mapping[str, Any], copies: Path) -> None:
 
 
 def _sha256(part: File) -> str:
-    """The checksum of its own content."""
+    """The checksum of the file alone, without its neighbours."""
     return part._replace(neighbours=()).sha256
 
 

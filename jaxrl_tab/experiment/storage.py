@@ -1,11 +1,11 @@
-"""Shards on disk and their manifest: what has a name is whole, and what is damaged is found.
+"""Shards on disk and their manifest: a file is complete or not there, and damage is found out.
 
 A shard is a file of arrays. Every file is written under another name in the same folder, brought to the disk,
 and only then renamed, so that a process can be killed at any moment. The manifest has the sha256 of each
 file, and its own.
 
-Nothing that is read is trusted: folders are damaged by disks, and sent by others. A manifest whose entries
-are not such as are written here is no manifest, and only files that lie in the folder itself are looked at.
+Nothing that is read is trusted: folders are damaged by disks, and sent by others. A manifest with entries that
+this module does not write counts as damaged, and only files that lie in the folder itself are looked at.
 """
 
 import contextlib
@@ -29,15 +29,15 @@ import numpy as np
 from jaxrl_tab.core.checks import InputError, RunError, is_whole, one_line, reason
 
 MANIFEST, SHARDS, PICTURES, ASIDE, LOCK = "manifest.json", "shards", "pictures", "set-aside", ".lock"
-UNFINISHED = ".unfinished"  # the end of the name of what is being written, which begins with a dot
-ABOUT = "about"  # in a shard: which it is, of which experiment, and more facts
+UNFINISHED = ".unfinished"  # while NAME is being written, it is called .NAME.unfinished
+ABOUT = "about"  # the array in a shard that tells its number, its experiment, and its `Facts`
 RESERVED = r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)"  # names that are devices to Windows
 
 
 def file_names(labels: Iterable[str]) -> dict[str, str]:
-    """The name of the file or folder of each label: short, valid on any system, and of no two the same.
+    """The name of the file or folder of each label: short, valid on any system, and different for each.
 
-    It is the label where that will do; else what will do of it, with some digits of its checksum.
+    It is the label itself where that is such a name; else the valid characters of it, with digits of its checksum.
     """
     plain_names = {}
     for label in labels:
@@ -58,14 +58,14 @@ def file_names(labels: Iterable[str]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[Path]:
-    """Where to write what shall be the file `path`, which it becomes when all is written and on the disk.
+    """A temporary path to write to. At the end of the block the file is brought to the disk and renamed to `path`.
 
     Raises:
         RunError: it cannot be written, as where the disk is full; nothing of it is left.
     """
     unfinished = _unfinished(path)
     with as_run_error(path):
-        unfinished.unlink(missing_ok=True)  # a link would be followed
+        unfinished.unlink(missing_ok=True)  # were it a link, we would write to where it leads
         try:
             yield unfinished
             with unfinished.open("rb+") as file:
@@ -88,7 +88,7 @@ def write_json(path: Path, data: Any) -> None:
 
 @contextlib.contextmanager
 def as_run_error(path: Path, done: str = "written") -> Iterator[None]:
-    """An error of the system while something is `done` to `path` is a RunError of one line."""
+    """Turns an OSError inside the block into a RunError of one line: `path` could not be `done`."""
     try:
         yield
     except OSError as error:
@@ -107,7 +107,9 @@ def read_json(file: Path) -> Any:
         data = file.read_bytes()
     try:
         parsed = json.loads(data.decode())
-        json.dumps(parsed, ensure_ascii=False).encode()  # halves of characters cannot be written again
+        json.dumps(
+            parsed, ensure_ascii=False
+        ).encode()  # raises where half of a surrogate pair could not be written again
         return parsed
     except (ValueError, RecursionError):
         return None
@@ -135,9 +137,9 @@ def set_aside(file: Path, folder: Path, remedy: str, what: str = "is damaged") -
 
 @contextlib.contextmanager
 def new_folder(path: Path, keep: bool = False) -> Iterator[Path]:
-    """Where to write the first files of the folder `path`, which appears when they are all there.
+    """A temporary folder for the first files of the folder `path`, to which it is renamed at the end of the block.
 
-    Where that fails nothing is left of them; or, to `keep` them, the error has a note that says where they are.
+    If the block fails, the files are removed; with `keep` they stay, and the error has a note that says where.
 
     Raises:
         InputError: there is something already, or it cannot be made.
@@ -145,7 +147,7 @@ def new_folder(path: Path, keep: bool = False) -> Iterator[Path]:
     try:
         if path.exists() or path.is_symlink():
             raise InputError(_exists(path))
-        unfinished = _unfinished(path.with_name(f"{path.name}-{os.getpid()}"))  # "." has no name
+        unfinished = _unfinished(path.with_name(f"{path.name}-{os.getpid()}"))  # ValueError: "." has no name
         unfinished.mkdir(parents=True)
     except (OSError, ValueError) as error:  # a name that holds NUL
         raise InputError(f"{one_line(str(path))} cannot be made: {reason(error)}") from None
@@ -194,7 +196,8 @@ class Facts(NamedTuple):
         sha256: of the file, in hexadecimal digits.
         diverged: how many of its runs diverged.
         setting: the number of the setting that was chosen, where its runs are on fresh seeds.
-        surroundings: the name of what it was computed with, see `provenance`; an earlier version did not say.
+        surroundings: the name of the surroundings in which it was computed, see `provenance`; None where an
+            earlier version, which did not record it, computed it.
     """
 
     sha256: str
@@ -206,7 +209,7 @@ class Facts(NamedTuple):
 class Store:
     """The shards of an experiment in a folder that is locked, and the files made of them.
 
-    To open it is to take stock: what was being written is removed, and what is damaged is set aside.
+    To open it is to take stock: files that were never finished are removed, damaged ones are set aside.
 
     Attributes:
         path: the folder.
@@ -249,7 +252,7 @@ class Store:
         setting: int | None = None,
         surroundings: str | None = None,
     ) -> None:
-        """Keeps a shard, with what is to be known of it: see `Facts`.
+        """Writes a shard, with its `Facts`.
 
         Raises:
             RunError: it cannot be written, as where the disk is full; nothing of it is left.
@@ -273,7 +276,7 @@ class Store:
         return {name: array for name, array in arrays.items() if name != ABOUT}
 
     def keep_if(self, number: int, shapes: Mapping[str, tuple[Any, Any]]) -> bool:
-        """Whether a shard is there and holds just these arrays, (shape, dtype) each; else it is set aside."""
+        """Whether a shard is there and holds exactly these arrays, (shape, dtype) each; if not, it is set aside."""
         if number not in self.shards:
             return False
         file = self.path / SHARDS / _name(number)
@@ -316,7 +319,8 @@ class Store:
                 del self.shards[number]
         for file in sorted(folder.glob("*.npz")):
             number = _number(file.name)
-            if number is not None and number not in self.shards:  # it was killed between shard and manifest
+            # A process may have been killed after it wrote a shard, and before it wrote the manifest.
+            if number is not None and number not in self.shards:
                 if (facts := self._facts_in(file, number)) is None:
                     self.problems.append(set_aside(file, self.path, "computed again"))
                 else:
@@ -426,7 +430,7 @@ def _folders(path: Path) -> list[Path]:
 
 
 def _unfinished(path: Path) -> Path:
-    """What is written of `path` before it is finished. No label gives such a name: see `file_names`."""
+    """What `path` is called until it is finished. `file_names` gives no such name."""
     return path.with_name(f".{path.name}{UNFINISHED}")
 
 
@@ -451,14 +455,16 @@ def _load(file: Path, of: Any = np.lib.format.read_array) -> dict[str, Any] | No
             with zipfile.ZipFile(opened) as whole:
                 members = whole.infolist()
                 if any(x.compress_type or x.file_size != x.compress_size for x in members):
-                    return None  # as it is written, nothing is packed: it could be of any size
+                    return None  # we pack nothing, and what is packed could unpack to any size
                 arrays = {}
                 for member in members:
                     with whole.open(member) as array:
                         arrays[member.filename.removesuffix(".npy")] = of(array)
                 return arrays
         except Exception as error:  # there is no end to what a flipped bit makes zipfile and NumPy raise
-            if isinstance(error, OSError) and error.errno != errno.EINVAL:  # which says: no such place in it
+            if (
+                isinstance(error, OSError) and error.errno != errno.EINVAL
+            ):  # EINVAL: a damaged offset lies outside of the file
                 raise
             return None
 
@@ -477,7 +483,7 @@ def _sha256(path: Path) -> str:
 
 def _sync(folder: Path) -> None:
     """Brings the names in a folder to the disk."""
-    if os.name == "nt":  # which opens no folders
+    if os.name == "nt":  # Windows opens no folders
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:

@@ -37,12 +37,12 @@ class Key(NamedTuple):
 
 
 class Opaque(NamedTuple):
-    value: Any  # depends on the key, so it is one of many
+    value: Any  # depends on the key, and so may be another one in each run
 
 
 @dataclass
 class Draw:
-    """One draw: which uniform numbers in [0, 1) it needs, and what the choice made of it says of them."""
+    """One draw: what was chosen for it, and the ends between which its uniform number in [0, 1) then lies."""
 
     name: Any
     sites: list[int] = field(default_factory=list)  # the choices made of it
@@ -126,7 +126,9 @@ class Reader:
     def compute(self, eqn: Any, inputs: list[Any]) -> list[Any]:
         values = [self.plain(x) for x in inputs]
         constant = not any(isinstance(x, Tracer) for x in values)
-        with jax.ensure_compile_time_eval() if constant else contextlib.nullcontext():  # it stays known
+        with (
+            jax.ensure_compile_time_eval() if constant else contextlib.nullcontext()
+        ):  # so that the result is a constant too
             outputs = eqn.primitive.bind(*values, **eqn.params)
         outputs = outputs if eqn.primitive.multiple_results else [outputs]
         keyed = any(isinstance(x, Key) for x in inputs)
@@ -272,7 +274,7 @@ def _reshape(reader: Reader, eqn: Any, x: Any) -> Any:
 
 
 def _select_n(reader: Reader, eqn: Any, which: Any, *cases: Any) -> Any:
-    """The case of a condition that is known."""
+    """The case that is chosen, where the condition is a constant."""
     if not is_constant(which) or not np.size(which) or np.ptp(np.asarray(which, int)):
         return None
     return cases[int(np.ravel(which)[0])]
@@ -287,7 +289,7 @@ def _or(reader: Reader, eqn: Any, x: Any, y: Any) -> Any:
 
 
 def _settled(eqn: Any, by: int, x: Any, y: Any) -> Any:
-    """The input that is known to be `by`, which is what comes out then."""
+    """The input that is a constant `by`, for then the result is `by` as well: 0 of a product, 1 of `or`."""
     for z in (x, y):
         if is_constant(z) and (np.asarray(z) == by).all():
             with jax.ensure_compile_time_eval():

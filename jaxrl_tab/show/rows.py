@@ -1,4 +1,4 @@
-"""What a chapter of the report says: its rows, notes and tables."""
+"""The tables, notes and sentences of a chapter of the report, from the rows of its settings."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,7 +11,7 @@ from jaxrl_tab.show import plot, words
 from jaxrl_tab.show.words import counted, counts_in_words, number
 from jaxrl_tab.stats.columns import COLUMNS, Column, Row, text
 
-AT_ONCE, AT_MOST = 12, 1000  # rows of a table that are not folded away, and rows that are there at all
+AT_ONCE, AT_MOST = 12, 1000  # rows of a table that are shown unfolded, and rows that are shown at all
 
 
 class Table(NamedTuple):
@@ -153,7 +153,7 @@ def settings_table(ranked: Sequence[Row], view: View) -> Table:
             _between(row["score"], view) + _doubt(row),
             *(_cell(column, row, view) for column in columns),
         ]
-        for row, star in zip(ranked, stars, strict=False)
+        for row, star in zip(ranked, stars, strict=False)  # `stars` ends after AT_MOST rows
     ]
     return Table(head, rows, stars)
 

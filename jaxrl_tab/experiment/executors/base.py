@@ -49,7 +49,7 @@ class Failed(NamedTuple):
 
     Attributes:
         line: the error.
-        trace: whence it came; empty where work was refused, before it began.
+        trace: its traceback; empty where the work was refused before it began.
     """
 
     line: str
@@ -61,7 +61,7 @@ class Job(NamedTuple):
 
     Attributes:
         work: as in `Executor.run`.
-        cores: so many cores are JAX devices there; all that it may use, where None.
+        cores: how many cores of another process become JAX devices; None: all that it may use.
         settings: JAX's, of the process that sends it.
         surroundings: of that process, see `provenance`.
     """
@@ -89,7 +89,7 @@ class Job(NamedTuple):
             return Failed(f"{named}{error}", traceback.format_exc())
 
     def _set_up(self) -> None:
-        self._compare(provenance.installed())  # first, for another JAX may have other settings
+        self._compare(provenance.installed())  # before the settings, which another JAX may not have
         for name, value in self.settings.items():
             jax.config.update(name, value)
         if self.cores is None:
