@@ -201,7 +201,7 @@ def say_where(folder: Path, group: str | None = None) -> None:
 
 
 def console() -> Console:
-    """Where tables are printed. Text such as :100: is no emoji; a pipe or a file is wide enough for all columns."""
+    """Where tables are printed. Text such as :100: is no emoji; a pipe or a file has room for all columns."""
     return Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 160)
 
 

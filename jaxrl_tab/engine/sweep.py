@@ -265,7 +265,7 @@ def _exact_value(
 
 
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
-    """Configurations with this gamma whose exact values may differ: one of control; of prediction one for each pi."""
+    """The configurations with this gamma whose exact values may differ: of prediction one for each pi."""
     same = [config for config in configs if config.gamma == gamma]
     if of_method(same[0]).learns is Learns.ACTIONS:
         return same[:1]

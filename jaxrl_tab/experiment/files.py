@@ -177,6 +177,7 @@ def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
         "versions": {x: surroundings[x] for x in packages if x in surroundings}
         | {"python": session.get("python")},
         "XLA flags": surroundings["XLA_FLAGS"],
-        "computed on": f"{session.get('processor')}, {session.get('devices')} devices, {session.get('platform')}",
+        "computed on": f"{session.get('processor')}, {session.get('devices')} devices, "
+        f"{session.get('platform')}",
         **({"git commit": session["git_commit"]} if session.get("git_commit") else {}),
     }

@@ -48,8 +48,8 @@ class Origin(NamedTuple):
         if self.changed and not self.mixed:
             raise InputError(
                 f"what is missing in {path} would not be computed as the rest was: {'; '.join(self.changed)}; "
-                f"go on with what it was, or begin a new folder with {path / AS_WRITTEN}, or allow it with --mixed "
-                "(mixed=True): the report then says so"
+                f"go on with what it was, or begin a new folder with {path / AS_WRITTEN}, or allow it with "
+                "--mixed (mixed=True): the report then says so"
             )
 
 

@@ -313,7 +313,8 @@ def _experiment_in(path: Path) -> Experiment:
         raise InputError(f"{'; '.join(changed)}: install what it was, to go on in {path}")
     elif resolved or as_written:
         raise InputError(
-            f"{path} was begun with another experiment: {AS_WRITTEN} and {RESOLVED} were changed or damaged since"
+            f"{path} was begun with another experiment: {AS_WRITTEN} and {RESOLVED} were changed or damaged "
+            "since"
         )
     else:
         raise InputError(

@@ -4,8 +4,8 @@ A shard is a file of arrays. Every file is written under another name in the sam
 and only then renamed, so that a process can be killed at any moment. The manifest has the sha256 of each
 file, and its own.
 
-Nothing that is read is trusted: folders are damaged by disks, and sent by others. A manifest with entries that
-this module does not write counts as damaged, and only files that lie in the folder itself are looked at.
+Nothing that is read is trusted: folders are damaged by disks, and sent by others. A manifest with entries
+that this module does not write counts as damaged, and only files in the folder itself are looked at.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ RESERVED = r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)"  # names that are devices to W
 def file_names(labels: Iterable[str]) -> dict[str, str]:
     """The name of the file or folder of each label: short, valid on any system, and different for each.
 
-    It is the label itself where that is such a name; else the valid characters of it, with digits of its checksum.
+    It is the label itself where that is such a name; else its valid characters, with digits of its checksum.
     """
     plain_names = {}
     for label in labels:
@@ -58,7 +58,7 @@ def file_names(labels: Iterable[str]) -> dict[str, str]:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[Path]:
-    """A temporary path to write to. At the end of the block the file is brought to the disk and renamed to `path`.
+    """A temporary path to write to. At the end of the block the file is synced, and renamed to `path`.
 
     Raises:
         RunError: it cannot be written, as where the disk is full; nothing of it is left.
@@ -137,9 +137,9 @@ def set_aside(file: Path, folder: Path, remedy: str, what: str = "is damaged") -
 
 @contextlib.contextmanager
 def new_folder(path: Path, keep: bool = False) -> Iterator[Path]:
-    """A temporary folder for the first files of the folder `path`, to which it is renamed at the end of the block.
+    """A temporary folder for the first files of `path`, to which it is renamed at the end of the block.
 
-    If the block fails, the files are removed; with `keep` they stay, and the error has a note that says where.
+    If the block fails, the files are removed; with `keep` they stay, and a note of the error says where.
 
     Raises:
         InputError: there is something already, or it cannot be made.
@@ -276,7 +276,7 @@ class Store:
         return {name: array for name, array in arrays.items() if name != ABOUT}
 
     def keep_if(self, number: int, shapes: Mapping[str, tuple[Any, Any]]) -> bool:
-        """Whether a shard is there and holds exactly these arrays, (shape, dtype) each; if not, it is set aside."""
+        """Whether a shard is there and holds just these arrays, (shape, dtype) each; else it is set aside."""
         if number not in self.shards:
             return False
         file = self.path / SHARDS / _name(number)

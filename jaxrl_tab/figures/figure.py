@@ -89,7 +89,7 @@ class Figure:
         source: where it was published.
         experiment: what to run, by name: each gets a function to call with its `Progress`, and gives a
             dataset; most are sweeps, see `swept`. Its keyword arguments, all with defaults, are its budget.
-        small: such arguments for a quick trial run: every number is computed, from too little to mean anything.
+        small: such arguments for a quick trial run, whose numbers come from too little to mean anything.
         numbers: what it must show.
         draw: makes the picture from the datasets.
     """

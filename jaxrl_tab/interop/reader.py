@@ -75,7 +75,7 @@ class Reader:
 
     def __init__(self, choose: Callable[[int, int], Any], left_to_keys: set | None):
         self.choose = choose
-        # The names of the keys whose draws nobody chooses: the keys decide them, as in any run. None: all keys.
+        # The names of the keys that decide their draws themselves, as in any run. None: all keys do.
         self.left_to_keys = left_to_keys
         self.draws: list[Draw] = []
         self.traced: list[Any] = []

@@ -213,7 +213,7 @@ def interval_curve(ax: Axes, x: Any, interval: stats.Interval, label: str, color
 
 
 def _readable_curve(own: Settings, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
-    """How many points at most, the interval of the mean return at each, and where it has enough seeds, bool [points].
+    """At most how many points, the interval of the mean return at each, and if seeds suffice, bool [points].
 
     They are fewer than `points` if that closes gaps in the second half.
     """

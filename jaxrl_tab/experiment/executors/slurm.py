@@ -91,7 +91,7 @@ class Slurm:
         return executor
 
     def _fetch(self, job: Any, share: Sequence[int], deaths: int) -> list[tuple[int, Arrays | Failed]] | None:
-        """What a job that has ended gave; None where it died, for the `deaths`-th time, and may be tried again."""
+        """What a job that has ended gave; None where it died, for the `deaths`-th time: try again."""
         from submitit.core.utils import FailedJobError, UncompletedJobError
 
         try:
