@@ -32,9 +32,9 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
             return
         can = pi > 0
     if isinstance(target, EpsilonGreedy):
-        if (there := _there(target)) is None:
+        if (available := _available(target)) is None:
             return
-        can = there
+        can = available
     if can.ndim and out.ndim and can.shape != out.shape:
         problem = f"target is a table {can.shape}, and behaviour one {out.shape}"
     elif at := first(can & out):
@@ -64,8 +64,8 @@ def _left_out(policy: Policy) -> np.ndarray | None:
         case EpsilonGreedy() if isinstance(policy.epsilon, clock.Schedule):
             return None
         case EpsilonGreedy():
-            epsilon, there = concrete(policy.epsilon), _there(policy)
-            return None if epsilon is None or there is None else ~there | (epsilon == 0).any()
+            epsilon, available = concrete(policy.epsilon), _available(policy)
+            return None if epsilon is None or available is None else ~available | (epsilon == 0).any()
         case Softmax():
             return np.array(False)
         case Greedy() | UCB():
@@ -73,10 +73,10 @@ def _left_out(policy: Policy) -> np.ndarray | None:
     return None
 
 
-def _there(policy: EpsilonGreedy) -> np.ndarray | None:
+def _available(policy: EpsilonGreedy) -> np.ndarray | None:
     """The actions that there are, bool [S, A], or [] where there are all; None where that is traced."""
-    there = np.array(True) if policy.available is None else concrete(policy.available)
-    return None if there is None else there > 0
+    available = np.array(True) if policy.available is None else concrete(policy.available)
+    return None if available is None else available > 0
 
 
 def _is_greedy(policy: Policy) -> bool:

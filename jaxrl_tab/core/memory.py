@@ -63,13 +63,13 @@ class Results:
         make = self._in_a_file if on_disk else np.empty
         self.arrays = jax.tree.map(lambda x: make((runs, *x.shape), x.dtype), like)
 
-    def write(self, runs: np.ndarray, given: Any) -> None:
-        """Writes what these runs gave: `runs` int [n], `given` a pytree of arrays [n, ...]."""
+    def write(self, runs: np.ndarray, values: Any) -> None:
+        """Writes the results of these runs: `runs` int [n], `values` a pytree of arrays [n, ...]."""
 
         def put(array: np.ndarray, x: np.ndarray) -> None:
             array[runs] = x
 
-        jax.tree.map(put, self.arrays, given)
+        jax.tree.map(put, self.arrays, values)
         let_go()
 
     def _in_a_file(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
@@ -134,9 +134,9 @@ def words(count: int) -> str:
 
 def parse(text: str) -> int:
     """So many bytes, from text such as "4GB" or "1.5 GiB". Raises InputError where it is something else."""
-    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z]+)", text.strip(), re.IGNORECASE)
+    match = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z]+)", text.strip(), re.IGNORECASE)
     units = {unit.lower(): factor for unit, factor in UNITS.items()}
-    count = int(float(found[1]) * units.get(found[2].lower(), 0)) if found else 0
+    count = int(float(match[1]) * units.get(match[2].lower(), 0)) if match else 0
     if count < 1:
         raise unfit(None, "memory", f"a number with a unit ({', '.join(UNITS)}), such as 4GB", text)
     return count

@@ -154,8 +154,8 @@ def find(kind: Kind, name: Any, base: Path | None = None, sha256: str | None = N
     where, _, attribute = name.rpartition(":")
     if where.endswith(".py"):
         file = modules.of_checksum((base or Path()) / where, sha256)
-        found = _of_module(kind, name, modules.load(file), attribute, file)
-        return found._replace(refusal=modules.refusal(file))
+        in_file = _of_module(kind, name, modules.load(file), attribute, file)
+        return in_file._replace(refusal=modules.refusal(file))
     if name.endswith(".py"):
         raise InputError(f"{name} is a file: name what is in it as well, as in '{name}:NAME'")
     if _IN_MODULE.fullmatch(name):

@@ -175,8 +175,8 @@ def check_among(what: str, probabilities: Any, available: Any) -> None:
 
     Traced ones are let through.
     """
-    pi, there = concrete(probabilities), concrete(available)
-    if pi is not None and there is not None and (at := first((pi > 0) & ~there)):
+    pi, is_available = concrete(probabilities), concrete(available)
+    if pi is not None and is_available is not None and (at := first((pi > 0) & ~is_available)):
         *_, s, a = at
         raise InputError(
             f"{what}: state {s} does not have action {a}, so its probability must be 0, not {pi[at]}"
@@ -231,21 +231,21 @@ class EpsilonGreedy(_Anywhere):
     )
 
     def __post_init__(self):
-        if self.available is None or (there := as_array(self.available)) is None:
+        if self.available is None or (is_available := as_array(self.available)) is None:
             return
-        if there.ndim != 2:
-            problem = f"available must be booleans [S, A], not of shape {there.shape}"
+        if is_available.ndim != 2:
+            problem = f"available must be booleans [S, A], not of shape {is_available.shape}"
             raise InputError(problem, who="EpsilonGreedy", field="available")
-        check_available("EpsilonGreedy: available", there, *there.shape)
-        object.__setattr__(self, "available", there)  # rows of a list would be leaves by themselves
+        check_available("EpsilonGreedy: available", is_available, *is_available.shape)
+        object.__setattr__(self, "available", is_available)  # rows of a list would be leaves by themselves
 
     @property
     def by_visit(self) -> bool:
         return goes_by_visit(self.epsilon)
 
     def __str__(self) -> str:
-        there = "" if self.available is None else f", available {_brief(self.available)}"
-        return super().__str__() + there
+        suffix = "" if self.available is None else f", available {_brief(self.available)}"
+        return super().__str__() + suffix
 
     def check(self, num_states: int, num_actions: int) -> None:
         if self.available is not None:
@@ -262,9 +262,9 @@ class EpsilonGreedy(_Anywhere):
         if self.available is None:
             return epsilon_greedy(q, epsilon)
         # A hyperparameter is a float in a sweep, whatever it was.
-        there = tables.row(jnp.asarray(self.available, float), s)
-        best = greedy(jnp.where(there > 0, q, -jnp.inf))
-        return epsilon * there / _reduce(jnp.add, there) + (1 - epsilon) * best
+        is_available = tables.row(jnp.asarray(self.available, float), s)
+        best = greedy(jnp.where(is_available > 0, q, -jnp.inf))
+        return epsilon * is_available / _reduce(jnp.add, is_available) + (1 - epsilon) * best
 
 
 @pytree
@@ -358,8 +358,8 @@ def as_table(name: str, policy: Any, shape: tuple[int, ...] | None = None) -> Ta
 
 def uniform(available: Bool[Array, "S A"]) -> Table:
     """The policy that takes all actions of a state that are available with equal probability."""
-    there = jnp.asarray(available, float)
-    return Table(there / there.sum(1, keepdims=True))
+    is_available = jnp.asarray(available, float)
+    return Table(is_available / is_available.sum(1, keepdims=True))
 
 
 POLICIES: dict[str, type] = {
@@ -412,11 +412,11 @@ def form(name: str) -> str:
 
 def _brief(table: Any) -> str:
     """The size of a table and a checksum: tables that are not equal do not look so."""
-    there = concrete(table)
-    if there is None:
+    numbers = concrete(table)
+    if numbers is None:
         return "traced"
-    size = "x".join(map(str, there.shape))
-    return f"{size}:{zlib.crc32(there.astype(np.float64).tobytes()):08x}"
+    size = "x".join(map(str, numbers.shape))
+    return f"{size}:{zlib.crc32(numbers.astype(np.float64).tobytes()):08x}"
 
 
 def _number_of(name: str) -> dataclasses.Field | None:

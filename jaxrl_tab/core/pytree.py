@@ -110,12 +110,12 @@ def _check_first(cls: Any) -> None:
     cls.__post_init__ = __post_init__
 
 
-def _with_attributes(doc: str | None, told: Mapping[str, str]) -> str:
+def _with_attributes(doc: str | None, entries: Mapping[str, str]) -> str:
     """A docstring with these entries in its section "Attributes", which is made where there is none."""
     before, _, after = inspect.cleandoc(doc or "").partition(_SECTION)
     lines = [
         textwrap.fill(f"{name}: {help}", 110, initial_indent=" " * 4, subsequent_indent=" " * 8)
-        for name, help in told.items()
+        for name, help in entries.items()
     ]
     return "\n".join([before.rstrip() + "\n" + _SECTION.rstrip(), *lines, after])
 

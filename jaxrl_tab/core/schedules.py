@@ -252,14 +252,14 @@ def parse(text: str) -> Family | Optax:
         return build(Optax, name, dict(zip(("schedule", "clock"), numbers, strict=False)))
     fields, clock = _numbers(FAMILIES[name]), numbers.pop() if numbers else None
     try:
-        given = dict(zip(fields, map(float, numbers), strict=False))
+        values = dict(zip(fields, map(float, numbers), strict=False))
     except ValueError:
-        given = {}
+        values = {}
     needed = list(fields.values()).count(dataclasses.MISSING)
-    if clock not in CLOCKS or len(given) < max(len(numbers), needed):
+    if clock not in CLOCKS or len(values) < max(len(numbers), needed):
         missing = "" if clock in CLOCKS else ": no clock stands at its end"
         raise InputError(wrong + missing)
-    return build(FAMILIES[name], name, {**given, "clock": clock})
+    return build(FAMILIES[name], name, {**values, "clock": clock})
 
 
 def read(text: str) -> float | Family | Optax:
@@ -454,10 +454,10 @@ def _tail(asker: str, rate: Any, fits: Callable[[float], bool], wanted: str) -> 
         return rate.tail()
     if callable(rate):
         kind = "a class" if isinstance(rate, type) else f"an arbitrary function ({type(rate).__name__})"
-        known = ", ".join(cls.__name__ for cls in FAMILIES.values())
+        families = ", ".join(cls.__name__ for cls in FAMILIES.values())
         raise InputError(
             f"{asker} cannot tell of {kind}: no number of its values decides about a limit; "
-            f"give a number or a schedule of the families {known}"
+            f"give a number or a schedule of the families {families}"
         )
     number = as_array(rate)
     if number is None or number.ndim or number.dtype.kind not in "fiu" or not fits(float(number)):

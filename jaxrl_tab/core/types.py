@@ -170,9 +170,9 @@ def available_actions(env: Any) -> Bool[Array, "S A"] | None:
     """
     if (available := of_environment(env).available) is None:
         return None
-    there = jax.vmap(available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
-    check_available(f"{type(env).__name__}: available", there, env.num_states, env.num_actions)
-    return there
+    is_available = jax.vmap(available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
+    check_available(f"{type(env).__name__}: available", is_available, env.num_states, env.num_actions)
+    return is_available
 
 
 def stand_ins(available: Bool[Array, "S A"]) -> Int[Array, "S A"]:
@@ -185,14 +185,14 @@ def stand_ins(available: Bool[Array, "S A"]) -> Int[Array, "S A"]:
 
 def check_available(what: str, available: Any, num_states: int, num_actions: int) -> None:
     """Raises InputError unless these are booleans [S, A], with an action in every state."""
-    there = concrete(available)
+    is_available = concrete(available)
     if (shape := np.shape(available)) != (num_states, num_actions):
         raise InputError(f"{what} must be booleans [S, A] = [{num_states}, {num_actions}], not {list(shape)}")
-    if there is None:
+    if is_available is None:
         return
-    if not np.isin(there, (0, 1)).all():
-        raise InputError(f"{what} must be True or False in each place, not {shown(there)}")
-    if (s := first(np.asarray(~there.any(1)))) is not None:
+    if not np.isin(is_available, (0, 1)).all():
+        raise InputError(f"{what} must be True or False in each place, not {shown(is_available)}")
+    if (s := first(np.asarray(~is_available.any(1)))) is not None:
         raise InputError(f"{what} must name an action in every state, in terminal ones too; {s[0]} has none")
 
 

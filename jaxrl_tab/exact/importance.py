@@ -164,10 +164,10 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
         of_outcome + later(r**2, var_rho) + 2 * gamma * later(r, cov) + later(gamma**2, ordinary),
         of_outcome + later(gamma**2, per_decision),
     )
-    leads_there = ((onward > 0) & endless[model.s_next]).any(2)
+    without_variance = ((onward > 0) & endless[model.s_next]).any(2)
     if model.available is not None:
-        leads_there |= ~model.available
-    for result, undefined in ((of_states, endless), (of_actions, leads_there)):
+        without_variance |= ~model.available
+    for result, undefined in ((of_states, endless), (of_actions, without_variance)):
         for x in result:
             x[undefined] = np.nan
     return of_states, of_actions

@@ -54,7 +54,7 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         model = _traced_model(env)
         gamma = jnp.asarray(gamma, model.prob.dtype)
         best = iterate_policies(model, 0.0, gamma)
-        found = ~(best.caught.any() | best.better.any())
+        is_solved = ~(best.caught.any() | best.better.any())
         matters = ~terminal_states(model)
 
     def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
@@ -68,7 +68,7 @@ def measurer(env: Environment, gamma: Any) -> Measure:
             v = policy_values(model, greedy_to(exact_q), gamma).v
             error = jnp.where(counts, abs(exact_q - best.q), 0).max().astype(q.dtype)
             value = from_start(model, v).astype(q.dtype)
-        return jnp.where(sound, value, jnp.nan), jnp.where(sound & found, error, jnp.nan)
+        return jnp.where(sound, value, jnp.nan), jnp.where(sound & is_solved, error, jnp.nan)
 
     return measure
 

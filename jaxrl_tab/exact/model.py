@@ -84,14 +84,14 @@ def once_for_an_environment(work: Callable[..., T]) -> Callable[..., T]:
     def remembered(env: Any, *numbers: Any) -> T:
         try:
             key = work, _value(env), tuple((type(x), x) for x in numbers)
-            found = _kept.get(key)
+            result = _kept.get(key)
         except (TypeError, ValueError):  # a key of JAX in it is no array, and not everything can be compared
             return work(env, *numbers)
-        if found is None:
-            _kept[key] = found = work(env, *numbers)
+        if result is None:
+            _kept[key] = result = work(env, *numbers)
             while memory.size(list(_kept.values())) > KEPT_BYTES:
                 _kept.pop(next(iter(_kept)), None)
-        return found
+        return result
 
     return remembered
 

@@ -58,8 +58,8 @@ def greedy_to(q: Float[Any, "... S A"], epsilon: float = 0.0) -> Float[Any, "...
     greedy = best / best.sum(-1, keepdims=True)
     if not epsilon:
         return greedy
-    there = (q > policies.UNAVAILABLE).astype(q.dtype)
-    return epsilon * there / there.sum(-1, keepdims=True) + (1 - epsilon) * greedy
+    is_available = (q > policies.UNAVAILABLE).astype(q.dtype)
+    return epsilon * is_available / is_available.sum(-1, keepdims=True) + (1 - epsilon) * greedy
 
 
 def _home(model: Model, free: Bool[Any, "S A"]) -> Bool[Any, " S"]:
@@ -121,11 +121,11 @@ def policy_values(model: Model, probs: Float[Any, "S A"], gamma: Any) -> _Values
     return _Values(where(doomed, -np.inf, v), where(doomed, 0, size), caught & (gamma == 1))
 
 
-def _solve(model: Model, probs: Any, gamma: Any, known: Bool[Any, " S"]) -> tuple[Any, Any]:
+def _solve(model: Model, probs: Any, gamma: Any, is_zero: Bool[Any, " S"]) -> tuple[Any, Any]:
     """The values of a policy where those of some states are known to be 0, and their `_Values.size`, [S]."""
     weight = probs[:, :, None] * model.prob
     reward, earned = ((weight * r).sum((1, 2)) for r in (model.reward, abs(model.reward)))
-    where, over = array_module(model).where, known[model.s_next]
+    where, over = array_module(model).where, is_zero[model.s_next]
     onward, leaving = where(over, 0, gamma * weight), where(over, weight, (1 - gamma) * weight).sum((1, 2))
     n = len(reward)
     if array_module(model) is jnp:
@@ -292,14 +292,14 @@ def _first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]
     "wait for 0" or "take 1, then pay 3" waiting looks worth what the rest is worth.
     """
     namespace = array_module(model)
-    there = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
-    anything = there / there.sum(-1, keepdims=True).astype(model.prob.dtype)
+    is_available = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
+    anything = is_available / is_available.sum(-1, keepdims=True).astype(model.prob.dtype)
     if epsilon:
         return anything
     free = ((model.prob == 0) | (model.reward == 0)).all(-1)
     home = _home(model, free)
     staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
-    staying = (staying & there).astype(model.prob.dtype)
+    staying = (staying & is_available).astype(model.prob.dtype)
     staying = staying / staying.sum(-1, keepdims=True)
     v, _, caught = policy_values(model, anything, gamma)
     mixed = namespace.where((home & (v < 0))[:, None], staying, anything)

@@ -51,7 +51,7 @@ def along(
     like = x.isel(dict.fromkeys((*within, dim), 0), drop=True).transpose(*others).astype(float)
     values = x.transpose(*others, *within, dim).values
     strata, shape = (values if within else values[..., None, :]), like.shape or (1,)
-    found, counts = np.full((parts, like.size), np.nan), np.zeros(like.size, int)
+    results, counts = np.full((parts, like.size), np.nan), np.zeros(like.size, int)
     for some in blocks(like.size, int(np.prod(strata.shape[-2:])) * resamples):
         block = np.arange(some.start, some.stop)
         at = strata.reshape(*shape, *strata.shape[-2:])[np.unravel_index(block, shape)].astype(float)
@@ -61,12 +61,12 @@ def along(
         sizes = (~missing).sum(-1)
         counts[block] = sizes.sum(-1)
         patterns, pattern = np.unique(sizes, axis=0, return_inverse=True)
-        for i, there in enumerate(patterns):
-            if there.any():
+        for i, lengths in enumerate(patterns):
+            if lengths.any():
                 same = pattern == i
-                found[:, block[same]] = of(*(at[same, k, :size] for k, size in enumerate(there) if size))
+                results[:, block[same]] = of(*(at[same, k, :size] for k, size in enumerate(lengths) if size))
         memory.let_go()
-    return tuple(like.copy(data=part.reshape(like.shape)) for part in (*found, counts))
+    return tuple(like.copy(data=part.reshape(like.shape)) for part in (*results, counts))
 
 
 def blocks(count: int, each: int) -> list[slice]:
@@ -105,11 +105,11 @@ def by_seeds(of: Callable[..., xr.DataArray]) -> Callable[..., xr.DataArray]:
     """`of(ds, ...)`, which has a number for each seed, worked out for some seeds at a time if there are many."""
 
     @functools.wraps(of)
-    def in_blocks(ds: xr.Dataset, *given: Any) -> xr.DataArray:
+    def in_blocks(ds: xr.Dataset, *arguments: Any) -> xr.DataArray:
         seeds = ds.sizes["seed"]
         some = memory.blocks(seeds, 8 * ds.episodes.size // seeds)
-        found = [of(ds.isel(seed=block), *given) for block in some]
-        return xr.concat(found, "seed").transpose(*found[0].dims) if len(found) > 1 else found[0]
+        parts = [of(ds.isel(seed=block), *arguments) for block in some]
+        return xr.concat(parts, "seed").transpose(*parts[0].dims) if len(parts) > 1 else parts[0]
 
     return in_blocks
 

@@ -77,12 +77,12 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
         measured = _rows(ds) if per == "row" else _runs(ds)
         axes = [*stats.hyperparameters(ds), "seed", *(["row"] if per == "row" else [])]
         frame = measured.to_dataframe(dim_order=axes).reset_index()
-        known = {
+        labels = {
             "environment": environment or ds.attrs["environment"],
             "method": method or ds.attrs["algorithm"],
             **constant,
         }
-        frames.append(frame.assign(**{key: _repeated(value, len(frame)) for key, value in known.items()}))
+        frames.append(frame.assign(**{key: _repeated(value, len(frame)) for key, value in labels.items()}))
     table = pd.concat(frames, ignore_index=True)
     first = ["environment", "method", *names, "seed"]
     table = table[[*first, *(column for column in table.columns if column not in first)]]
@@ -122,12 +122,12 @@ def _runs(ds: xr.Dataset) -> xr.Dataset:
     """The log summed over each run, the score, and what was recorded, at the end."""
     log = _rows(ds)
     sums = {name: log[name].sum("row", skipna=False, dtype=_wide(log[name])) for name in LOG}
-    found = xr.Dataset(sums | {"diverged": ds.diverged})
-    found["v_error" if has_errors(ds) else "last_tenth_return"] = stats.score(ds)
+    runs = xr.Dataset(sums | {"diverged": ds.diverged})
+    runs["v_error" if has_errors(ds) else "last_tenth_return"] = stats.score(ds)
     if not has_errors(ds):
-        found["unfinished"] = stats.unfinished(ds)
+        runs["unfinished"] = stats.unfinished(ds)
     ends = log.drop_vars(LOG).isel(row=-1, drop=True)
-    return found.merge(ends.rename({name: f"final_{name}" for name in ends.data_vars}))
+    return runs.merge(ends.rename({name: f"final_{name}" for name in ends.data_vars}))
 
 
 def _wide(x: xr.DataArray) -> type:

@@ -88,11 +88,11 @@ def score(ds: xr.Dataset) -> xr.DataArray:
     Of a method of prediction it is the mean of the RMS error over all rows of the log, the lower the better
     (as in the book's figures 7.2 and 12.3), and infinite where the run diverged.
     """
-    found, diverged = _own_score(ds), diverged_runs(ds)
+    scores, diverged = _own_score(ds), diverged_runs(ds)
     if has_errors(ds):
-        return found.where(~diverged, np.inf)
-    found = found.where(~diverged)
-    return found.where(~diverged, found.min().fillna(-np.inf))
+        return scores.where(~diverged, np.inf)
+    scores = scores.where(~diverged)
+    return scores.where(~diverged, scores.min().fillna(-np.inf))
 
 
 @by_seeds
@@ -100,11 +100,11 @@ def _own_score(ds: xr.Dataset) -> xr.DataArray:
     """What a run scores whether it diverged or not, which may be no number then."""
     if has_errors(ds):
         return ds.v_error.astype(float).mean("row", skipna=False)
-    found, without = final_return(ds), unfinished(ds)
+    returns, without = final_return(ds), unfinished(ds)
     if not without.any():
-        return found
+        return returns
     late = ds.isel(row=last_tenth(ds))
-    return found.where(~without, (late.rewards.astype(float) * _discounts(late)).sum("row"))
+    return returns.where(~without, (late.rewards.astype(float) * _discounts(late)).sum("row"))
 
 
 def diverged_runs(ds: xr.Dataset) -> xr.DataArray:
@@ -205,11 +205,11 @@ def error_interval(ds: xr.Dataset) -> Interval:
 def _over_rows(ds: xr.Dataset, of: Callable[[xr.Dataset], Interval], every: int = 1) -> Interval:
     """`of(ds)`, worked out for some rows after others if there are many numbers; always `every` together."""
     groups = -(-ds.sizes["row"] // every)
-    found = []
+    intervals = []
     for block in blocks(groups, ds.episodes.size // ds.sizes["row"]):
-        found.append(of(ds.isel(row=slice(block.start * every, block.stop * every))))
+        intervals.append(of(ds.isel(row=slice(block.start * every, block.stop * every))))
     return Interval(
-        *(xr.concat(parts, "row").transpose(*parts[0].dims) for parts in zip(*found, strict=True))
+        *(xr.concat(parts, "row").transpose(*parts[0].dims) for parts in zip(*intervals, strict=True))
     )
 
 
@@ -247,13 +247,13 @@ def area_under_curve(
         InputError: `curve` has no such dimension.
     """
     check_dims(curve, [dim])
-    there, place = curve.notnull(), xr.DataArray(np.arange(curve.sizes[dim]), dims=dim)
-    known = there.any(dim)
-    last = place.where(there, -1).reduce(np.maximum.accumulate, dim=dim)
-    first = place.where(there, curve.sizes[dim]).min(dim).where(known, 0)
+    has_value, place = curve.notnull(), xr.DataArray(np.arange(curve.sizes[dim]), dims=dim)
+    any_value = has_value.any(dim)
+    last = place.where(has_value, -1).reduce(np.maximum.accumulate, dim=dim)
+    first = place.where(has_value, curve.sizes[dim]).min(dim).where(any_value, 0)
     filled = curve.astype(float).isel({dim: last.where(last >= 0, first).astype(int)})
     width = xr.ones_like(place, float) if width is None else width.astype(float)
-    return ((filled * width).sum(dim, skipna=False) / width.sum(dim)).where(known)
+    return ((filled * width).sum(dim, skipna=False) / width.sum(dim)).where(any_value)
 
 
 def time_to_threshold(
@@ -303,11 +303,11 @@ def drawn(ds: xr.Dataset) -> list[str]:
 
 def named(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, Any]:
     """`setting`, fit for `ds.sel`, in hyperparameters: instead of the number of a draw what was drawn."""
-    found = dict(setting)
-    if "draw" in found:
-        trial = ds.sel(draw=found.pop("draw"))
-        found |= {name: trial[name].item() for name in drawn(ds)}
-    return found
+    values = dict(setting)
+    if "draw" in values:
+        trial = ds.sel(draw=values.pop("draw"))
+        values |= {name: trial[name].item() for name in drawn(ds)}
+    return values
 
 
 def fixed(ds: xr.Dataset) -> dict[str, Any]:
