@@ -1,4 +1,4 @@
-"""Logged experience: what somebody did, as arrays, checked."""
+"""Logged experience: the transitions that somebody recorded, as checked arrays."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -221,7 +221,7 @@ def _ends(terminal: Any) -> Any:
     """The ends of episodes where only terminal states end them, and the end of the log."""
     terminal = _truth("terminal", terminal)
     if terminal.ndim != 1 or terminal.dtype != bool:
-        return terminal  # which is refused later
+        return terminal  # `Experience` refuses it with a message
     return terminal | (np.arange(terminal.size) == terminal.size - 1)
 
 

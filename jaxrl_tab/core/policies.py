@@ -45,8 +45,8 @@ from jaxrl_tab.core.clock import Clock, Rate, exploration, goes_by_visit, of_sta
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import check_available
 
-# The value of an action that a state does not have: no maximum is there, and no softmax. It is finite, for 0
-# times it must be 0, and nobody learns about it, so it stays.
+# The value of an action that a state does not have: never the maximum, and of weight 0 in a softmax. It is
+# finite because 0 times it must be 0. Nothing is learned about such an action, so the value never changes.
 UNAVAILABLE = -1e30
 
 UNROLLED = 16  # rows up to this length are worked through entry by entry
@@ -115,9 +115,10 @@ def coin(key: Key[Array, ""]) -> Bool[Array, ""]:
 
 
 def _reduce(op: Any, x: Array) -> Array:
-    """Under `vmap` a row of A is one of many, and a reduction along so short an axis cannot be vectorised;
+    """`op` over all entries of x [A], written out entry by entry where A is small.
 
-    entry by entry, each operation runs over all lanes at once.
+    Under `vmap` a row is one of many, and a reduction along so short an axis cannot be vectorised. Entry by
+    entry, each operation runs over all lanes at once.
     """
     return reduce(op, list(x)) if len(x) <= UNROLLED else op.reduce(x)
 
@@ -186,8 +187,8 @@ def check_among(what: str, probabilities: Any, available: Any) -> None:
 class _Anywhere:
     """What policies share that fit every task and, unless they say so, count nothing.
 
-    Their `str` is what is typed for them. Unless they say so, that an action is not available is plain to
-    them from its value.
+    Their `str` is what one types for them. Where they do not define `restricted_to`, the value UNAVAILABLE
+    alone keeps them from an action.
     """
 
     @property
@@ -261,7 +262,7 @@ class EpsilonGreedy(_Anywhere):
         epsilon = exploration(self.epsilon, clock, s)
         if self.available is None:
             return epsilon_greedy(q, epsilon)
-        # A hyperparameter is a float in a sweep, whatever it was.
+        # As floats, because a sweep makes floats of all hyperparameters, of booleans too.
         is_available = tables.row(jnp.asarray(self.available, float), s)
         best = greedy(jnp.where(is_available > 0, q, -jnp.inf))
         return epsilon * is_available / _reduce(jnp.add, is_available) + (1 - epsilon) * best
@@ -411,7 +412,7 @@ def form(name: str) -> str:
 
 
 def _brief(table: Any) -> str:
-    """The size of a table and a checksum: tables that are not equal do not look so."""
+    """The size and a checksum of a table, so that tables that differ look different."""
     numbers = concrete(table)
     if numbers is None:
         return "traced"

@@ -110,7 +110,7 @@ def _tail_at(level: float, otherwise: str) -> Tail:
 
 
 class Family:
-    """A schedule that a few numbers say completely. Its `str` is what is typed for it: harmonic:100:visit."""
+    """A schedule that a few numbers describe. Its `str` is what one types for it: harmonic:100:visit."""
 
     clock: ClockName
 
@@ -397,7 +397,7 @@ def is_glie(epsilon: Rate) -> Verdict:
         return Verdict(False, f"epsilon {words}: it explores for ever, but it never becomes greedy")
     if order > 1:
         return Verdict(False, f"epsilon {words}, so its sum is finite: from some time on it never explores")
-    assert isinstance(epsilon, Family)  # numbers are judged by now
+    assert isinstance(epsilon, Family)  # of a number the order is 0 or infinite, which returned above
     everywhere = (
         "every state that is visited for ever"
         if epsilon.clock == "visit"
@@ -434,7 +434,7 @@ def is_robbins_monro(alpha: Rate) -> Verdict:
         return Verdict(False, f"alpha {words}, so the sum of its squares is infinite: noise never dies down")
     if order > 1:
         return Verdict(False, f"alpha {words}, so its sum is finite: it may stop short of its goal")
-    assert isinstance(alpha, Family)  # numbers are judged by now
+    assert isinstance(alpha, Family)  # of a number the order is 0 or infinite, which returned above
     pairs = "that is visited for ever" if alpha.clock == "visit" else _assumption(alpha)
     why = f"alpha {words}, so its sum is infinite and that of its squares is finite"
     return Verdict(True, f"{why}, for every pair (s, a) {pairs}")

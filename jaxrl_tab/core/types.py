@@ -163,7 +163,7 @@ def init_learner(algorithm: Algorithm[L], task: Environment | Task) -> L:
 
 
 def available_actions(env: Any) -> Bool[Array, "S A"] | None:
-    """Which actions there are in each state, or None where the environment does not say: then it is all.
+    """Which actions are available in each state, or None where the environment does not say, which means all.
 
     Raises:
         InputError: what `available` gives has the wrong shape, or a state has no action.
@@ -176,7 +176,7 @@ def available_actions(env: Any) -> Bool[Array, "S A"] | None:
 
 
 def stand_ins(available: Bool[Array, "S A"]) -> Int[Array, "S A"]:
-    """What is done where an action is asked for: itself where it is available, else the first that is, [S, A]."""
+    """What replaces each action, int32 [S, A]: itself where it is available, else the first that is."""
     actions = jnp.arange(available.shape[1], dtype=jnp.int32)
     return jnp.where(
         available, actions, jnp.where(available, actions, len(actions) - 1).min(1, keepdims=True)
@@ -197,10 +197,10 @@ def check_available(what: str, available: Any, num_states: int, num_actions: int
 
 
 def restricted(chooser: T, available: Bool[Array, "S A"] | None) -> T:
-    """A method or a policy that takes these actions only; as it is where `available` is None: there are all.
+    """A method or a policy that takes these actions only; unchanged where `available` is None, meaning all.
 
     Raises:
-        InputError: it cannot be told, for it has no method `restricted_to`; or it takes another action.
+        InputError: it cannot be restricted, for it has no method `restricted_to`; or it takes another action.
     """
     if available is None:
         return chooser

@@ -152,7 +152,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     var_rho = _solve(squared, (b * of_rho**2).sum(1), infinite.ratio)
     finite = np.where(infinite.ratio, 0, var_rho)
     cov = _solve(gamma * squared, (b * of_rho * of_x).sum(1) + carried(later(r, finite)), infinite.ratio)
-    cov[infinite.ratio] = 0  # not asked for, beside an infinite Var rho'
+    cov[infinite.ratio] = 0  # it does not matter beside an infinite Var rho'
     mixed = of_outcome + later(r**2, finite) + 2 * gamma * later(r, cov)
     of_action = (b * of_x**2).sum(1)
     ordinary = _solve(gamma**2 * squared, of_action + carried(mixed), infinite.ordinary)
@@ -221,7 +221,7 @@ def _growing(chain: Any) -> Bool[np.ndarray, " S"]:
 
 
 def _solve(chain: Any, constant: Float[np.ndarray, " S"], infinite: Any = False):
-    """Solves x = constant + chain x, float64 [S]; inf where told so, which no other state leads to."""
+    """Solves x = constant + chain x, float64 [S]; inf where `infinite`, to which no other state leads."""
     x = np.full(len(constant), np.inf)
     finite = np.flatnonzero(~np.broadcast_to(infinite, x.shape))
     x[finite] = planning.sparse_solver(chain[finite][:, finite])(constant[finite])

@@ -61,7 +61,7 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         if q.shape != model.prob.shape[:2]:
             raise InputError(f"exact values are those of one table [S, A]; this method has {list(q.shape)}")
         counts = matters[:, None] & (q > policies.UNAVAILABLE)
-        # Said by itself: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
+        # NaN is looked for on its own: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
         sound = ~jnp.isnan(q).any()
         with doubled():
             exact_q = q.astype(model.prob.dtype)

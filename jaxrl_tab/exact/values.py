@@ -264,7 +264,7 @@ def iterate_policies(model: Model, epsilon: float, gamma: Any) -> Round:
 
     def judged(probs, n):
         v, size, caught = policy_values(model, probs, gamma)
-        q = backup(model, where(v == -np.inf, 0, v), gamma)  # where some are caught it is not looked at
+        q = backup(model, where(v == -np.inf, 0, v), gamma)  # not used where some are caught
         improved = greedy_to(q, epsilon)
         best = (improved * q).sum(-1)
         sizes = (improved * backup(with_sizes(model), size, gamma)).sum(-1)
@@ -308,4 +308,4 @@ def _first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]
 
 
 def from_start(model: Model, v: Float[Any, " S"]) -> Any:
-    return (model.start * array_module(model).where(model.start > 0, v, 0)).sum()  # 0 x -inf is nothing here
+    return (model.start * array_module(model).where(model.start > 0, v, 0)).sum()  # 0 times -inf counts as 0

@@ -38,7 +38,7 @@ def along(
     resamples: int = 1,
     parts: int = 3,
 ) -> tuple[xr.DataArray, ...]:
-    """What `of` makes of the values along a dimension, without the NaNs, and how many values these are.
+    """The results of `of` for the values along a dimension, without the NaNs, and the number of these values.
 
     Where two dimensions are given, the first is of strata. `of` gets the values of each stratum, [c, n] in
     their order along the dimension, of c places elsewhere that have equally many, and returns so many
@@ -56,10 +56,11 @@ def along(
         block = np.arange(some.start, some.stop)
         at = strata.reshape(*shape, *strata.shape[-2:])[np.unravel_index(block, shape)].astype(float)
         missing = np.isnan(at)
-        if missing.any():
+        if missing.any():  # moves the NaNs to the end, and keeps the others in their order
             at = np.take_along_axis(at, np.argsort(missing, axis=-1, kind="stable"), axis=-1)
         sizes = (~missing).sum(-1)
         counts[block] = sizes.sum(-1)
+        # Places that have equally many values in each stratum are worked out together.
         patterns, pattern = np.unique(sizes, axis=0, return_inverse=True)
         for i, lengths in enumerate(patterns):
             if lengths.any():

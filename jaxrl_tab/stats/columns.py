@@ -116,7 +116,7 @@ class Column:
         written: how people read it: with as many decimals as the score has, of an interval also without its
             middle ("range"); with six significant digits ("exact"); as a count; or with one decimal.
         scale: the screen shows so many times the number.
-        help: what it means, for who reads the report; a sentence that follows the heading.
+        help: what it means, for the readers of the report; a sentence that follows the heading.
     """
 
     name: str
@@ -272,7 +272,7 @@ class Row:
 class Methods(Mapping[str, xr.Dataset]):
     """The sweeps of methods in one environment, by their names; and all that is worked out of them, each once.
 
-    It stands wherever datasets are asked for. Who needs one makes it with `of`, which takes one that is there.
+    It can be passed wherever datasets are expected. `of` makes one of datasets, and returns one as it is.
 
     Attributes:
         settings: the settings of each method, by its name.

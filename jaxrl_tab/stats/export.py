@@ -7,7 +7,7 @@
     export.save(datasets, "windy.parquet")
 
 A table is in long form: a row for each row of the log of each seed of each setting, or for each seed. Arrays
-such as the final Q, and what is as it was, stay in netCDF: `SweepResult.to_xarray` and its `to_netcdf`.
+such as the final Q are left out; netCDF keeps everything: `SweepResult.to_xarray` and its `to_netcdf`.
 """
 
 import importlib.util
@@ -60,7 +60,7 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
 
     Returns:
         A frame with the columns `environment`, `method`, every hyperparameter of any method, `seed`, and
-        those above. What a method has not is empty; where numbers and schedules meet in a column, all are
+        those above. What a method does not have is empty; in a column with numbers and schedules all are
         text.
 
     Raises:
@@ -95,7 +95,7 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
 
 
 def save(datasets: Datasets, file: Path | str, per: Per = "row") -> Path:
-    """Writes the table of `to_pandas` as the ending of `file` says: .csv or .parquet; over one that is there.
+    """Writes the table of `to_pandas` to a `file` that ends in .csv or .parquet, replacing one that exists.
 
     Raises:
         InputError: another ending, or Parquet is not installed; and as `to_pandas`.

@@ -1,4 +1,4 @@
-"""Intervals of a mean, a median, single runs; which holds where is said in the package."""
+"""Intervals for means, medians and single runs; the docstring of the package says where each holds."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -217,6 +217,7 @@ def simultaneous_interval(
         # Where there is no spread there is nothing to be wrong about.
         spread = [(valid, z) for _, error, valid, z in places.values() if error > 0]
 
+        # A default, because a closure would see the `spread` of a later turn.
         def extremes(weights: np.ndarray, spread=spread) -> np.ndarray:
             """The largest and the smallest t of each resample, [2, resamples]."""
             ends = np.zeros((2, len(weights)))

@@ -97,7 +97,7 @@ def score(ds: xr.Dataset) -> xr.DataArray:
 
 @by_seeds
 def _own_score(ds: xr.Dataset) -> xr.DataArray:
-    """What a run scores whether it diverged or not, which may be no number then."""
+    """The score of each run as if none had diverged; of those that did it may be NaN."""
     if has_errors(ds):
         return ds.v_error.astype(float).mean("row", skipna=False)
     returns, without = final_return(ds), unfinished(ds)
@@ -170,13 +170,13 @@ def episode_curve(ds: xr.Dataset) -> xr.Dataset:
 
 
 def curve_interval(ds: xr.Dataset, at_most: int) -> Interval:
-    """`mean_interval(learning_curve(merge_rows(ds, at_most)))`: of as many seeds as there are on the disk.
+    """`mean_interval(learning_curve(merge_rows(ds, at_most)))`: for as many seeds as the disk holds.
 
-    What cannot be is cut off: see `possible`.
+    Values that are impossible are cut off: see `possible`.
     """
     every = -(-ds.sizes["row"] // at_most)
     merged = by_seeds(lambda part: learning_curve(_merged(part, every)))
-    costs = only_costs(ds)  # of all rows: what they pay is possible in any
+    costs = only_costs(ds)  # of all rows: a reward above 0 in one row is possible in any
 
     def of(part: xr.Dataset) -> Interval:
         curve = merged(part)
@@ -186,8 +186,8 @@ def curve_interval(ds: xr.Dataset, at_most: int) -> Interval:
 
 
 def progress_interval(ds: xr.Dataset, name: str) -> Interval:
-    """`mean_interval(episode_curve(ds)[name])`: of as many seeds as there are on the disk."""
-    until = [xr.DataArray(0)]
+    """`mean_interval(episode_curve(ds)[name])`: for as many seeds as the disk holds."""
+    until = [xr.DataArray(0)]  # in a list, so that `of` can hand the sum on to the next rows
 
     def of(part: xr.Dataset) -> Interval:
         curve = until[0] + episode_curve(part)[name]
@@ -323,7 +323,7 @@ def optimum(ds: xr.Dataset) -> xr.DataArray:
 def soft_optimum(env: Environment, setting: Mapping[str, Any]) -> float:
     """What the best policy earns from the start that explores as a setting does: with a constant epsilon.
 
-    So much better than this a method that goes on exploring cannot be, whatever it learns.
+    A method that goes on exploring in this way cannot earn more than this, whatever it learns.
 
     Args:
         env: the environment.
@@ -368,7 +368,7 @@ def only_costs(ds: xr.Dataset) -> bool:
 
 
 def within(interval: Interval, x: xr.DataArray, ds: xr.Dataset, costs_alone: bool) -> Interval:
-    """`possible`, where it is known whether there are `only_costs`, in all of which `ds` may be a part."""
+    """`possible`, where `costs_alone` is `only_costs` of all rows, of which `ds` may have some."""
     if has_errors(ds):
         return interval._replace(low=interval.low.clip(min=0))
     best_seen = x.max("seed")

@@ -46,7 +46,7 @@ class Settings:
 
     @classmethod
     def of(cls, ds: "Sweep", by: Measure = score) -> "Settings":
-        """The settings of a sweep; or those given, of which something may have been worked out already."""
+        """The settings of a sweep; `ds` itself where it is Settings, with what it has worked out already."""
         return ds if isinstance(ds, Settings) else cls(ds, by)
 
     @cached_property
@@ -81,7 +81,7 @@ class Settings:
         return Settings(self.ds.sel(self.best), self.by)
 
     def once(self, of: Callable[..., T], *arguments: Any) -> T:
-        """`of(ds, *arguments)`, such as `curve_interval` of so many points: worked out once, however often it is drawn."""
+        """`of(ds, *arguments)`, such as `curve_interval`: worked out once, however often it is drawn."""
         key = of, arguments
         if key not in self._once:
             self._once[key] = of(self.ds, *arguments)
@@ -109,7 +109,7 @@ class Settings:
 
     @cached_property
     def _intervals(self) -> Callable[[float], Interval]:
-        return cache(self._interval)
+        return cache(self._interval)  # a cache of this object, which goes when it does
 
     def _interval(self, confidence: float) -> Interval:
         good = self._higher_is_better
@@ -191,7 +191,7 @@ def best(ds: xr.Dataset, by: Measure = score, **held: Any) -> dict[str, Any]:
 
 
 def ranked(datasets: Mapping[str, Sweep]) -> list[str]:
-    """The names of the methods, that whose best setting is the best of all first: by the rule of `best`."""
+    """The names of the methods by their best settings, the best first, as the rule of `best` orders them."""
 
     methods = {name: Settings.of(ds) for name, ds in datasets.items()}
 
