@@ -73,7 +73,7 @@ def backward(step: Callable[[Int[Array, ""], T], T], length: Int[Array, ""], car
 def count(
     visits: Int[Array, "L S A"] | None, counts: Bool[Array, ""], *at: Int[Array, ""]
 ) -> tuple[Int[Array, "L S A"] | None, Int[Array, ""] | None]:
-    """N <- N + 1 where it `counts`, on the walk back; and N as it then is. None where nobody counts."""
+    """N <- N + 1 where it `counts`, on the walk back, and N after that; None where no visits are counted."""
     if visits is None:
         return None, None
     visits = tables.write(visits, tables.entry(visits, *at) + counts.astype(visits.dtype), *at)

@@ -84,7 +84,7 @@ class Results:
 
 
 def blocks(count: int, each: int, most: int = BLOCK) -> Iterator[slice]:
-    """Slices of `count` things of `each` bytes, to look at one after another: alike, of about `most` or less."""
+    """Slices of about equal length that cover `count` items of `each` bytes: about `most` bytes or less."""
     number = max(1, min(count, -(-count * each // most)))
     size, larger = divmod(count, number)
     first = 0
@@ -110,7 +110,7 @@ def size(tree: Any) -> int:
 def free(devices: Sequence[Any] = ()) -> int:
     """The bytes that are free on each of these devices; on a CPU, or without any, in the machine.
 
-    There is no limit on a device that does not say.
+    A device that does not tell has no limit.
     """
     if devices and devices[0].platform != "cpu":
         stats = [device.memory_stats() or {} for device in devices]
@@ -133,7 +133,7 @@ def words(count: int) -> str:
 
 
 def parse(text: str) -> int:
-    """The number of bytes that "4GB" or "1.5 GiB" stands for. Raises InputError where a text is not of that form."""
+    """The bytes that a text such as "4GB" or "1.5 GiB" stands for. Raises InputError where it is none."""
     match = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z]+)", text.strip(), re.IGNORECASE)
     units = {unit.lower(): factor for unit, factor in UNITS.items()}
     count = int(float(match[1]) * units.get(match[2].lower(), 0)) if match else 0

@@ -78,7 +78,7 @@ def read(path: Path, alone: bool = False) -> File:
 
 
 def of_checksum(path: Path, sha256: str | None) -> File:
-    """The file with this checksum, wherever it is known from; else, or without one, the file at `path`."""
+    """The file with this checksum if it was read or received; else, or without one, the file at `path`."""
     if sha256 in _contents:
         return _contents[sha256]
     file = read(path)

@@ -56,7 +56,7 @@ class Kind:
         group: the entry points by which packages register theirs.
         needs: the attributes that a class of this kind has.
         add: puts a class into the registry.
-        hint: what a message says instead of a name that is unknown.
+        hint: what a message suggests in place of an unknown name.
         libraries: prefix of a name -> the class of what another library has under the rest of it.
         table: the class of what is in an .npz file; None where there are no such files.
     """
@@ -104,7 +104,7 @@ class Functions(Kind):
 
 
 KINDS: list[Kind] = []
-_here: dict[tuple[str, str | None], Reference] = {}  # what is of this process, by (name, checksum)
+_here: dict[tuple[str, str | None], Reference] = {}  # those made in this process, by (name, checksum)
 
 
 def register(name: str, cls: type) -> None:
@@ -130,9 +130,9 @@ def find(kind: Kind, name: Any, base: Path | None = None, sha256: str | None = N
 
     Args:
         kind: what it names.
-        name: one of the forms above, or what would be named: a class, or a function.
+        name: one of the forms above, or the class or the function itself.
         base: the folder from which paths start; by default that of the process.
-        sha256: the checksum that its file must have, where that is settled.
+        sha256: the checksum that its file must have; None for any.
 
     Raises:
         InputError: it stands for nothing; or its file cannot be loaded, or has another checksum.

@@ -210,7 +210,7 @@ def _read_lanes(entries: Array, at: Array) -> Array:
 
     def read(first, group, out):
         columns = [_read_one(entries, i)[..., None] for i in group[0]]
-        if not rest:
+        if not rest:  # single numbers are written together
             return put(out, jnp.concatenate(columns), (first,))
         for k, column in enumerate(columns):
             out = put(out, column, (*rest, first + jnp.uint32(k)))

@@ -136,7 +136,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     infinite = _infinite(model, pi, chain, squared, gamma)
 
     def later(weight, x):
-        """The sum over outcomes of p weight x', float64 [S, A]; a weight of 0 makes nothing of inf."""
+        """The sum over outcomes of p weight x', float64 [S, A]; where the weight is 0, inf counts as 0."""
         weight = onward * weight
         return np.multiply(weight, x[model.s_next], out=np.zeros_like(weight), where=weight != 0).sum(2)
 

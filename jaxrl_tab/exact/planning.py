@@ -290,7 +290,7 @@ def epsilon_soft(
 
 
 def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
-    """The largest |R_1 + gamma R_2 + ...| that so many steps or fewer can give, if chance and actions will.
+    """The largest |R_1 + gamma R_2 + ...| that so many steps or fewer can give, by any actions and outcomes.
 
     What the steps after the first `PATH_SWEEPS` can add is bounded by what the last of these could: with each
     step more a path can gain no more than with the step before.

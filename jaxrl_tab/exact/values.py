@@ -233,12 +233,12 @@ def _solve_dense_rule(axis_size, batched, *args):
 
 # The best policy.
 class Round(NamedTuple):
-    """A policy in policy iteration, and what is better.
+    """A policy in policy iteration, and an improvement on it.
 
     Attributes:
         probs: the policy [S, A].
         v, q: its values [S] and action values [S, A].
-        caught: as in `_Values`; if there are some nothing is improved.
+        caught: as in `_Values`; where it holds for any state, nothing is improved.
         better: where `improved` is better by more than rounding, bool [S].
         improved: a policy [S, A].
         n: how many times it was improved.
@@ -276,7 +276,7 @@ def iterate_policies(model: Model, epsilon: float, gamma: Any) -> Round:
     def go_on(last):
         return last.better.any() & ~last.caught.any() & (last.n < MAX_ROUNDS)
 
-    # It begins with the first policy as what is better everywhere, so that `judged` is in a program only once.
+    # A made-up round comes first, whose improvement is the first policy: so a program has `judged` only once.
     probs = _first_policy(model, epsilon, gamma)
     nothing, no = 0 * probs, probs[:, 0] < 0
     return while_loop(

@@ -217,7 +217,7 @@ def simultaneous_interval(
         # Where there is no spread there is nothing to be wrong about.
         spread = [(valid, z) for _, error, valid, z in places.values() if error > 0]
 
-        # A default, because a closure would see the `spread` of a later turn.
+        # A default keeps the `spread` of this turn of the loop.
         def extremes(weights: np.ndarray, spread=spread) -> np.ndarray:
             """The largest and the smallest t of each resample, [2, resamples]."""
             ends = np.zeros((2, len(weights)))

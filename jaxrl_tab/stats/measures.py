@@ -203,7 +203,7 @@ def error_interval(ds: xr.Dataset) -> Interval:
 
 
 def _over_rows(ds: xr.Dataset, of: Callable[[xr.Dataset], Interval], every: int = 1) -> Interval:
-    """`of(ds)`, worked out for some rows after others if there are many numbers; always `every` together."""
+    """`of(ds)`, worked out in blocks of rows if there are many; groups of `every` rows stay together."""
     groups = -(-ds.sizes["row"] // every)
     intervals = []
     for block in blocks(groups, ds.episodes.size // ds.sizes["row"]):
@@ -302,7 +302,7 @@ def drawn(ds: xr.Dataset) -> list[str]:
 
 
 def named(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, Any]:
-    """`setting`, fit for `ds.sel`, in hyperparameters: instead of the number of a draw what was drawn."""
+    """A `setting` that fits `ds.sel`, in hyperparameters: for the number of a draw the values drawn."""
     values = dict(setting)
     if "draw" in values:
         trial = ds.sel(draw=values.pop("draw"))

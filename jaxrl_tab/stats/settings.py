@@ -293,8 +293,8 @@ def differences(datasets: Mapping[str, Sweep], confidence: float = 0.95) -> dict
 
     Returns:
         For each method, that with the best mean first, its `paired_difference` from the first, with `worst` as
-        `standstill` has it; for the first itself there is none, it is left out. Empty where there is but one
-        method, or where their seeds are not the same.
+        `standstill` has it; the first itself is left out. Empty where there is but one method, or where their
+        seeds are not the same.
     """
     methods = {name: Settings.of(ds) for name, ds in datasets.items()}
     prediction = all(settings.prediction for settings in methods.values())
