@@ -234,7 +234,7 @@ def with_sizes(model: Model) -> Model:
 
 # What leads where.
 def settle(change: Callable[[Any], Any], states: Any) -> Bool[Any, " S"]:
-    """Applies `change`, which only adds or only removes states, to a set, bool [S], until it stays the same."""
+    """Applies `change`, which only adds or only removes states, to a set, bool [S], until nothing changes."""
     carry = states, change(states)
     return lax.while_loop(lambda c: (c[0] != c[1]).any(), lambda c: (c[1], change(c[1])), carry)[1]
 
