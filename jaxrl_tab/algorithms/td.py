@@ -1,7 +1,7 @@
 """What the one-step temporal-difference methods share: everything but the target."""
 
 import dataclasses
-from typing import Any, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +16,7 @@ from jaxrl_tab.core.schedules import check_rate
 from jaxrl_tab.core.types import Transition, restricted
 
 
+@runtime_checkable
 class Learner(Protocol):
     """What every state of a learner has: a NamedTuple with Q and a clock."""
 

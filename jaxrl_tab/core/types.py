@@ -119,6 +119,7 @@ class FiniteEnvironment(Environment, Protocol):
         ...
 
 
+@runtime_checkable
 class Algorithm(Protocol[L]):
     """A control method: a frozen pytree. The instance *is* its hyperparameters, so `vmap` batches them.
 
