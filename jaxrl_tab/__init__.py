@@ -34,7 +34,8 @@ from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core import policies, schedules, tables
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.experience import Experience
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.names import register
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome, Transition
 from jaxrl_tab.core.version import __version__ as __version__
 from jaxrl_tab.engine import batch, offline
@@ -78,6 +79,10 @@ def __getattr__(name: str) -> Any:
     if name in _LATER:
         return importlib.import_module(f"jaxrl_tab.{_LATER[name]}")
     raise AttributeError(f"module 'jaxrl_tab' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, *_LATER])
 
 
 __all__ = [
@@ -127,6 +132,7 @@ __all__ = [
     "collect",
     "envs",
     "executors",
+    "field",
     "importance",
     "interop",
     "learn",
@@ -136,6 +142,7 @@ __all__ = [
     "policies",
     "prediction",
     "pytree",
+    "register",
     "replay",
     "resume",
     "run",

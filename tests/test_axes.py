@@ -105,8 +105,11 @@ def test_what_is_drawn_together_is_one_axis_behind_the_grids():
             lambda: drawn({"alpha": [0.5]}, 3),
             "there is nothing to draw: no hyperparameter of sarsa is random",
         ),
-        (lambda: drawn({"draw": [{"alpha": 1}, {"q0": 1}]}, None), "draw 1 is of other hyperparameters than"),
-        (lambda: drawn({"draw": [{"alpha": 1}], "alpha": 1}, None), "alpha is in the draws and beside them"),
+        (lambda: drawn({"draw": [{"alpha": 1}, {"q0": 1}]}, None), "draw 1 has other hyperparameters than"),
+        (
+            lambda: drawn({"draw": [{"alpha": 1}], "alpha": 1}, None),
+            "alpha is given both in the draws and beside them",
+        ),
         (lambda: drawn({"draw": [0.5]}, None), "draw must be a list of dicts from hyperparameters to values"),
         (lambda: drawn({"draw": [{}], "q0": rl.Uniform(0, 1)}, 2), "and there are draws already"),
     ],

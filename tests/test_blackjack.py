@@ -275,4 +275,5 @@ def test_error(given, message):
     call = rl.make("blackjack").state if "player" in given else functools.partial(rl.make, "blackjack")
     with pytest.raises(rl.InputError) as error:
         call(**given)
-    assert str(error.value) == f"blackjack: {message}"
+    who = "Blackjack" if "player" in given else "blackjack"  # as the person called it
+    assert str(error.value) == f"{who}: {message}"

@@ -28,6 +28,7 @@ from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import shards
 from jaxrl_tab.figures import FIGURES, figure
+from jaxrl_tab.stats.columns import Methods
 
 TINY = ["--alpha", "0.5", "1", "--seeds", "3", "--steps", "1000", "--log-every", "250"]
 
@@ -129,7 +130,7 @@ def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
     for name in ("returns", "episodes"):
         ds[name][0] = ds[name][1].roll(seed=1)
     ds["returns"][0] += 0.1 * ds.episodes[0]
-    screen._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    screen.print_summary("windy", Methods({"sarsa": ds}, windy))
     out = capsys.readouterr().out
     marks = [line.split("│")[1].strip() for line in out.splitlines() if "│ sarsa" in line]
     assert marks == ["sarsa *", "sarsa ~"]
@@ -138,7 +139,7 @@ def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
     assert "! Sarsa: the median is -1" in out
     assert "With ε = 0.1 and γ = 1, no policy that goes on exploring is worth more than -17.0483." in out
     ds = everything.isel(alpha=[0, 2])
-    screen._print_summary("windy", stats.summary({"sarsa": ds}), {"sarsa": ds}, windy)
+    screen.print_summary("windy", Methods({"sarsa": ds}, windy))
     assert "The best α of Sarsa is the largest that was tried" in capsys.readouterr().out
 
 
@@ -297,7 +298,7 @@ REFUSALS = {
     "list --jsn": "did you mean '--json'?",
     "solve": "name an environment: windy-gridworld",
     "solve windy-gridwrld": "did you mean 'windy-gridworld'?",
-    "solve windy-gridworld more": "'more' is one word too many",
+    "solve windy-gridworld more": "unexpected argument 'more'",
     "solve windy-gridworld --gamma 1.5": "--gamma must be a number between 0 and 1, not '1.5'",
     "solve windy-gridworld --gamma x": "--gamma must be a number between 0 and 1, not 'x'",
     "solve windy-gridworld --epsilon -0.1": "--epsilon must be a number between 0 and 1, not '-0.1'",
@@ -306,8 +307,8 @@ REFUSALS = {
     "solve windy-gridworld --wind 0.5": "--wind takes a whole number, not '0.5'",
     "solve windy-gridworld --shape 7": "shape must be (rows, columns)",
     "solve windy-gridworld --moves": "Missing value for argument '--moves'",
-    "solve windy-gridworld --moves king four": "'four' is one word too many",
-    "solve cliff-walking --moves king": "cliff-walking has no --moves, which is of windy-gridworld; "
+    "solve windy-gridworld --moves king four": "unexpected argument 'four'",
+    "solve cliff-walking --moves king": "cliff-walking has no --moves, which belongs to windy-gridworld; "
     "cliff-walking has --shape, --max-steps",
     "solve random-walk --states 4": "states must be odd",
     "figure": "name a figure: " + ", ".join(FIGURES),
@@ -323,7 +324,7 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --alpha 0": "alpha must be greater than 0, not 0.0",
     "sweep windy-gridworld sarsa --alpha 0.1 -1": "alpha must be greater than 0, not -1.0",
     "sweep windy-gridworld sarsa --alpha nan": "alpha must be greater than 0, not nan",
-    "sweep windy-gridworld sarsa --alpha small": "--alpha takes a number or a schedule (glie,",
+    "sweep windy-gridworld sarsa --alpha small": "--alpha: 'small' is neither a number nor a schedule",
     "sweep windy-gridworld sarsa --alpha 0.1 0.10": "alpha holds 0.1 more than once",
     "sweep windy-gridworld sarsa --alpha glie glie": "alpha holds glie more than once",
     "sweep windy-gridworld sarsa --epsilon 1.1": "epsilon must be between 0 and 1, not 1.1",
@@ -340,7 +341,7 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --behaviour sofmax:1": "did you mean 'softmax'?",
     "sweep windy-gridworld sarsa --behaviour ucb:2 --epsilon 0.2": "give epsilon or behaviour, not both",
     "sweep windy-gridworld sarsa --behaviour ucb:2 ucb": "behaviour holds ucb:2 more than once",
-    "sweep windy-gridworld sarsa --target greedy": "sarsa has no --target, which is of expected-sarsa,",
+    "sweep windy-gridworld sarsa --target greedy": "sarsa has no --target, which belongs to expected-sarsa,",
     "sweep windy-gridworld sarsa-lambda --lam 0.5 2": "lam must be between 0 and 1, not 2.0",
     "sweep windy-gridworld sarsa-lambda --trace x": "choose one of accumulating, replacing, dutch",
     "sweep windy-gridworld sarsa-lambda --offline --trace dutch": "accumulating traces only, not dutch",
@@ -348,8 +349,8 @@ REFUSALS = {
     "sweep windy-gridworld n-step-sarsa --n 1.5": "--n takes a whole number, not '1.5'",
     "sweep blackjack monte-carlo --batch 0": "batch must be a whole number of at least 1, not 0",
     "sweep blackjack off-policy-monte-carlo --weighting x": "choose one of weighted, ordinary, per-decision",
-    "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which is of the methods of control; td has",
-    "sweep random-walk td-lambda --lam -1": "TDLambda: lam must be between 0 and 1, not -1.0",
+    "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which belongs to the methods of control; td has",
+    "sweep random-walk td-lambda --lam -1": "td-lambda: lam must be between 0 and 1, not -1.0",
     "sweep random-walk td --pi 0.5": "there is no option --pi",
     "sweep random-walk td sarsa": "sweep methods of prediction and of control apart",
 }
@@ -421,11 +422,13 @@ def test_a_new_method_brings_its_options(monkeypatch, asked, capsys):
     monkeypatch.setitem(ALGORITHMS, "eager", Eager)
     call("sweep windy-gridworld eager --recall 0 0.5 --traces accumulating --no-cut --patience 3")
     given = {"recall": [0.0, 0.5], "traces": "accumulating", "cut": False, "patience": 3}
-    assert ({"name": "eager"} | given).items() <= asked[0]["method"][0].items()
+    assert ({"label": "eager"} | given).items() <= asked[0]["method"][0].items()
     capsys.readouterr()
 
     error = refused(capsys, "sweep windy-gridworld sarsa --recall 0.5")
-    assert "sarsa has no --recall, which is of eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
+    assert (
+        "sarsa has no --recall, which belongs to eager; sarsa has --alpha, --epsilon, --gamma, --q0" in error
+    )
     error = refused(capsys, "sweep windy-gridworld eager --patience x")
     assert "--patience takes a whole number, not 'x'" in error
 
@@ -470,7 +473,7 @@ def test_list_names_everything(capsys):
             assert f"{name}  {facts['summary']}" in text
     assert found["methods"]["sarsa"]["parameters"]["alpha"] == {
         "default": 0.1,
-        "help": "step size, > 0; a number or a schedule.",
+        "help": "Step size. A number greater than 0, or a schedule.",
     }
     assert found["environments"]["windy-gridworld"]["parameters"]["wind"]["default"][6] == 2
     assert set(found["figures"]) == set(FIGURES)
@@ -481,7 +484,7 @@ def test_list_names_everything(capsys):
     )  # for control, for prediction, and where it is by default a schedule
     assert "A policy is one of greedy, epsilon-greedy[:EPSILON], softmax[:TEMPERATURE], ucb[:C]." in text
     (line,) = [line for line in text.splitlines() if "--wind " in line]
-    assert "0 0 0 1 1 1 2 2 1 0  strength of each column" in line
+    assert "0 0 0 1 1 1 2 2 1 0  Strength of each column" in line
 
 
 # --- solve -------------------------------------------------------------------------------------------
@@ -610,7 +613,7 @@ def test_as_a_program_it_ends_with_its_exit_code_and_no_traceback():
     done = subprocess.run(wrong, capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stdout == ""
-    assert done.stderr == "jaxrl-tab: Sarsa: alpha must be greater than 0, not 0.0\n"
+    assert done.stderr == "jaxrl-tab: sarsa: alpha must be greater than 0, not 0.0\n"
 
 
 @pytest.mark.parametrize("command", ["list", "sweep -h"])

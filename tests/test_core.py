@@ -180,9 +180,9 @@ def test_sample_averages_are_means():
     [
         (
             lambda: schedules.Power(clock="day"),
-            "a schedule's clock is 'step', 'episode' or 'visit', not 'day'",
+            "Power: clock 'day' is unknown; choose one of step, episode, visit",
         ),
-        (lambda: schedules.Power(power=-1), "Power: power must be a positive number, not -1"),
+        (lambda: schedules.Power(power=-1), "Power: power must be greater than 0, not -1"),
         (lambda: schedules.Optax(0.5), "Optax: schedule must be a function of a count, not 0.5"),
     ],
 )

@@ -159,10 +159,10 @@ def test_state_numbers(env):
 @pytest.mark.parametrize(
     ("place", "message"),
     [
-        ((0, 1), "easy21: player must be a sum of 1 to 21, not 0"),
-        ((22, 1), "easy21: player must be a sum of 1 to 21, not 22"),
-        ((1, 0), "easy21: dealer must be a card of 1 to 10, not 0"),
-        ((1, "ace"), "easy21: dealer must be a card of 1 to 10, not 'ace'"),
+        ((0, 1), "Easy21: player must be a sum of 1 to 21, not 0"),
+        ((22, 1), "Easy21: player must be a sum of 1 to 21, not 22"),
+        ((1, 0), "Easy21: dealer must be a card of 1 to 10, not 0"),
+        ((1, "ace"), "Easy21: dealer must be a card of 1 to 10, not 'ace'"),
     ],
 )
 def test_error(env, place, message):

@@ -497,7 +497,7 @@ def test_documentation_names_every_parameter(name):
     assert summary.endswith(".")
     attributes = "\n".join(rest).split("Attributes:\n")[1]
     for field in dataclasses.fields(ENVS[name]):
-        assert f"        {field.name}: " in attributes
+        assert f"    {field.name}: " in attributes
 
 
 # --- errors ------------------------------------------------------------------------------------------
@@ -542,11 +542,11 @@ def reward_with(index, value, rewards=R):
     [
         (
             lambda: make("windy-gridwold"),
-            "no environment is called 'windy-gridwold'; did you mean 'windy-gridworld'?",
+            "'windy-gridwold' is not an environment; did you mean 'windy-gridworld'?",
         ),
         (
             lambda: make("pong"),
-            f"no environment is called 'pong'; choose one of {', '.join(ENVS)}",
+            f"'pong' is not an environment; choose one of {', '.join(ENVS)}",
         ),
         (windy(move="king"), "windy-gridworld has no parameter 'move'; did you mean 'moves'?"),
         (windy(max_step=3), "windy-gridworld has no parameter 'max_step'; did you mean 'max_steps'?"),
@@ -597,7 +597,7 @@ def reward_with(index, value, rewards=R):
             "random-walk: states must be odd, so that there is a middle to start in, not 4",
         ),
         (random_walk(states=0), "random-walk: states must be a whole number of at least 1, not 0"),
-        (random_walk(left_reward=np.nan), "random-walk: left_reward must be a finite number, not nan"),
+        (random_walk(left_reward=np.nan), "random-walk: left_reward must be finite, not nan"),
         (
             listed(1, 0, [(0.5, 2, 0)]),
             "FiniteMDP: the probabilities after (s, a) = (1, 0) add up to 0.5, not to 1",
@@ -692,7 +692,10 @@ def reward_with(index, value, rewards=R):
             "FiniteMDP: no terminal state can be reached from start state s = 2; "
             "a task that is meant to go on for ever has no terminal states",
         ),
-        (mdp(max_steps=2**31), "FiniteMDP: max_steps must be a whole number of at least 1, not 2147483648"),
+        (
+            mdp(max_steps=2**31),
+            "FiniteMDP: max_steps must be a whole number of at least 1 and below 2**31, not 2147483648",
+        ),
     ],
 )
 def test_error(call, message):

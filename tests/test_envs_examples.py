@@ -362,8 +362,8 @@ def test_one_episode_of_sarsa_changes_one_arrow():
     [
         ("two-doors", {"prizes": (0, -1, 2, 3, 6)}, "prizes must be finite and at least 0, not -1"),
         ("two-doors", {"prizes": (0, np.inf, 2, 3, 6)}, "prizes must be finite and at least 0, not inf"),
-        ("two-doors", {"prizes": 3}, "prizes must be a row of one number or more, not 3"),
-        ("two-doors", {"prizes": ()}, "prizes must be a row of one number or more, not ()"),
+        ("two-doors", {"prizes": 3}, "prizes must be a row of one number or more, not of shape ()"),
+        ("two-doors", {"prizes": ()}, "prizes must be a row of one number or more, not of shape (0,)"),
         ("two-doors", {"prizes": "gold"}, "prizes must be numbers, in rows of equal length, not 'gold'"),
         (
             "two-doors",
@@ -378,7 +378,7 @@ def test_one_episode_of_sarsa_changes_one_arrow():
         (
             "two-doors",
             {"right": (0, 1.5, -0.5, 0, 0)},
-            "the probabilities of right must be from 0 to 1, not -0.5",
+            "right must be finite and at least 0, not -0.5",
         ),
         ("k-armed-testbed", {"arms": 0}, "arms must be a whole number of at least 1, not 0"),
         (
@@ -386,12 +386,16 @@ def test_one_episode_of_sarsa_changes_one_arrow():
             {"means": (1, 2)},
             "means must have one number for each of the 10 arms, not shape (2,)",
         ),
-        ("k-armed-testbed", {"means": np.nan}, "means must be finite numbers, not nan"),
+        ("k-armed-testbed", {"means": np.nan}, "means must be finite, not nan"),
         ("k-armed-testbed", {"means": None}, "means must be numbers, in rows of equal length, not None"),
         ("maximization-bias", {"actions": 1}, "actions must be a whole number of at least 2, not 1"),
-        ("infinite-variance", {"back": 1}, "back must be at least 0 and below 1, not 1"),
-        ("infinite-variance", {"back": -0.1}, "back must be at least 0 and below 1, not -0.1"),
-        ("infinite-variance", {"back": np.nan}, "back must be at least 0 and below 1, not nan"),
+        ("infinite-variance", {"back": 1}, "back must be finite and at least 0 and less than 1, not 1"),
+        ("infinite-variance", {"back": -0.1}, "back must be finite and at least 0 and less than 1, not -0.1"),
+        (
+            "infinite-variance",
+            {"back": np.nan},
+            "back must be finite and at least 0 and less than 1, not nan",
+        ),
         ("infinite-variance", {"max_steps": 0}, "max_steps must be a whole number of at least 1, not 0"),
         ("trace-gridworld", {"start": (2, 6)}, "start and goal are the same cell (2, 6)"),
         (

@@ -68,7 +68,7 @@ def test_a_row_for_each_seed_has_sums_and_scores(two):
 
 def test_the_score_of_prediction_is_its_error(two):
     """Broken once: the axes in another order than those of the result -> fails."""
-    ds = two["windy/sarsa"].rename(greedy_value="v_error")
+    ds = two["windy/sarsa"].rename(greedy_value="v_error").assign_attrs(learns="states")
     table = export.to_pandas({"td": ds}, per="seed")
     assert "last_tenth_return" not in table.columns
     assert table.v_error.tolist() == stats.score(ds).values.ravel().tolist()

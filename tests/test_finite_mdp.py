@@ -179,7 +179,7 @@ def test_a_long_corridor_takes_no_more_than_its_length():
     outcomes = [[[(1.0, max(s - 1, 0), -1.0)], [(1.0, min(s + 1, n - 1), -1.0)]] for s in range(n)]
     began = time.process_time()
     env = FiniteMDP.from_outcomes(outcomes, terminal=[n - 1])
-    assert time.process_time() - began < 15
+    assert time.process_time() - began < 60  # some 300 s, state by state
     assert env.successors.shape == (n, 2, 1)
     s = np.arange(n)
     there = np.minimum(s + 1, n - 1), np.maximum(s - 1, 0)

@@ -1,6 +1,7 @@
 """The house rules: dependencies point one way, and importing the package stays cheap."""
 
 import ast
+import graphlib
 import subprocess
 import sys
 from pathlib import Path
@@ -46,6 +47,34 @@ def test_imports_go_down_the_floors_only():
     assert not wrong
 
 
+def modules():
+    """name -> the modules that it imports when it is imported itself: functions may import later."""
+    paths = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in ROOT.rglob("*.py")}
+    paths = {name.removesuffix(".__init__"): path for name, path in paths.items()}
+    for name, path in paths.items():
+        used = set()
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("jaxrl_tab."):
+                module = node.module.removeprefix("jaxrl_tab.")
+                used |= {m if (m := f"{module}.{a.name}") in paths else module for a in node.names}
+        yield name, used - {name}
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    """Broken once: `core.schedules` imports `core.policies`, which imports it -> fails."""
+    graph = dict(modules())
+    list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the circle
+
+
+def test_no_file_is_long():
+    """A file is what one can hold in one's head; a longer one holds one thing that takes as much."""
+    one_thing = {"interop/draws.py", "interop/gymnax.py", "experiment/storage.py"}
+    lengths = {
+        path.relative_to(ROOT).as_posix(): len(path.read_text().splitlines()) for path in ROOT.rglob("*.py")
+    }
+    assert {name for name, lines in lengths.items() if lines > 470} == one_thing
+
+
 def test_importing_the_package_is_cheap_and_starts_nothing():
     """No plotting, no tables, no other framework; and JAX's backend is still to be configured."""
     code = (
@@ -68,3 +97,15 @@ def test_what_takes_long_to_import_is_there_when_it_is_used():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True"] * 5 + ["False"]
+
+
+def test_tab_completion_shows_public_names_alone():
+    """Also what is loaded when it is first used. Broken once: without `__dir__` in `stats.export` -> fails."""
+    assert {"stats", "plot", "figures", "export", "report", "sweep", "Sarsa", "register"} <= set(
+        dir(jaxrl_tab)
+    )
+    for name in ("stats", "plot", "figures", "export", "report"):
+        module = getattr(jaxrl_tab, name)
+        assert dir(module) == sorted(module.__all__)
+        assert all(hasattr(module, public) for public in dir(module))
+    assert not {"np", "Any", "importlib"} & set(dir(jaxrl_tab))

@@ -3,9 +3,11 @@
 import subprocess
 import sys
 import tempfile
+from types import SimpleNamespace
 
 import jax
 import numpy as np
+import psutil
 import pytest
 
 import jaxrl_tab as rl
@@ -94,6 +96,15 @@ def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, widths, caplog)
     ]
     for x, y in zip(leaves(little), leaves(all_at_once), strict=True):
         np.testing.assert_array_equal(x, y)
+
+
+def test_what_is_free_in_the_machine_is_asked_of_psutil(monkeypatch):
+    """On macOS and Windows as well. Broken once: what there is in all taken for what is free -> fails."""
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(total=9000, available=5000))
+    assert memory.free() == memory.free(jax.devices("cpu")) == 5000
+    device = SimpleNamespace(platform="gpu", memory_stats=lambda: {"bytes_limit": 700, "bytes_in_use": 300})
+    unlimited = SimpleNamespace(platform="gpu", memory_stats=lambda: None)
+    assert memory.free([unlimited, device]) == 400
 
 
 def test_files_have_no_names_and_can_be_written_in_any_order(tmp_path, monkeypatch):

@@ -7,10 +7,10 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab import offline, planning, prediction
 from jaxrl_tab.algorithms import MonteCarlo, OffPolicyMonteCarlo
+from jaxrl_tab.core.declared import LearnsFrom, of_method
 from jaxrl_tab.core.policies import EpsilonGreedy, Table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.schedules import Power
-from jaxrl_tab.core.types import said_of_update
 
 GAMMA = 0.9
 CLIFF = rl.CliffWalking(shape=(2, 4))  # deterministic: what learns without noise gets to the exact values
@@ -130,10 +130,8 @@ def test_logs_can_be_made_and_learned_from_in_a_batch():
 
 # --- learning from somebody else ---------------------------------------------------------------------
 
-FROM_TRANSITIONS = [
-    n for n, m in rl.ALGORITHMS.items() if said_of_update(m(), "learns_from") == "transitions"
-]
-FROM_OWN = [n for n, m in rl.ALGORITHMS.items() if said_of_update(m(), "learns_from") is None]
+FROM_TRANSITIONS = [n for n, m in rl.ALGORITHMS.items() if of_method(m).learns_from is LearnsFrom.TRANSITIONS]
+FROM_OWN = [n for n, m in rl.ALGORITHMS.items() if of_method(m).learns_from is LearnsFrom.ITSELF]
 
 
 @pytest.mark.parametrize("name", FROM_TRANSITIONS)

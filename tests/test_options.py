@@ -41,7 +41,16 @@ def test_numbers_are_still_numbers():
 @pytest.mark.parametrize(
     ("option", "token", "message"),
     [
-        ("--epsilon", "small", "--epsilon takes a number or a schedule (glie, sample-average, power[:POWER"),
+        (
+            "--epsilon",
+            "small",
+            "--epsilon: 'small' is neither a number nor a schedule; a schedule is one of glie, sample-average, ",
+        ),
+        (
+            "--epsilon",
+            "harmonic:-1",
+            "where CLOCK is one of step, episode, visit: no clock stands at its end",
+        ),
         (
             "--epsilon",
             "harmonic",
@@ -58,7 +67,7 @@ def test_numbers_are_still_numbers():
             "is not of the form linear:START:END:STEPS:CLOCK, where CLOCK is one of",
         ),
         ("--alpha", "powr:1:visit", "--alpha: there is no schedule 'powr:1:visit'; did you mean 'power'?"),
-        ("--alpha", "power:0:visit", "--alpha: Power: power must be a positive number, not 0.0"),
+        ("--alpha", "power:0:visit", "--alpha: power must be greater than 0, not 0.0"),
         ("--gamma", "harmonic:100:visit", "--gamma takes a number, not 'harmonic:100:visit'"),
     ],
 )
@@ -108,6 +117,10 @@ def test_the_number_of_a_policy_may_be_left_off_and_its_name_have_underscores():
         ("0.5", "there is no policy '0.5'; choose one of greedy, epsilon-greedy, softmax, ucb"),
         ("greedy:1", "'greedy:1' is not of the form greedy"),
         ("softmax:", "is not of the form softmax[:TEMPERATURE], where TEMPERATURE is a number or a schedule"),
+        (
+            "softmax::",
+            "is not of the form softmax[:TEMPERATURE], where TEMPERATURE is a number or a schedule",
+        ),
         ("softmax:powr:1:step", "there is no schedule 'powr:1:step'; did you mean 'power'?"),
         ("softmax:0", "temperature must be greater than 0, not 0.0"),
         ("ucb:glie", "'ucb:glie' is not of the form ucb[:C], where C is a number"),
@@ -132,10 +145,12 @@ def test_an_option_goes_to_all_methods_that_have_it():
     found = options.values(["td", "n-step-td"], {"--n": ("1", "4"), "--alpha": ("0.5",)}, HYPERPARAMETERS)
     assert found == {"td": {"alpha": [0.5]}, "n-step-td": {"alpha": [0.5], "n": [1, 4]}}
     with pytest.raises(
-        rl.InputError, match=r"none of td, sarsa has --n, which is of n-step-sarsa, n-step-td$"
+        rl.InputError, match=r"none of td, sarsa has --n, which belongs to n-step-sarsa, n-step-td$"
     ):
         options.values(["td", "sarsa"], {"--n": ("1",)}, HYPERPARAMETERS)
-    with pytest.raises(rl.InputError, match="td has no --q0, which is of the methods of control; td has --a"):
+    with pytest.raises(
+        rl.InputError, match="td has no --q0, which belongs to the methods of control; td has --a"
+    ):
         options.values(["td"], {"--q0": ("1",)}, HYPERPARAMETERS)
 
 
@@ -146,18 +161,16 @@ def test_help_says_how_a_schedule_is_typed(capsys):
     with pytest.raises(SystemExit):
         main(["sweep", "--help"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    for name in schedules.FAMILIES:
+    for name in schedules.NAMES:
         assert schedules.form(name) in text
     assert "where CLOCK is one of step, episode, visit" in text
     assert text.count("A schedule is one of glie, sample-average,") == 1  # the environment takes none
     for name in policies.POLICIES:
         assert policies.form(name) in text
-    assert "--q0 X ... initial value of every entry of Q" in text
+    assert "--q0 X ... Initial value of every entry of Q" in text
     assert "(of the methods of control; default: 0)" in text
-    assert (
-        "--n X ... how many rewards it looks ahead, at least 1. (of n-step-sarsa, n-step-td; default: 4)"
-        in text
-    )
+    assert "--n X ... How many rewards it looks ahead. A whole number of at least 1." in text
+    assert "(of n-step-sarsa, n-step-td; default: 4)" in text
     assert "default: 0.05 0.1 0.2 0.3 0.5 0.7 1; sample-average for monte-carlo," in text
     assert "None" not in text
     assert "--pi" not in text  # a table cannot be typed

@@ -328,9 +328,9 @@ def test_measurer_in_float32_on_batched_winds():
 @pytest.mark.parametrize(
     ("policy", "message"),
     [
-        (np.ones((3, 3)) / 3, r"shape \[S, A\] = \(3, 2\), not \(3, 3\)"),
-        ([[1, 0], [0.5, 0.4], [1, 1]], r"state 1 are \[0.5, 0.4\]"),
-        ([[1, 0], [0, 1], [1.5, -0.5]], r"state 2 are \[1.5, -0.5\]"),
+        (np.ones((3, 3)) / 3, r"of shape \(3, 3\), and the task has 3 states and 2 actions"),
+        ([[1, 0], [0.5, 0.4], [1, 1]], r"state 1 are not a distribution: \[0.5 0.4\]"),
+        ([[1, 0], [0, 1], [1.5, -0.5]], r"state 2 are not a distribution: \[ 1.5 -0.5\]"),
         ([[np.nan, 1], [0, 1], [1, 0]], "state 0"),
     ],
 )
@@ -396,7 +396,7 @@ class Given(Unregistered):
     ("env", "message"),
     [
         (Sampled(), "Sampled can only be sampled"),
-        (Unregistered(), "Unregistered is no JAX pytree"),
+        (Unregistered(), "Unregistered is not a JAX pytree"),
         (Given(prob=0.9), r"the outcomes of \(s, a\) = \(0, 0\) are not a distribution"),
         (Given(s_next=2), r"outcome of \(s, a\) = \(0, 0\) is not one of the states 0 to 1"),
         (Given(reward_at_end=1.0), "state 1 is terminal, so action 0 must lead back"),

@@ -15,6 +15,7 @@ from matplotlib.text import Text
 import jaxrl_tab as rl
 from jaxrl_tab import plot, stats
 from jaxrl_tab.algorithms.prediction import PREDICTION
+from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.show import words
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -274,6 +275,7 @@ def predicted(windy, solved):
         log=result.log._replace(v_error=errors),
         q=v,
         optimal_value=np.array(0.0),
+        learns=Learns.STATES,
     ).to_xarray()
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import quick
 import shards
+import test_own
 import xarray as xr
 
 import jaxrl_tab as rl
@@ -105,6 +106,15 @@ def test_what_is_under_way_is_given_up(connection, tmp_path):
     given.close()
     assert shards.ended(pid)
     assert ray.is_initialized()  # the connection is not the executor's
+
+
+def test_own_classes_go_along_with_the_work(connection, tmp_path, monkeypatch):
+    """Workers have neither the file nor its folder: they load what goes along with the work."""
+    (tmp_path / "mine.py").write_text(test_own.OWN)
+    monkeypatch.chdir(tmp_path)
+    _shards.cache_clear()  # as below
+    outcome = rl.run(test_own.experiment(), "run", executor=connection)
+    test_own.check(outcome.datasets["Coin/Hasty"], test_own.expected())
 
 
 def test_an_experiment_is_interrupted_and_goes_on(connection, tmp_path, monkeypatch):
@@ -201,7 +211,7 @@ def test_clusters_that_do_not_let_us_in_are_refused_soon(listens, monkeypatch, r
     """A token is needed; a server that is not Ray's; another version."""
     monkeypatch.setattr(ray_executor, "_PATIENCE", 2)
     monkeypatch.setattr(ray_executor, "_TRY", ray_does)
-    with pytest.raises(RunError, match=f"^no way into the Ray cluster at .*: {said}[^\n]*$"):
+    with pytest.raises(RunError, match=f"^cannot connect to the Ray cluster at .*: {said}[^\n]*$"):
         executors.get("ray", address=listens(GRPC))
 
 

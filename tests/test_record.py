@@ -48,8 +48,8 @@ def test_rows_are_recorded_at_their_end(unit, number, every, windy):
             lambda state: state.q,
             "record must be a function from the state of the learner to a dict of arrays",
         ),
-        (lambda state: {"steps": 0}, "record: 'steps' is a name in the results already; take another"),
-        (lambda state: {"q": state.q}, "record: 'q' is a name in the results already; take another"),
+        (lambda state: {"steps": 0}, "record: 'steps' is already a name in the results; choose another one"),
+        (lambda state: {"q": state.q}, "record: 'q' is already a name in the results; choose another one"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused(record, message, windy):

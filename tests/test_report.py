@@ -264,7 +264,7 @@ def test_prediction_and_an_environment_without_exact_values(windy_sets, undrawn,
         v_error=(("alpha", "seed", "row"), error),
         q=(("alpha", "seed", "state", "action"), np.zeros((3, 5, 21, 1))),
     )
-    predicted = predicted.assign_attrs(environment="random-walk", optimal_value=0.0)
+    predicted = predicted.assign_attrs(environment="random-walk", optimal_value=0.0, learns="states")
 
     @dataclasses.dataclass(frozen=True)
     class Sampled:

@@ -263,12 +263,15 @@ def test_a_batch_is_printed_as_it_is():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Harmonic(0), "Harmonic: n0 must be a positive number, not 0"),
-        (lambda: Harmonic(clock="day"), "a schedule's clock is 'step', 'episode' or 'visit', not 'day'"),
-        (lambda: Linear(1.0, -0.1, 5), "Linear: end must be a number of at least 0, not -0.1"),
-        (lambda: Linear(1.0, 0.1, 0), "Linear: steps must be a number of at least 1, not 0"),
-        (lambda: Exponential(1.0, 1.0), "Exponential: rate must be a number between 0 and 1, both excluded"),
-        (lambda: Exponential("1", 0.5), "Exponential: start must be a number, not '1': a text"),
+        (lambda: Harmonic(0), "Harmonic: n0 must be greater than 0, not 0"),
+        (
+            lambda: Harmonic(clock="day"),
+            "Harmonic: clock 'day' is unknown; choose one of step, episode, visit",
+        ),
+        (lambda: Linear(1.0, -0.1, 5), "Linear: end must be at least 0, not -0.1"),
+        (lambda: Linear(1.0, 0.1, 0), "Linear: steps must be at least 1, not 0"),
+        (lambda: Exponential(1.0, 1.0), "Exponential: rate must be greater than 0 and less than 1, not 1.0"),
+        (lambda: Exponential("1", 0.5), "Exponential: start must be a number, not '1'$"),
         (lambda: Power(Power()), "Power: power must be a number, not Power"),
         (
             lambda: schedules.parse("harmonc:1:visit"),
@@ -282,7 +285,7 @@ def test_a_batch_is_printed_as_it_is():
         (lambda: schedules.parse("harmonic:1:2:visit"), "not of the form harmonic"),
         (lambda: schedules.parse("harmonic:1"), "where CLOCK is one of step, episode, visit"),
         (lambda: schedules.parse("power"), r"not of the form power\[:POWER\[:SCALE\]\]:CLOCK"),
-        (lambda: schedules.parse("power:-1:visit"), "Power: power must be a positive number, not -1"),
+        (lambda: schedules.parse("power:-1:visit"), "power: power must be greater than 0, not -1"),
     ],
 )
 def test_bad_schedules_are_refused(make, message):

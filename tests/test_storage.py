@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -220,15 +222,41 @@ def test_of_two_who_make_the_same_folder_one_does(tmp_path):
 
 
 def test_a_locked_folder_is_refused(tmp_path):
-    def enter(path):
-        with storage.lock(path):
+    """Also within one process. A lock that is a link, or no file, is refused too. Broken once: no lock -> fails."""
+
+    def enter():
+        with storage.lock(tmp_path):
             pass
 
     with storage.lock(tmp_path), pytest.raises(InputError, match="another process is at work in"):
-        enter(tmp_path)
-    enter(tmp_path)
-    with pytest.raises(InputError, match="cannot be written: Not a directory"):
-        enter(tmp_path / ".lock")
+        enter()
+    enter()
+    file = tmp_path / storage.LOCK
+    file.unlink()
+    file.symlink_to(tmp_path / "outside")
+    with pytest.raises(InputError, match=r"\.lock cannot be written: Too many levels of symbolic links"):
+        enter()
+    assert not (tmp_path / "outside").exists()
+    file.unlink()
+    file.mkdir()
+    with pytest.raises(InputError, match=r"\.lock cannot be written: Is a directory"):
+        enter()
+
+
+def test_a_process_that_is_killed_leaves_no_lock(tmp_path):
+    """Broken once: a file made with O_EXCL in place of a lock -> fails."""
+    hold = (
+        "import pathlib, sys; from jaxrl_tab.experiment import storage\n"
+        "with storage.lock(pathlib.Path(sys.argv[1])): print('at work', flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", hold, str(tmp_path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout and process.stdout.readline() == "at work\n"
+        with pytest.raises(InputError, match="another process is at work in"), storage.lock(tmp_path):
+            pass
+        process.kill()
+    with storage.lock(tmp_path):
+        assert (tmp_path / storage.LOCK).exists()
 
 
 def test_the_manifest_is_plain_json(folder):

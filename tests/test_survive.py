@@ -20,7 +20,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import batch, cli, plot, stats
 from jaxrl_tab.cli import interrupt
 from jaxrl_tab.core.checks import InputError, RunError
-from jaxrl_tab.experiment import files, runner, shards, storage
+from jaxrl_tab.experiment import runner, shards, storage
 
 QUICK = [sys.executable, str(Path(quick.__file__))]
 LONG = "sweep windy-gridworld sarsa --alpha 0.25 --steps 2000 --log-every 2000 --seeds 20000 --out"
@@ -98,7 +98,7 @@ def test_what_was_chosen_runs_again_on_seeds_of_no_other_sweep(windy, undisturbe
     Their keys are folds of fold_in(root, 2**32 - 1), and here 2**32 - 1 is the number of no seed.
     """
     _, outcome, _ = undisturbed
-    table = files.selection(outcome).set_index("method")
+    table = outcome.selection.set_index("method")
     alpha = table.alpha["sarsa"]
     assert alpha == stats.best(outcome.datasets["windy-gridworld/sarsa"])["alpha"]
     fresh = outcome.fresh["windy-gridworld/sarsa"]
@@ -121,7 +121,7 @@ def test_a_number_is_chosen_among_schedules_as_it_is_labelled(windy):
     method = {"name": "sarsa", "alpha": ["power:2:step", 0.25]}
     select = {"fresh_seeds": 2}
     outcome = rl.run(rl.Experiment("windy-gridworld", method, seeds=4, steps=4000, select=select))
-    (row,) = files.selection(outcome).to_dict("records")
+    (row,) = outcome.selection.to_dict("records")
     assert row["alpha"] == "0.25"
     alphas = [rl.schedules.parse("power:2:step"), 0.25]
     expected = rl.sweep(windy, "sarsa", {"alpha": alphas}, num_seeds=4, num_steps=4000).to_xarray()
@@ -163,7 +163,7 @@ def test_several_environments_have_groups_and_pictures_of_their_own(tmp_path):
         for label, value in zip(outcome.envs, (0, 0.5), strict=True):
             assert tree[f"{label}/td"].attrs["optimal_value"] == pytest.approx(value)
             assert (tmp_path / "run" / "pictures" / label / "overview.png").exists()
-    assert files.summary(outcome).environment.tolist() == list(outcome.envs)
+    assert outcome.summary.environment.tolist() == list(outcome.envs)
 
 
 def test_any_label_has_its_pictures(tmp_path, computed):
@@ -369,7 +369,7 @@ def test_both_changed_alike_are_still_refused(folder):
 
 def test_folders_without_an_experiment_are_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    for name, said in {"x": "there is no folder", "file": "is no folder", ".": "no experiment in"}.items():
+    for name, said in {"x": "there is no folder", "file": "is not a folder", ".": "no experiment in"}.items():
         with pytest.raises(InputError, match=said):
             rl.resume(tmp_path / name)
     with pytest.raises(InputError, match="exists already"):
@@ -482,7 +482,7 @@ def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog):
     assert "out of memory with 64 runs at a time" in caplog.text
     most[0] = 1
     with pytest.raises(
-        RunError, match=r"not enough memory for 8 runs at a time on each device .2., the fewest"
+        RunError, match=r"not enough memory for 8 runs at a time on each device .2., the smallest"
     ):
         rl.sweep(windy, "sarsa", {"alpha": [0.3, 0.7]}, **given)
 

@@ -18,7 +18,7 @@ from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.target_q_learning import TargetQLearning
 from jaxrl_tab.algorithms.td import TDControl, TDState
 
-ALGORITHMS = {
+ALGORITHMS: dict[str, type] = {
     "sarsa": Sarsa,
     "q-learning": QLearning,
     "expected-sarsa": ExpectedSarsa,

@@ -26,6 +26,7 @@ from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.policies import choose
 from jaxrl_tab.core.types import Environment, Transition, available_actions, init_learner, restricted
 from jaxrl_tab.exact import planning
@@ -121,9 +122,10 @@ def expected_backup(
             f"method must be an instance of a one-step method such as Sarsa(), not {shown(method)}"
         )
     model = planning.exact_model(env)
-    of_states = isinstance(method, Prediction)
+    learns = of_method(method).learns
+    of_states = learns is Learns.STATES
     values = planning.checked_values(model, "v" if of_states else "q", values)
-    belief = {"v0": values[:, None]} if of_states else {"q0": values}
+    belief = {learns.initial: values[:, None] if of_states else values}
     with jax.enable_x64():
         available = available_actions(env)
         at_once: Any = restricted(dataclasses.replace(method, alpha=1.0, **belief), available)

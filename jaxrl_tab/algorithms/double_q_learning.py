@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.clock import Clock, begin_step, end_step, step_size
+from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -44,7 +45,7 @@ class DoubleQLearning(TDControl):
     """
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
 
     def init(self, num_states: int, num_actions: int) -> DoubleState:
         q, clock = super().init(num_states, num_actions)

@@ -5,6 +5,7 @@ from typing import ClassVar
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import tables
+from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
@@ -21,7 +22,7 @@ class ExpectedSarsa(OffPolicyControl):
     """
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
 
     @property
     def pi(self) -> Policy:

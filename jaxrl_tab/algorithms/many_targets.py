@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
-from jaxrl_tab.algorithms.td import TDState, check_learning
+from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import coverage, policies, tables
-from jaxrl_tab.core.checks import InputError, first, is_distribution, shown
+from jaxrl_tab.core.checks import InputError, as_array, first, is_distribution, shown, unfit
 from jaxrl_tab.core.clock import Clock, Rate
+from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Table
-from jaxrl_tab.core.pytree import as_array, pytree
+from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Transition, restricted
 
 
@@ -41,45 +42,40 @@ class ManyTargets:
     Each Q_p goes to the action values of pi_p, as if it had been learned alone: the behaviour policy only
     decides which pairs are visited how often.
 
-    Attributes:
-        targets: pi_p(a | s) of each policy, float [P, S, A]; every row sums to 1, those of terminal states
-            too.
-        behaviour: the policy that acts, `policies.Table(b)` with b > 0 wherever some pi_p > 0; None: all
-            actions are equally likely.
-        alpha: step size, > 0; a number or a schedule.
-        gamma: discount rate, in [0, 1].
-        q0: initial value of every entry.
-
     Raises:
         InputError: a number is out of range, `targets` are no policies, or the behaviour policy leaves out an
             action that a target can take; the message names the policy, the state and the action.
     """
 
-    targets: Any
-    behaviour: Table | None = None
-    alpha: Rate = 0.1
-    gamma: float = 1.0
-    q0: float = 0.0
+    targets: Any = field(
+        help="pi_p(a | s) of each policy, float [P, S, A]; every row sums to 1, those of terminal states too."
+    )
+    behaviour: Table | None = field(
+        default=None,
+        help="The policy that acts, `policies.Table(b)` with b > 0 wherever some pi_p > 0; None: all actions "
+        "are equally likely.",
+    )
+    alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
+    gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
+    q0: float = field(default=0.0, help="Initial value of every entry.")
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
 
     def __post_init__(self):
-        check_learning(self)
         if not isinstance(self.behaviour, Table | None):
-            raise InputError(
-                "ManyTargets: behaviour must be policies.Table(b), for there is no one Q to choose by, not "
-                f"{shown(self.behaviour)}"
-            )
+            wanted = "policies.Table(b), for there is no one Q to choose by"
+            raise unfit("ManyTargets", "behaviour", wanted, self.behaviour)
         if (pi := as_array(self.targets)) is None:
             return
         if pi.ndim != 3 or not pi.size or pi.dtype.kind not in "biuf":
-            raise InputError(f"ManyTargets: targets must be numbers [P, S, A], not of shape {pi.shape}")
+            problem = f"targets must be numbers [P, S, A], not of shape {pi.shape}"
+            raise InputError(problem, who="ManyTargets", field="targets")
         if (i := first(~is_distribution(pi))) is not None:
-            raise InputError(
-                f"ManyTargets: the probabilities of policy {i[0]} in state {i[1]} are not a distribution: "
-                f"{shown(pi[i])}"
+            problem = (
+                f"the probabilities of policy {i[0]} in state {i[1]} are not a distribution: {shown(pi[i])}"
             )
+            raise InputError(problem, who="ManyTargets", field="targets")
         object.__setattr__(self, "targets", pi)
         for p, target in enumerate(pi):
             coverage.check_coverage(f"ManyTargets: target {p}", Table(target), self.selection)

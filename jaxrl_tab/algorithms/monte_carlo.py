@@ -9,10 +9,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import episode, tables
-from jaxrl_tab.core.checks import whole
 from jaxrl_tab.core.clock import Clock, Rate, at_visit, end_step
 from jaxrl_tab.core.episode import Episode
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import Transition
 
@@ -59,25 +58,22 @@ class MonteCarlo(TDControl):
     iteration. (Q still has the returns of earlier policies in it; a constant alpha forgets them.)
 
     Where a time limit cuts an episode short, the mean value of the state in which it did counts as the rest.
-
-    Attributes:
-        alpha: step size, > 0; a number or a schedule. By default 1/N(s, a): Q is the mean of the returns.
-        first_visit: only the return from the first time that (s, a) occurs in an episode counts.
-        batch: episodes per improvement of the policy.
-        exploring_starts: every episode starts in any state, with any action, equally likely (book, section
-            5.3); epsilon may then be 0.
     """
 
-    alpha: Rate = sample_average()
-    first_visit: bool = static(default=False)
-    batch: int = static(default=1)
-    exploring_starts: bool = static(default=False)
+    alpha: Rate = field(
+        default=sample_average(), help="Step size. By default 1/N(s, a): Q is the mean of the returns."
+    )
+    first_visit: bool = static(
+        default=False, help="Only the return from the first time that (s, a) occurs in an episode counts."
+    )
+    batch: int = static(default=1, at_least=1, help="Episodes per improvement of the policy.")
+    exploring_starts: bool = static(
+        default=False,
+        help="Every episode starts in any state, with any action, equally likely (book, section 5.3); epsilon "
+        "may then be 0.",
+    )
 
     acts_after_update: ClassVar[bool] = True
-
-    def __post_init__(self):
-        super().__post_init__()
-        object.__setattr__(self, "batch", whole(type(self).__name__, "batch", self.batch))
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> MonteCarloState:
         q, clock = super().init(num_states, num_actions)

@@ -10,7 +10,6 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import tables
-from jaxrl_tab.core.checks import whole
 from jaxrl_tab.core.clock import Clock, end_step, step_size
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
@@ -67,16 +66,9 @@ class NStepSarsa(TDControl):
     that was reached. n = 1 is Sarsa; with n at least as long as an episode it is Monte Carlo.
 
     A schedule of alpha gives what it was when the pair was visited.
-
-    Attributes:
-        n: how many rewards it looks ahead, at least 1.
     """
 
-    n: int = static(default=4)
-
-    def __post_init__(self):
-        super().__post_init__()
-        object.__setattr__(self, "n", whole(type(self).__name__, "n", self.n))
+    n: int = static(default=4, at_least=1, help="How many rewards it looks ahead.")
 
     def init(self, num_states: int, num_actions: int) -> NStepState:
         q, clock = super().init(num_states, num_actions)

@@ -7,8 +7,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrl_tab.algorithms.td import Learner, TDControl
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.coverage import check_coverage
-from jaxrl_tab.core.policies import Policy, Table, check_policy
-from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
+from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import restricted
 
 
@@ -19,19 +19,20 @@ class OffPolicyControl(TDControl):
     There is no ratio pi / b in the target of a one-step method for Q: the action A that it learns about was
     given, and what follows is taken from pi. All it needs is that b tries every action that pi takes. A
     behaviour that is a table, or that has some of the actions only, is checked for that.
-
-    Attributes:
-        target: the policy that is learned about (see `policies`); if not given the greedy one, in Expected
-            Sarsa the one that acts.
     """
 
-    target: Policy | None = None
+    target: Policy | None = field(
+        default=None,
+        help="The policy that is learned about (see `policies`); if not given the greedy one, in Expected "
+        "Sarsa the one that acts.",
+    )
 
     def __post_init__(self):
         super().__post_init__()
-        check_policy(self, "target")
-        if isinstance(self.selection, Table) or getattr(self.selection, "available", None) is not None:
-            check_coverage(type(self).__name__, self.pi, self.selection)
+        acting = self.selection
+        some = isinstance(acting, EpsilonGreedy) and acting.available is not None
+        if isinstance(acting, Table) or some:
+            check_coverage(type(self).__name__, self.pi, acting)
 
     @property
     def pi(self) -> Policy:

@@ -1,7 +1,7 @@
 """Off-policy Monte Carlo: whole returns of one policy, weighted so that they speak of another."""
 
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,16 +9,16 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.core import episode, tables
-from jaxrl_tab.core.checks import check_choice
 from jaxrl_tab.core.clock import Clock, Rate, at_visit, end_step
 from jaxrl_tab.core.coverage import check_coverage
+from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.episode import Episode
 from jaxrl_tab.core.policies import Greedy, Policy
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import Transition
 
-WEIGHTINGS = ("weighted", "ordinary", "per-decision")
+Weighting = Literal["weighted", "ordinary", "per-decision"]
 
 
 class Step(NamedTuple):
@@ -49,6 +49,39 @@ class OffPolicyMonteCarloState(NamedTuple):
     seen: Int[Array, "S A"] | None
 
 
+class Rules(NamedTuple):
+    """What shapes the walk back: the fields and the attribute of `OffPolicyMonteCarlo` of these names."""
+
+    weighting: str
+    first_visit: bool
+    of_states: bool
+
+
+class Learned(NamedTuple):
+    """What the walk back changes: the fields of the state of these names, and the visits of its clock."""
+
+    q: Float[Array, "*lanes S A"]
+    visits: Int[Array, "*lanes S A"] | None
+    mean_weight: Float[Array, "*lanes S A"] | None
+
+
+class Inputs(NamedTuple):
+    """What the walk back goes by, besides the episode.
+
+    Attributes:
+        rest: what may be expected after the last step.
+        pi: the target policy.
+        alpha, gamma: of the method.
+        clock: without its visits, which the walk back counts.
+    """
+
+    rest: Float[Array, "*lanes"]
+    pi: Policy
+    alpha: Any
+    gamma: Any
+    clock: Clock
+
+
 @pytree
 class OffPolicyMonteCarlo(OffPolicyControl):
     """Monte Carlo that learns about a target policy pi from episodes of a behaviour policy b.
@@ -63,30 +96,29 @@ class OffPolicyMonteCarlo(OffPolicyControl):
     That is weighted importance sampling with the greedy target, by default (book, boxes of sections 5.6 and
     5.7); it is biased, and its error is far smaller. "ordinary" averages W G (book, equation 5.5), and is
     unbiased; "per-decision" averages G with a ratio on each reward for the actions up to it alone, which is
-    G <- R_{t+1} + gamma rho_{t+1} G (book, section 5.9). A target that depends on Q is asked as Q is when the
+    G <- R_{t+1} + gamma rho_{t+1} G (book, section 5.9). A target that depends on Q is inputs as Q is when the
     walk back comes to its state, as in the box.
 
     Where a time limit cuts an episode short, the mean value under pi of the state in which it did counts as
     the rest.
-
-    Attributes:
-        alpha: step size, > 0; a number or a schedule. By default 1/N(s, a): what is averaged counts equally.
-            Weighted averages then have the book's W/C, with C = the sum of all W so far.
-        weighting: "weighted", "ordinary" or "per-decision" importance sampling.
-        first_visit: only the return from the first time that (s, a) occurs in an episode counts.
     """
 
-    alpha: Rate = sample_average()
-    weighting: str = static(default="weighted")
-    first_visit: bool = static(default=False)
+    alpha: Rate = field(
+        default=sample_average(),
+        help="Step size. By default 1/N(s, a): what is averaged counts equally. Weighted averages then have "
+        "the book's W/C, with C = the sum of all W so far.",
+    )
+    weighting: Weighting = static(default="weighted", help="The kind of importance sampling.")
+    first_visit: bool = static(
+        default=False, help="Only the return from the first time that (s, a) occurs in an episode counts."
+    )
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "episodes of b"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
     of_states: ClassVar[bool] = False  # the table has one entry a state; see `prediction`
 
     def __post_init__(self):
         super().__post_init__()
-        check_choice(type(self).__name__, "weighting", self.weighting, WEIGHTINGS)
         check_coverage(type(self).__name__, self.pi, self.selection)
 
     @property
@@ -114,13 +146,13 @@ class OffPolicyMonteCarlo(OffPolicyControl):
         seen, first = episode.visit(state.seen, state.clock.episode + 1, t.s, self.column(t.a))
         step = Step(t.s, t.a, t.r, b, first)
         state = state._replace(clock=state.clock._replace(step=state.clock.step + 1))
-        (q, visits, mean_weight), remembered = episode.learn(
-            partial(_walk, self.weighting, self.first_visit, self.of_states),
-            (state.q, state.clock.visits, state.mean_weight), state.episode, step, t.last,
-            self.rest(state, t), self.pi, self.alpha, self.gamma, state.clock._replace(visits=None),
-        )  # fmt: skip
-        clock = end_step(state.clock._replace(visits=visits), t.last)
-        state = OffPolicyMonteCarloState(q, clock, remembered, mean_weight, seen)
+        walk = partial(_walk, Rules(self.weighting, self.first_visit, self.of_states))
+        learned = Learned(state.q, state.clock.visits, state.mean_weight)
+        clock = state.clock._replace(visits=None)
+        inputs = Inputs(self.rest(state, t), self.pi, self.alpha, self.gamma, clock)
+        learned, remembered = episode.learn(walk, learned, state.episode, step, t.last, inputs)
+        clock = end_step(clock._replace(visits=learned.visits), t.last)
+        state = OffPolicyMonteCarloState(learned.q, clock, remembered, learned.mean_weight, seen)
         return state, self.policy(key, state, t.s_next)
 
     def rest(self, state: OffPolicyMonteCarloState, t: Transition) -> Float[Array, ""]:
@@ -132,42 +164,42 @@ class OffPolicyMonteCarlo(OffPolicyControl):
         return a
 
 
-def _walk(weighting, first_visit, of_states, lane, learned, steps, length, rest, pi, alpha, gamma, clock):
+def _walk(rules: Rules, lane, learned: Learned, steps: Step, length, inputs: Inputs) -> Learned:
     """The box above, for one lane (see `episode.learn`).
 
     C is kept as the mean weight: with alpha = 1/N, alpha W / mean = W / sum. A weight multiplies the return:
     all of it at once, or, per decision, what follows its action.
     """
-    alpha, gamma, clock = jax.tree.map(lambda x: x[lane], (alpha, gamma, clock))
+    alpha, gamma, clock = jax.tree.map(lambda x: x[lane], inputs[2:])
 
     def back(i, carry):
         (q, visits, mean_weight), g, w = carry
         s, a, r, b, first = (tables.entry(x, lane, i) for x in steps)
-        at = lane, s, jnp.int32(0) if of_states else a
-        counts = lambda new, old: jnp.where(first, new, old) if first_visit else new
+        at = lane, s, jnp.int32(0) if rules.of_states else a
+        counts = lambda new, old: jnp.where(first, new, old) if rules.first_visit else new
 
         def weigh(q, visits, g, w):
             row = jax.lax.dynamic_slice(q, (lane, s, jnp.int32(0)), (1, 1, q.shape[2]))[0, 0]
-            target, counted = jax.tree.map(lambda x: x[lane], (pi, visits))
+            target, counted = jax.tree.map(lambda x: x[lane], (inputs.pi, visits))
             rho = tables.entry(target.probs(row, clock._replace(visits=counted), s), a) / b
-            return (rho * g, w) if weighting == "per-decision" else (g, rho * w)
+            return (rho * g, w) if rules.weighting == "per-decision" else (g, rho * w)
 
         g = r + g
-        if of_states:  # the action is part of what follows the state
+        if rules.of_states:  # the action is part of what follows the state
             g, w = weigh(q, visits, g, w)
         visits, n = episode.count(visits, first, *at)
         step = at_visit(alpha, clock, n)
-        if weighting == "weighted":
+        if rules.weighting == "weighted":
             old = tables.entry(mean_weight, *at)
             mean_weight = tables.write(mean_weight, counts(old + step * (w - old), old), *at)
             mean = tables.entry(mean_weight, *at)
             step = step * jnp.where(w > 0, w / mean, 0)
-        target = w * g if weighting == "ordinary" else g
+        target = w * g if rules.weighting == "ordinary" else g
         old = tables.entry(q, *at)
         q = tables.write(q, counts(old + step * (target - old), old), *at)
-        if not of_states:
+        if not rules.of_states:
             g, w = weigh(q, visits, g, w)
-        return (q, visits, mean_weight), gamma * g, w
+        return Learned(q, visits, mean_weight), gamma * g, w
 
-    one = jnp.ones((), rest.dtype)
-    return episode.backward(back, length, (learned, tables.entry(rest, lane), one))[0]
+    one = jnp.ones((), inputs.rest.dtype)
+    return episode.backward(back, length, (learned, tables.entry(inputs.rest, lane), one))[0]

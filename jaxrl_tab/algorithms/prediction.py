@@ -14,7 +14,7 @@ Off-policy, b acts while v_pi is learned; ratios rho = pi(A | S) / b(A | S) then
 import dataclasses
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -22,12 +22,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
-from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.checks import InputError, check_number, check_switches, shown
+from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
+from jaxrl_tab.core import names, policies, tables
+from jaxrl_tab.core.checks import InputError, nearest, unfit
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
+from jaxrl_tab.core.declared import Learns, LearnsFrom, of_method
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import (
     Algorithm,
@@ -39,6 +41,8 @@ from jaxrl_tab.core.types import (
     restricted,
 )
 from jaxrl_tab.exact import planning
+
+_FIRST_VISIT = "Only the return from the first time that a state occurs in an episode counts."
 
 
 class ValueState(NamedTuple):
@@ -66,31 +70,26 @@ class ValueState(NamedTuple):
 
 @pytree
 class Prediction:
-    """What all share. A method says what kind of control it is.
+    """What all share. A method says what kind of control it is."""
 
-    Attributes:
-        pi: the policy whose values are learned: probabilities float [S, A], or a policies.Table of them;
-            None: all actions are equally likely.
-        alpha: step size, > 0; a number or a schedule.
-        gamma: discount rate, in [0, 1].
-        v0: initial value of every entry of V.
-    """
+    pi: Any = field(
+        default=None,
+        help="The policy whose values are learned: probabilities float [S, A], or a policies.Table of them; "
+        "None: all actions are equally likely.",
+    )
+    alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
+    gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
+    v0: float = field(default=0.0, help="Initial value of every entry of V.")
 
-    pi: Any = None
-    alpha: Rate = 0.1
-    gamma: float = 1.0
-    v0: float = 0.0
-
+    learns: ClassVar[Learns] = Learns.STATES
     acts_after_update: ClassVar[bool] = True
 
     def __post_init__(self):
-        check_switches(type(self).__name__, self)
         _as_table(self, "pi")
-        check_number(self, "v0", lambda x: x == x, "a number")
         try:
             self.control()
         except InputError as error:  # said of a class of which nobody spoke
-            raise InputError(f"{type(self).__name__}: {str(error).partition(': ')[2]}") from None
+            raise error.renamed(type(self).__name__) from None
 
     def control(self) -> Algorithm:
         """The method of control that learns V."""
@@ -138,13 +137,9 @@ class TD(Prediction):
 
 @pytree
 class NStepTD(Prediction):
-    """V(S_t) <- V(S_t) + alpha [R_{t+1} + ... + gamma^n V(S_{t+n}) - V(S_t)] (book, equation 7.2).
+    """V(S_t) <- V(S_t) + alpha [R_{t+1} + ... + gamma^n V(S_{t+n}) - V(S_t)] (book, equation 7.2)."""
 
-    Attributes:
-        n: how many rewards it looks ahead, at least 1.
-    """
-
-    n: int = static(default=4)
+    n: int = static(default=4, at_least=1, help="How many rewards it looks ahead.")
 
     def control(self) -> Algorithm:
         return NStepSarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0, n=self.n)
@@ -152,19 +147,18 @@ class NStepTD(Prediction):
 
 @pytree
 class TDLambda(Prediction):
-    """TD(lambda) with eligibility traces (book, sections 12.2 and 12.5; Silver, lecture 4).
+    """TD(lambda) with eligibility traces (book, sections 12.2 and 12.5; Silver, lecture 4)."""
 
-    Attributes:
-        lam: lambda, in [0, 1].
-        trace: "accumulating", "replacing" or "dutch": dutch is true online TD(lambda).
-        offline: keep V as it is in an episode, and add the sum of all increments at its end: off-line
-            TD(lambda) (Silver, lecture 4), not the book's off-line lambda-return algorithm; see
-            `SarsaLambda`. It goes with accumulating traces.
-    """
-
-    lam: float = 0.9
-    trace: str = static(default="accumulating")
-    offline: bool = static(default=False)
+    lam: float = field(default=0.9, at_least=0, at_most=1, help="lambda.")
+    trace: Literal["accumulating", "replacing", "dutch"] = static(
+        default="accumulating", help="The kind of traces; with dutch ones it is true online TD(lambda)."
+    )
+    offline: bool = static(
+        default=False,
+        help="Keep V as it is in an episode, and add the sum of all increments at its end: off-line TD(lambda) "
+        "(Silver, lecture 4), not the book's off-line lambda-return algorithm; see `SarsaLambda`. It goes with "
+        "accumulating traces.",
+    )
 
     def control(self) -> Algorithm:
         return SarsaLambda(
@@ -179,15 +173,12 @@ class TDLambda(Prediction):
 
 @pytree
 class MonteCarloPrediction(Prediction):
-    """V(S) <- V(S) + alpha [G - V(S)] at the end of the episode (book, section 5.1 and equation 6.1).
+    """V(S) <- V(S) + alpha [G - V(S)] at the end of the episode (book, section 5.1 and equation 6.1)."""
 
-    Attributes:
-        alpha: step size, > 0; a number or a schedule. By default 1/N(s): V is the mean of the returns.
-        first_visit: only the return from the first time that a state occurs in an episode counts.
-    """
-
-    alpha: Rate = sample_average()
-    first_visit: bool = static(default=False)
+    alpha: Rate = field(
+        default=sample_average(), help="Step size. By default 1/N(s): V is the mean of the returns."
+    )
+    first_visit: bool = static(default=False, help=_FIRST_VISIT)
 
     def control(self) -> Algorithm:
         return MonteCarlo(alpha=self.alpha, gamma=self.gamma, q0=self.v0, first_visit=self.first_visit)
@@ -198,14 +189,13 @@ class MonteCarloPrediction(Prediction):
 
 @pytree
 class OffPolicyPrediction(Prediction):
-    """What the methods share that learn v_pi while another policy acts.
+    """What the methods share that learn v_pi while another policy acts."""
 
-    Attributes:
-        behaviour: b, the policy that acts, as `pi` is given; b(a | s) > 0 wherever pi(a | s) > 0. None: all
-            actions are equally likely.
-    """
-
-    behaviour: Any = None
+    behaviour: Any = field(
+        default=None,
+        help="b, the policy that acts, as `pi` is given; b(a | s) > 0 wherever pi(a | s) > 0. None: all actions "
+        "are equally likely.",
+    )
 
     def __post_init__(self):
         _as_table(self, "behaviour")
@@ -234,7 +224,7 @@ class OffPolicyTD(OffPolicyPrediction, TD):
 
     multiplies_returns: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions of b"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS_OF_B
 
     def update(self, key, state: ValueState, t: Transition):
         assert state.target is not None
@@ -255,19 +245,16 @@ class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
     "ordinary" averages rho_{t:T-1} G (book, equation 5.5): unbiased, and its variance may be infinite.
     "weighted" divides by the sum of the ratios (equation 5.6): biased, and far closer. "per-decision" weighs
     each reward by the ratios up to it (section 5.9).
-
-    Attributes:
-        alpha: step size, > 0; a number or a schedule. By default 1/N(s): what is averaged counts equally.
-        weighting: "weighted", "ordinary" or "per-decision" importance sampling.
-        first_visit: only the return from the first time that a state occurs in an episode counts.
     """
 
-    alpha: Rate = sample_average()
-    weighting: str = static(default="weighted")
-    first_visit: bool = static(default=False)
+    alpha: Rate = field(
+        default=sample_average(), help="Step size. By default 1/N(s): what is averaged counts equally."
+    )
+    weighting: Weighting = static(default="weighted", help="The kind of importance sampling.")
+    first_visit: bool = static(default=False, help=_FIRST_VISIT)
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "episodes of b"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
 
     @property
     def multiplies_returns(self) -> bool:
@@ -309,17 +296,15 @@ class _OfStates(OffPolicyMonteCarlo):
 
 def _as_table(obj: Any, name: str) -> None:
     """Makes the probabilities in field `name` a Table."""
-    value, what = getattr(obj, name), f"{type(obj).__name__}: {name}"
-    if value is None or isinstance(value, Table):
+    value, who = getattr(obj, name), type(obj).__name__
+    if value is None:
         return
-    if not isinstance(value, Sequence | np.ndarray | jax.Array):
-        raise InputError(
-            f"{what} must be probabilities [S, A], or a policies.Table of them, not {shown(value)}"
-        )
+    if not isinstance(value, Table | Sequence | np.ndarray | jax.Array):
+        raise unfit(who, name, "probabilities [S, A], or a policies.Table of them", value)
     try:
-        object.__setattr__(obj, name, Table(value))
+        object.__setattr__(obj, name, value if isinstance(value, Table) else Table(value))
     except InputError as error:
-        raise InputError(f"{what}: {str(error).partition(': ')[2]}") from None
+        raise error.renamed(who, name) from None
 
 
 def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:
@@ -333,7 +318,7 @@ def _probabilities(table: Table | None, num_states: int, num_actions: int) -> Fl
     return jnp.asarray(table.probabilities, float)
 
 
-PREDICTION = {
+PREDICTION: dict[str, type] = {
     "td": TD,
     "n-step-td": NStepTD,
     "td-lambda": TDLambda,
@@ -342,3 +327,15 @@ PREDICTION = {
     "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,
 }
 METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__
+
+
+METHOD = names.Kind(
+    noun="a method",
+    registry=METHODS,
+    group="jaxrl_tab.methods",
+    needs=("gamma", "init", "policy", "update"),
+    add=lambda name, cls: (PREDICTION if of_method(cls).learns is Learns.STATES else ALGORITHMS).__setitem__(
+        name, cls
+    ),
+    hint=lambda name: nearest(name, METHODS),
+)

@@ -4,6 +4,7 @@ from typing import ClassVar
 
 from jaxrl_tab.algorithms.td import TDControl, TDState
 from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -18,7 +19,7 @@ class QLearning(TDControl):
     """
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)

@@ -1,11 +1,11 @@
 """Sarsa(lambda), the backward view: eligibility traces (book, section 12.7; Silver, lecture 5)."""
 
-from typing import ClassVar, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrl_tab.algorithms.traces import KEPT, TraceControl
+from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.core import clock, tables
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.clock import Clock
@@ -44,12 +44,6 @@ class SarsaLambda(TraceControl):
     With dutch traces this is true online Sarsa(lambda) (book, box of section 12.7; van Seijen and Sutton
     2014): for a constant alpha, at every step the very Q of the forward view that looks as far as that step.
 
-    Attributes:
-        trace: "accumulating", "replacing" or "dutch": a pair that comes again gets 1 added to its trace, gets
-            1, or gets 1 added to 1 - alpha of it.
-        offline: act and learn by the Q of the start of the episode, and add the sum of all increments at its
-            end (Silver, lecture 4). It goes with accumulating traces.
-
     The sum of the off-line increments is that of the forward view, `SarsaLambdaForward`. **It is not the
     book's off-line lambda-return algorithm** (section 12.1, figure 12.3), which makes its updates at the end
     of the episode one after another, each from what the one before it left. A pair that comes n times in an
@@ -58,14 +52,21 @@ class SarsaLambda(TraceControl):
     0.39.
     """
 
-    traces: ClassVar[tuple[str, ...]] = tuple(KEPT)
-
-    offline: bool = static(default=False)
+    trace: Literal["accumulating", "replacing", "dutch"] = static(  # pyright: ignore[reportIncompatibleVariableOverride]
+        default="accumulating",
+        help="A pair that comes again gets 1 added to its trace, gets 1, or gets 1 added to 1 - alpha of it.",
+    )
+    offline: bool = static(
+        default=False,
+        help="Act and learn by the Q of the start of the episode, and add the sum of all increments at its end "
+        "(Silver, lecture 4). It goes with accumulating traces.",
+    )
 
     def __post_init__(self):
         super().__post_init__()
         if self.offline and self.trace != "accumulating":
-            raise InputError(f"SarsaLambda: offline goes with accumulating traces only, not {self.trace}")
+            problem = f"offline goes with accumulating traces only, not {self.trace}"
+            raise InputError(problem, who=type(self).__name__, field="offline")
 
     def init(self, num_states: int, num_actions: int) -> SarsaLambdaState:
         start = super().init(num_states, num_actions)

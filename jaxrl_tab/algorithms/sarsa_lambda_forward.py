@@ -7,10 +7,9 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import episode, tables
-from jaxrl_tab.core.checks import check_number
 from jaxrl_tab.core.clock import Clock, end_step, step_size
 from jaxrl_tab.core.episode import Episode
-from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Transition
 
 
@@ -52,16 +51,9 @@ class SarsaLambdaForward(TDControl):
     alpha stays the same in an episode. What is said there holds here: where a pair comes again and again in
     an episode Q may diverge, and the book's off-line lambda-return algorithm (section 12.1) is another one.
     lambda = 1 is every-visit Monte Carlo.
-
-    Attributes:
-        lam: lambda, in [0, 1].
     """
 
-    lam: float = 0.9
-
-    def __post_init__(self):
-        super().__post_init__()
-        check_number(self, "lam", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
+    lam: float = field(default=0.9, at_least=0, at_most=1, help="lambda.")
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ForwardState:
         q, clock = super().init(num_states, num_actions)

@@ -7,6 +7,7 @@ import jax
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Greedy, Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
@@ -23,7 +24,7 @@ class TargetQLearning(OffPolicyControl):
     """
 
     acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[str] = "transitions"
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
 
     @property
     def pi(self) -> Policy:

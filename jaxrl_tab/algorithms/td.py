@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.core import clock, policies, tables
-from jaxrl_tab.core.checks import InputError, check_number, check_switches
+from jaxrl_tab.core.checks import InputError, concrete
 from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy
-from jaxrl_tab.core.pytree import concrete, pytree
-from jaxrl_tab.core.schedules import check_rate
+from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Transition, restricted
 
 
@@ -42,40 +41,26 @@ class TDState(NamedTuple):
     clock: Clock
 
 
-def check_learning(method: Any) -> None:
-    """Raises InputError unless the fields `alpha`, `gamma` and `q0` of `method` are in range."""
-    check_rate(method, "alpha", lambda x: x > 0, "greater than 0")
-    check_number(method, "gamma", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
-    check_number(method, "q0", lambda x: x == x, "a number")
-
-
 @pytree
 class TDControl:
-    """One-step control with an epsilon-greedy, or any other, behaviour policy. A method adds its `update`.
+    """One-step control with an epsilon-greedy, or any other, behaviour policy. A method adds its `update`."""
 
-    Attributes:
-        alpha: step size, > 0; a number or a schedule.
-        epsilon: probability of exploring, in [0, 1]; a number or a schedule.
-        gamma: discount rate, in [0, 1].
-        q0: initial value of every entry of Q, or for one run a table of them [S, A]; above the true values it
-            is optimistic (book, section 2.6).
-        behaviour: the policy that acts (see `policies`), instead of the epsilon-greedy one.
-    """
-
-    alpha: Rate = 0.1
-    epsilon: Rate = 0.1
-    gamma: float = 1.0
-    q0: float = 0.0
-    behaviour: Policy | None = None
+    alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
+    epsilon: Rate = field(default=0.1, at_least=0, at_most=1, help="Probability of exploring.")
+    gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
+    q0: float = field(
+        default=0.0,
+        help="Initial value of every entry of Q, or for one run a table of them [S, A]; above the true values "
+        "it is optimistic (book, section 2.6).",
+    )
+    behaviour: Policy | None = field(
+        default=None, help="The policy that acts (see `policies`), instead of the epsilon-greedy one."
+    )
 
     def __post_init__(self):
-        check_switches(type(self).__name__, self)
-        check_learning(self)
-        check_rate(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
-        policies.check_policy(self, "behaviour")
         given = concrete(self.epsilon)
         if self.behaviour is not None and given is not None and np.any(given != TDControl.epsilon):
-            raise InputError(f"{type(self).__name__}: give epsilon or behaviour, not both")
+            raise InputError("give epsilon or behaviour, not both", who=type(self).__name__, field="epsilon")
 
     @property
     def selection(self) -> Policy:
@@ -107,8 +92,8 @@ class TDControl:
         for policy in self.all_policies:
             policy.check(num_states, num_actions)
         q = jnp.full((num_states, num_actions), self.q0, dtype=float)
-        if (there := getattr(self.selection, "available", None)) is not None:
-            q = policies.among(q, there)
+        if isinstance(acting := self.selection, EpsilonGreedy) and acting.available is not None:
+            q = policies.among(q, acting.available)
         by_visit = clock.goes_by_visit(self.alpha) or any(policy.by_visit for policy in self.all_policies)
         return TDState(q, clock.start(num_states, num_actions, by_visit))
 

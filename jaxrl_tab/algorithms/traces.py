@@ -1,15 +1,14 @@
 """What the methods with eligibility traces share: everything but the error (book, chapter 12)."""
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import tables
-from jaxrl_tab.core.checks import check_choice, check_number
 from jaxrl_tab.core.clock import Clock, end_step, step_size
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Transition
 
 # The part of its trace that a pair keeps when it comes again with step size alpha, before 1 is added.
@@ -44,21 +43,17 @@ class TraceControl(TDControl):
     Where alpha is a schedule, that of the current (S, A) goes for all pairs that the step credits. With
     accumulating traces a pair that comes again and again in an episode is in effect learned with alpha times
     its trace, and Q may diverge where that is more than 2.
-
-    Attributes:
-        lam: lambda, in [0, 1]: each step credits a pair gamma lambda times what the step before did.
-        trace: "accumulating" or "replacing": whether the trace of a pair that comes again grows by 1 or is 1.
     """
 
-    traces: ClassVar[tuple[str, ...]] = ("accumulating", "replacing")  # those that the method can have
-
-    lam: float = 0.9
-    trace: str = static(default="accumulating")
-
-    def __post_init__(self):
-        super().__post_init__()
-        check_number(self, "lam", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
-        check_choice(type(self).__name__, "trace", self.trace, self.traces)
+    lam: float = field(
+        default=0.9,
+        at_least=0,
+        at_most=1,
+        help="lambda: each step credits a pair gamma lambda times what the step before did.",
+    )
+    trace: Literal["accumulating", "replacing"] = static(
+        default="accumulating", help="Whether the trace of a pair that comes again grows by 1 or is 1."
+    )
 
     def init(self, num_states: int, num_actions: int) -> Any:
         """A TraceState; a method that remembers more makes its own state of it."""

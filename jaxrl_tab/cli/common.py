@@ -1,20 +1,23 @@
 """What several commands share: names, parameters of environments, and what is settled before JAX starts."""
 
 import contextlib
+import itertools
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import jax
 from tyro.conf import FlagCreatePairsOff, arg
 
+from jaxrl_tab import envs
 from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
+from jaxrl_tab.algorithms.prediction import METHOD, METHODS, PREDICTION
 from jaxrl_tab.cli.options import Group, parameters, values
-from jaxrl_tab.core.checks import InputError, build, nearest, one_line, shown
+from jaxrl_tab.core import names
+from jaxrl_tab.core.checks import InputError, nearest, one_line, shown
 from jaxrl_tab.engine import batch, programs
-from jaxrl_tab.envs import ENVS, instead
+from jaxrl_tab.envs import ENVS
 
 Switch = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
@@ -22,10 +25,11 @@ PROG = "jaxrl-tab"
 
 ALPHAS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # the step sizes of a sweep that names none
 SEEDS, STEPS = 100, 8000
-ENVIRONMENT = Group(ENVS, "Parameters of the environment.")
+ENVIRONMENT = Group(ENVS, "Parameters of the environment.", kind=envs.ENVIRONMENT)
 HYPERPARAMETERS = Group(
     METHODS,
     "Of the methods; several values make a grid.",
+    kind=METHOD,
     grids=True,
     defaults={"alpha": ALPHAS},
     parts={"the methods of control": ALGORITHMS, "the methods of prediction": PREDICTION},
@@ -46,26 +50,48 @@ def start_jax() -> None:
         raise InputError(f"JAX cannot start: {one_line(str(error))}") from None
 
 
-def known_name(kind: str, name: str, names: Collection[str]) -> str:
-    """`name`, which must be one of `names`."""
+def known_name(kind: str, name: str, choices: Collection[str]) -> str:
+    """`name`, which must be one of `choices`."""
     if not name:
-        raise InputError(f"name {kind}: {', '.join(names)}")
-    if name not in names:
-        raise InputError(
-            f"{shown(name)} is not {kind}; {instead(name) if names is ENVS else nearest(name, names)}"
-        )
+        raise InputError(f"name {kind}: {', '.join(choices)}")
+    if name not in choices:
+        raise InputError(f"{shown(name)} is not {kind}; {nearest(name, choices)}")
     return name
 
 
-def make_environment(name: str, given: Mapping[str, tuple[str, ...]]) -> Any:
-    return build(ENVS[known_name("an environment", name, ENVS)], name, parameters_of(name, given))
+def with_own(group: Group, words: Sequence[str]) -> Group:
+    """The group with the classes from outside of its registry that some words name, before the others."""
+    own = {}
+    for word in words:
+        if not any(word in kind.registry for kind in names.KINDS) and not word.endswith(".toml"):
+            with contextlib.suppress(
+                InputError
+            ):  # it may be a value; if it is a name, `find` says what is wrong
+                own[word] = names.find(group.kind, word).cls
+    return group._replace(registry=own | dict(group.registry))
 
 
-def parameters_of(name: str, given: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+def named_in(argv: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
+    """The words that may name an environment, and those that may name methods."""
+    first = list(itertools.takewhile(lambda word: not word.startswith("-"), argv))
+    if first:
+        return first[:1], first[1:]
+    words = [word for word in argv if names.is_from_outside(word)]
+    return words, words
+
+
+def find(group: Group, name: str) -> type:
+    """The class that a word names, which must be of the kind of this group."""
+    if not name:
+        raise InputError(f"name {group.kind.noun}: {', '.join(group.registry)}")
+    return group.registry[name] if name in group.registry else names.find(group.kind, name).cls
+
+
+def parameters_of(name: str, typed: Mapping[str, tuple[str, ...]], group: Group) -> dict[str, Any]:
     """The parameters of an environment that were typed, with their values."""
-    typed = values([name], given, ENVIRONMENT)[name]
-    defaults = {p.name: p.default for p in parameters(ENVS[name])}
-    return {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in typed.items()}
+    chosen = values([name], typed, group)[name]
+    defaults = {p.name: p.default for p in parameters(group.registry[name])}
+    return {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in chosen.items()}
 
 
 @contextlib.contextmanager

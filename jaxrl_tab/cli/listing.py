@@ -13,7 +13,7 @@ from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.cli.common import HYPERPARAMETERS, PROG, Switch
 from jaxrl_tab.cli.options import about, option_of, parameters, parse, words
 from jaxrl_tab.cli.screen import console, print_json
-from jaxrl_tab.core import describe
+from jaxrl_tab.core import describe, names
 from jaxrl_tab.engine.results import label
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.figures import FIGURES
@@ -34,6 +34,7 @@ class List:
 
 def list_command(argv: list[str]) -> int:
     options = parse(f"{PROG} list", List, argv)
+    complaints = [line for kind in names.KINDS for line in names.add_entry_points(kind)]
     registries = {"environments": ENVS, "methods": ALGORITHMS, "prediction": PREDICTION}
     figures = {name: f"{figure.title} ({figure.source})" for name, figure in FIGURES.items()}
     if options.json:
@@ -60,6 +61,8 @@ def list_command(argv: list[str]) -> int:
     out.print("[bold]figures[/]\n")
     for name, title in figures.items():
         out.print(f"  [bold cyan]{name}[/]  {escape(title)}")
+    for complaint in complaints:
+        out.print(escape(f"\nnot available: {complaint}"), soft_wrap=True)
     return 0
 
 
@@ -79,5 +82,6 @@ def _parameter_table(shown: Sequence[describe.Parameter]) -> Table:
 
 
 def _facts(cls: type) -> dict[str, Any]:
-    facts = {p.name: {"default": label(p.default), "help": p.help} for p in describe.parameters(cls)}
+    default = lambda p: None if p.default is dataclasses.MISSING else label(p.default)
+    facts = {p.name: {"default": default(p), "help": p.help} for p in describe.parameters(cls)}
     return {"summary": describe.summary(cls), "parameters": facts}

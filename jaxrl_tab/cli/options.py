@@ -13,6 +13,7 @@ import itertools
 import os
 import re
 import shutil
+import tomllib
 import typing
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -24,7 +25,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from jaxrl_tab.core import describe, memory, policies
+from jaxrl_tab.core import describe, memory, names, policies, schedules
 from jaxrl_tab.core.checks import InputError, nearest, one_line, shown
 
 
@@ -34,6 +35,7 @@ class Group(NamedTuple):
     Attributes:
         registry: name -> class.
         help: what they are, one line.
+        kind: of the classes.
         grids: whether every option takes any number of values, to be tried one by one.
         defaults: parameter -> values, instead of the one number that the classes have.
         parts: what people call parts of the registry -> the names in it.
@@ -41,6 +43,7 @@ class Group(NamedTuple):
 
     registry: Mapping[str, type]
     help: str
+    kind: names.Kind
     grids: bool = False
     defaults: Mapping[str, tuple[Any, ...]] = MappingProxyType({})
     parts: Mapping[str, Collection[str]] = MappingProxyType({})
@@ -166,7 +169,7 @@ def parse(prog: str, command: type, argv: Sequence[str], **groups: Group) -> Any
         raise InputError(f"{one_line(_plain(complaint.getvalue()))} (see `{prog} --help`)") from None
     for token in unknown:
         if not token.startswith("-"):
-            raise InputError(f"{shown(token)} is one word too many")
+            raise InputError(f"unexpected argument {shown(token)}")
         hints = [typing.get_type_hints(cls, include_extras=True) for cls in (command, *types.values())]
         known = [_spell(f) for h in hints for f, kind in h.items() if Positional not in _notes(kind)]
         raise InputError(f"there is no option {one_line(token)}; {nearest(token.partition('=')[0], known)}")
@@ -194,7 +197,7 @@ def values(
             who, *others = names
             has_no = f"none of {', '.join(names)} has" if others else f"{who} has no"
             hint = "" if others else f"; {who} has {', '.join(known[who])}"
-            raise InputError(f"{has_no} {option}, which is of {group.owners(owners)}{hint}")
+            raise InputError(f"{has_no} {option}, which belongs to {group.owners(owners)}{hint}")
     return {name: _values(owned, given, group) for name, owned in known.items()}
 
 
@@ -205,7 +208,7 @@ def _values(
     for option, tokens in given.items():
         if (parameter := known.get(option)) is None:
             continue
-        if isinstance(parameter.default, bool):
+        if _is_switch(parameter):
             found[parameter.name] = [not parameter.default]
         elif not tokens:
             raise InputError(f"{option} needs a value")
@@ -215,8 +218,9 @@ def _values(
 
 
 def parameters(cls: type) -> list[describe.Parameter]:
-    """The parameters of a registered class that can be typed: all but tables, which have no default."""
-    return [p for p in describe.parameters(cls) if p.default is not None or describe.takes_policy(p)]
+    """The parameters of a class that can be typed: all but tables, which have no default."""
+    typed = lambda p: p.default is not None or describe.takes_policy(p) or p.type == describe.Plain
+    return [p for p in describe.parameters(cls) if typed(p)]
 
 
 def option_of(parameter: describe.Parameter) -> str:
@@ -226,7 +230,7 @@ def option_of(parameter: describe.Parameter) -> str:
 
 def words(value: Any) -> str:
     """A value as it is typed; a dash where there is none."""
-    if value is None:
+    if value is None or value is dataclasses.MISSING:
         return "–"
     if isinstance(value, bool | np.bool_):
         return "on" if value else "off"
@@ -240,7 +244,7 @@ def about(group: Group) -> str:
     known = [p for cls in group.registry.values() for p in parameters(cls)]
     parts = [group.help]
     if any(map(describe.takes_schedule, known)):
-        parts.append(f"A schedule is one of {describe.schedule_forms()}.")
+        parts.append(f"A schedule is {schedules.forms()}.")
     if any(map(describe.takes_policy, known)):
         parts.append(f"A policy is one of {_policies()}.")
     return " ".join(parts)
@@ -260,7 +264,7 @@ def _options(name: str, group: Group) -> type:
     for field, owned in owners.items():
         parameter = next(iter(owned.values()))
         hint = _hint(owned, group)
-        if isinstance(parameter.default, bool):
+        if _is_switch(parameter):
             note = arg(help=parameter.help, help_behavior_hint=hint)
             fields.append((field, Annotated[bool, FlagCreatePairsOff, note], False))
         else:
@@ -285,14 +289,22 @@ def _hint(owned: Mapping[str, describe.Parameter], group: Group) -> str:
 def _value(option: str, token: str, parameter: describe.Parameter) -> Any:
     """`token` as a value of the kind that the parameter's default is."""
     given: Any = token
+    if parameter.type == describe.Plain:  # as in TOML; a text needs no quotes
+        with contextlib.suppress(tomllib.TOMLDecodeError):
+            given = tomllib.loads(f"value = {token}")["value"]
+        return given
     if (kind := describe.kind(parameter)) in (int, float):
         with contextlib.suppress(ValueError):
             given = kind(token)
     return describe.value(option, given, parameter)
 
 
+def _is_switch(parameter: describe.Parameter) -> bool:
+    return isinstance(parameter.default, bool) and parameter.type != describe.Plain
+
+
 def _field(parameter: describe.Parameter) -> str:
-    return f"no_{parameter.name}" if parameter.default is True else parameter.name
+    return f"no_{parameter.name}" if _is_switch(parameter) and parameter.default else parameter.name
 
 
 def _spell(field: str) -> str:

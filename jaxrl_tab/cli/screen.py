@@ -4,7 +4,7 @@ import contextlib
 import json as jsonlib
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,34 +14,31 @@ from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.cli.options import words
-from jaxrl_tab.core.types import Environment
 from jaxrl_tab.experiment import files, storage
 from jaxrl_tab.show.words import cell, decimals_for, edge_warning, six_digits, symbol, title_of
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
+
+    from jaxrl_tab.stats.columns import Column, Methods, Row
 PATIENCE = 2.0  # seconds of silence, at most
 
 
 def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> int:
     """Prints what came out: tables for people, or JSON."""
     if options.json:
-        summary = {"folder": folder and str(folder), "summary": _records(files.summary(outcome))}
-        chosen = {"selection": _records(files.selection(outcome))} if outcome.fresh else {}
+        summary = {"folder": folder and str(folder), "summary": _records(outcome.summary)}
+        chosen = {"selection": _records(outcome.selection)} if outcome.fresh else {}
         print_json(summary | chosen)
         return 0
     if options.quiet:
         return 0
-    from jaxrl_tab import stats
-
-    for environment in outcome.envs:
-        own = outcome.of(environment)
+    for environment, methods in outcome.methods.items():
         with busy("summing up"):
-            table = stats.summary(own)
-        _print_summary(environment, table, own, outcome.envs[environment])
+            _ = methods.rows
+        print_summary(environment, methods)
     if outcome.fresh:
-        _print_selection(files.selection(outcome))
+        _print_selection(outcome.selection)
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
         why = "a number became infinite, or NaN, or grew beyond any possible return."
@@ -79,95 +76,78 @@ def _print_selection(table: "pd.DataFrame") -> None:
     out.print("The choice flatters the first number: report the second.")
 
 
-def _print_summary(
-    environment: str, table: "pd.DataFrame", datasets: "Mapping[str, xr.Dataset]", env: Environment
-) -> None:
+def print_summary(environment: str, methods: "Methods") -> None:
     """The summary for people: what all rows share stands above the table, what the marks mean below it."""
     from jaxrl_tab import stats
+    from jaxrl_tab.stats.columns import COLUMNS, text
 
-    ds = next(iter(datasets.values()))
-    columns = list(table.columns)
-    hyperparameters = columns[1 : columns.index("episodes")]
-    tried = {h: table[h].dropna().drop_duplicates() for h in hyperparameters}  # not all methods have all
-    shared = {h: found.iloc[0] for h, found in tried.items() if len(found) == 1}
-    varied = [h for h in hyperparameters if h not in shared]
+    rows, prediction, ds = methods.rows, methods.prediction, next(iter(methods.values()))
+    setting_of = lambda row: row.setting | row.place
+    tried = {
+        name: dict.fromkeys(words(setting_of(row)[name]) for row in rows if name in setting_of(row))
+        for name in methods.hyperparameters
+    }
+    shared = [f"{name} {next(iter(values))}" for name, values in tried.items() if len(values) == 1]
+    varied = [name for name, values in tried.items() if len(values) > 1]
     unit = "steps" if "num_steps" in ds.attrs else "episodes"
     length = f"{ds.attrs[f'num_{unit}']} {unit}"
-    setting = [f"{h} {words(value)}" for h, value in shared.items()]
-    prediction = stats.is_prediction(*datasets.values())
-    late = bool(table["unfinished"].any())
-    score, kind, score_head = "last_tenth_return", "last_tenth", "mean return,\nlast tenth"
-    if prediction:
-        score, kind, score_head = "v_error", "v_error", "RMS error,\nwhole run"
-    exact = "greedy_value" in columns
-    view = Table(
-        *["method", *varied, "episodes", score_head, "95% interval\nof the mean"],
-        *(["unfinished\nruns"] if late else []),
-        *(["RMS error\nat the end"] if prediction else []),
-        *["million\nsteps/s"],
-        *(["worth of the\ngreedy policy"] if exact else []),
-        "value of\nthe policy" if prediction else "exact\noptimum",
-    )
+    columns = {column.name: column for column in COLUMNS if column.screen and column.tells(rows)}
+    view = Table("method", *varied)
+    for name, column in columns.items():
+        view.add_column(text(column.screen, prediction))
+        if isinstance(rows[0][name], tuple):
+            view.add_column("95% interval\nof the mean" if name == "score" else "95% interval")
     for column in view.columns[1:]:
         column.justify = "right"
     # Two digits of the narrowest interval; of errors also three of the smallest.
-    scores, low, high = (table[column].to_numpy(float) for column in (score, f"{kind}_low", f"{kind}_high"))
+    scores, low, high = np.array([row["score"] for row in rows]).T
     decimals = decimals_for((high - low) / 2, 2)
     if prediction:
         decimals = max(decimals, decimals_for(scores, 3))
     digits = f"{{:.{decimals}f}}".format
-    notes, edges, few = [], [], False
-    for method, rows in table.groupby("method", sort=False):
-        choice = len(rows[score].drop_duplicates()) > 1
-        for row in rows.to_dict("records"):
-            star, doubtful = choice and row["best"], row["seeds_wanted"] > row["seeds"]
-            mark = " *" if star else " ~" if choice and row["tied"] else ""
-            few |= doubtful
+    notes, edges = [], []
+    for method, own in methods.settings.items():
+        own_rows = [row for row in rows if row.method == method]
+        choice = _several(own_rows)
+        for row in own_rows:
+            star = choice and row["best"]
+            cells = {name: _cells(column, row[name], digits) for name, column in columns.items()}
+            cells["score"][1] += " !" if row.doubtful else ""
             view.add_row(
-                f"{method}{mark}",
-                *(cell(row[h], words) for h in varied),
-                f"{row['episodes']:.1f}",
-                cell(row[score], digits),
-                _interval(row[f"{kind}_low"], row[f"{kind}_high"], digits) + (" !" if doubtful else ""),
-                *([str(row["unfinished"])] if late else []),
-                *([cell(row["final_v_error"], digits)] if prediction else []),
-                f"{row['steps_per_second'] / 1e6:.1f}",
-                *([cell(row["greedy_value"], six_digits)] if exact else []),
-                cell(row["optimum"], six_digits),
+                f"{method}{' *' if star else ' ~' if choice and row['tied'] else ''}",
+                *(cell(setting_of(row).get(name, np.nan), words) for name in varied),
+                *(part for parts in cells.values() for part in parts),
                 style="bold" if star else None,
             )
-            if doubtful and row["best"]:
+            if row.doubtful and row["best"]:
                 ends = [
-                    f"the {name} is {cell(row[f'{kind}_{key}'], digits)} ("
-                    f"{_interval(row[f'{kind}_{key}_low'], row[f'{kind}_{key}_high'], digits)})"
-                    for name, key in (("median", "median"), ("interquartile mean", "iqm"))
+                    f"the {kind} is {cell(x[0], digits)} ({_interval(x[1], x[2], digits)})"
+                    for kind, x in (("median", row["median"]), ("interquartile mean", row["iqm"]))
                 ]
                 wanted = f"{row['seeds_wanted']} seeds would be needed to trust the mean"
-                notes.append(f"! {title_of(str(method))}: {', '.join(ends)}; {wanted}.")
+                notes.append(f"! {title_of(method)}: {', '.join(ends)}; {wanted}.")
         view.add_section()
-        own = datasets[str(method)]
-        at_edge = stats.at_edge(own, stats.best(own)) if choice else {}
-        edges += [edge_warning(name, str(method), end) for name, end in at_edge.items()]
+        edges += [edge_warning(name, method, end) for name, end in own.edges.items() if choice]
     out = console()
-    out.print(", ".join([f"[bold]{environment}[/]", *setting, f"{ds.sizes['seed']} seeds, {length} each"]))
+    out.print(", ".join([f"[bold]{environment}[/]", *shared, f"{ds.sizes['seed']} seeds, {length} each"]))
     out.print(view)
     say = lambda line: out.print(line, markup=False)
     if prediction:
         say("The RMS error is that of V, over the states: its mean over the rows of the log, and at the end.")
-    if varied and len(table[score].drop_duplicates()) > 1:
+    if varied and _several(rows):
         say(
             "* This setting is the best of its method on these seeds. It was chosen for its mean, which flatters it."
         )
-        if sum(table["tied"]) > sum(table["best"]):
+        if any(row["tied"] and not row["best"] for row in rows):
             say(
                 "~ This setting is not told apart from the best: these seeds do not say which of the two is better."
             )
-    if late:
+    if "unfinished" in columns:
         say(
             "The unfinished runs end no episode in the last tenth: they score the rewards that they collected there, "
             "as if cut off."
         )
-    if few:
+    if any(row.doubtful for row in rows):
         seeds = ds.sizes["seed"]
         say(
             "! This mean rests on few bad runs, and may be worse than it looks: "
@@ -175,28 +155,34 @@ def _print_summary(
         )
     for line in [*notes, *edges]:
         say(line)
-    if not prediction:
-        for name, value in _soft_optima(datasets, env).items():
-            say(f"With {name}, no policy that goes on exploring is worth more than {six_digits(value)}.")
-    if exact:
+    for name, value in _soft_optima(methods).items():
+        say(f"With {name}, no policy that goes on exploring is worth more than {six_digits(value)}.")
+    if "greedy_value" in columns:
         say(
             "The worth of the greedy policy is its exact value at the end, the median over seeds; "
             "-inf: it goes round for ever."
         )
 
 
-def _soft_optima(datasets: "Mapping[str, xr.Dataset]", env: Environment) -> dict[str, float]:
-    """What the best policy earns that explores as the best settings do: "ε = 0.1" -> value."""
-    from jaxrl_tab import stats
+def _several(rows: "Sequence[Row]") -> bool:
+    """Whether not all have the same score."""
+    return len(np.unique([row["score"][0] for row in rows])) > 1
 
+
+def _cells(column: "Column", x: Any, digits: Any) -> list[str]:
+    """A number as it stands on the screen; of an interval the estimate, and the bounds."""
+    if isinstance(x, tuple):
+        return [cell(x[0], digits), _interval(x[1], x[2], digits)]
+    write = {"exact": six_digits, "count": str, "tenths": "{:.1f}".format}.get(column.written, digits)
+    return [cell(x * column.scale, write)]
+
+
+def _soft_optima(methods: "Methods") -> dict[str, float]:
+    """What the best policy earns that explores as the best settings do: "ε = 0.1" -> value."""
     found = {}
-    for ds in datasets.values():
-        setting = stats.fixed(ds) | stats.named(ds, stats.best(ds))
-        by = "behaviour" if setting.get("behaviour") else "epsilon"
-        used = [key for key in (by, "gamma") if key in setting]
-        name = " and ".join(f"{symbol(key)} = {words(setting[key])}" for key in used)
-        if name not in found:
-            found[name] = stats.soft_optimum(env, setting)
+    for own in methods.settings.values():
+        name = " and ".join(f"{symbol(key)} = {words(value)}" for key, value in own.exploration.items())
+        found[name] = own.soft
     return {name: value for name, value in found.items() if not np.isnan(value)}
 
 

@@ -10,11 +10,23 @@ from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from jaxrl_tab.cli.common import ENVIRONMENT, PROG, Switch, make_environment, new_folder, start_jax
+from jaxrl_tab.cli.common import (
+    ENVIRONMENT,
+    PROG,
+    Switch,
+    find,
+    named_in,
+    new_folder,
+    parameters_of,
+    start_jax,
+    with_own,
+)
 from jaxrl_tab.cli.options import parse, place, real, words
 from jaxrl_tab.cli.screen import busy, console, print_json, say_where
 from jaxrl_tab.core import policies
-from jaxrl_tab.envs.base import Finite, Grid, Panel
+from jaxrl_tab.core.checks import build
+from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.envs.base import Grid, Panel
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.words import short_number, six_digits
 
@@ -26,11 +38,12 @@ class Solve:
     Examples:
       jaxrl-tab solve windy-gridworld
       jaxrl-tab solve windy-gridworld --moves king --epsilon 0.1 --out runs/king
+      jaxrl-tab solve mdp.npz
       jaxrl-tab solve random-walk --states 5 --left-reward 0 --json
     """
 
     env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
-    """Name of the environment; see `jaxrl-tab list`."""
+    """Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv, mdp.npz, gymnasium:NAME."""
     gamma: Annotated[float, real(0, 1)] = 1.0
     """Discount rate, in [0, 1]."""
     epsilon: Annotated[float | None, real(0, 1), arg(help_behavior_hint="")] = None
@@ -42,8 +55,10 @@ class Solve:
 
 
 def solve_command(argv: list[str]) -> int:
-    options = parse(f"{PROG} solve", Solve, argv, environment=ENVIRONMENT)
-    env = make_environment(options.env, options.environment)
+    group = with_own(ENVIRONMENT, named_in(argv)[0])
+    options = parse(f"{PROG} solve", Solve, argv, environment=group)
+    cls = find(group, options.env)
+    env = build(cls, options.env, parameters_of(options.env, options.environment, group))
     start_jax()
     with new_folder(options.out) as folder, busy("solving"):
         solutions = {"optimal": planning.policy_iteration(env, options.gamma)}
@@ -73,8 +88,8 @@ def solve_command(argv: list[str]) -> int:
         )
         for table in _pictures(env, v, q):
             out.print(table)
-    if hasattr(env, "instance"):
-        mean = escape(six_digits(env.mean_optimal_value(options.gamma)))
+    if (mean_value := of_environment(env).mean_optimal_value) is not None:
+        mean = escape(six_digits(mean_value(options.gamma)))
         out.print(f"Each run of a sweep draws a problem of its own; the mean over them is [bold]{mean}[/].")
     if options.out:
         say_where(options.out)
@@ -86,11 +101,11 @@ MANY_STATES = 500  # the rows of a table that people look through, at most
 
 def _pictures(env: Any, v: np.ndarray, q: np.ndarray) -> list[Table]:
     """Values and best actions: where people see the states in tables in their places, else as a list."""
-    model = planning.exact_model(env)
+    model, declared = planning.exact_model(env), of_environment(env)
     visited, terminal = planning.reachable(model), planning.terminal_states(model)
     between = "" if isinstance(env, Grid) else " "
-    best = lambda s: between.join(env.action_names[a] for a in _best_actions(q[s]))
-    if not env.panels() or env.num_states > MANY_STATES:
+    best = lambda s: between.join(declared.action_names[a] for a in _best_actions(q[s]))
+    if not declared.panels() or env.num_states > MANY_STATES:
         choice = env.num_actions > 1
         table = Table("state", "value", *(["best actions"] if choice else []))
         listed = np.flatnonzero(visited & ~terminal)
@@ -105,7 +120,7 @@ def _pictures(env: Any, v: np.ndarray, q: np.ndarray) -> list[Table]:
         cells[s] = ""
     if isinstance(env, Grid):
         cells[env.state(env.goal)] = "[bold green]G[/]"
-    tables = [_panel(panel, cells, getattr(env, "wind", None)) for panel in env.panels()]
+    tables = [_panel(panel, cells, declared.wind) for panel in declared.panels()]
     if not (visited | terminal).all():
         tables[-1].caption = "empty: out of reach from the start"
     return tables
@@ -131,14 +146,14 @@ def _best_actions(q: np.ndarray) -> np.ndarray:
     return np.flatnonzero(q >= q.max() - 1e-9 * abs(q[q > policies.UNAVAILABLE]).max())
 
 
-def _draw_solutions(env: Finite, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:
+def _draw_solutions(env: Any, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:
     from jaxrl_tab.show import plot
 
     titles = [
         f"{title}; value from the start {six_digits(planning.start_value(env, v))}"
         for title, (_, v, _) in solutions.items()
     ]
-    if env.panels() and not isinstance(env, Grid):
+    if of_environment(env).panels() and not isinstance(env, Grid):
         figure, grid = plot.panels_canvas(env, len(solutions))
         for row, title, (_, v, q) in zip(grid, titles, solutions.values(), strict=True):
             best = np.array([np.isin(np.arange(env.num_actions), _best_actions(x)) for x in q])

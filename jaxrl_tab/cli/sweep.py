@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.cli.common import (
     ENVIRONMENT,
     HYPERPARAMETERS,
@@ -18,15 +17,19 @@ from jaxrl_tab.cli.common import (
     SEEDS,
     STEPS,
     Switch,
+    find,
     known_name,
+    named_in,
     parameters_of,
     prepare,
     start_jax,
+    with_own,
 )
 from jaxrl_tab.cli.interrupt import interruptible
-from jaxrl_tab.cli.options import parse, place, size, values, whole, word
+from jaxrl_tab.cli.options import Group, parse, place, size, values, whole, word
 from jaxrl_tab.cli.screen import busy, print_json, show_outcome
 from jaxrl_tab.core.checks import InputError, RunError, one_line, shown
+from jaxrl_tab.core.names import is_from_outside
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.executors import Executor
@@ -66,7 +69,7 @@ def _executor(options: Any) -> Iterator[Executor]:
     for option in given:
         if option not in own[name]:
             owners = ", ".join(other for other, names in own.items() if option in names)
-            raise InputError(f"--{option} is of --executor {owners}, and this one is {name}")
+            raise InputError(f"--{option} belongs to --executor {owners}, and the executor here is {name}")
     if name == "slurm":
         if options.out is None:
             raise InputError("--executor slurm needs --out: a folder that all machines see")
@@ -105,15 +108,18 @@ class Sweep(Where):
       jaxrl-tab sweep cliff-walking sarsa q-learning --alpha 0.5 --epsilon glie --episodes 500
       jaxrl-tab sweep k-armed-testbed q-learning --alpha 0.1 --behaviour greedy epsilon-greedy:0.1 ucb:2
       jaxrl-tab sweep random-walk n-step-td td-lambda --alpha 0.1 0.3 --n 1 4 16 --episodes 10
+      jaxrl-tab sweep mine.py:MyEnv mine.py:MyMethod sarsa --my-parameter 1 2
       jaxrl-tab sweep --write-template experiment.toml
       jaxrl-tab sweep experiment.toml --dry-run
       jaxrl-tab sweep experiment.toml --out runs/experiment
     """
 
     env: Annotated[Positional[str], arg(metavar="ENV|FILE", help_behavior_hint="")] = ""
-    """Name of the environment, see `jaxrl-tab list`; or an experiment in a file FILE.toml."""
+    """Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv, package.module:MyEnv, a table
+    mdp.npz, gymnasium:NAME, gymnax:NAME; or an experiment in a file FILE.toml."""
     methods: Annotated[Positional[tuple[str, ...]], arg(metavar="METHOD ...", help_behavior_hint="")] = ()
-    """Names of one or more methods; see `jaxrl-tab list`. An option goes to all that have it."""
+    """Names of one or more methods; see `jaxrl-tab list`; or of your own, mine.py:MyMethod. An option goes to all
+    that have it."""
     seeds: Annotated[int | None, whole(1), arg(help_behavior_hint=f"(default: {SEEDS})")] = None
     """How many seeds."""
     steps: Annotated[int | None, whole(1), arg(help_behavior_hint=f"(default: {STEPS})")] = None
@@ -145,14 +151,19 @@ class Sweep(Where):
 
 def sweep_command(argv: list[str]) -> int:
     prepare()
-    options = parse(f"{PROG} sweep", Sweep, argv, hyperparameters=HYPERPARAMETERS, environment=ENVIRONMENT)
+    for_environment, for_methods = named_in(argv)
+    groups = {
+        "hyperparameters": with_own(HYPERPARAMETERS, for_methods),
+        "environment": with_own(ENVIRONMENT, for_environment),
+    }
+    options = parse(f"{PROG} sweep", Sweep, argv, **groups)
     if options.write_template:
         return _write_template(options.env)
     with _executor(options) as executor:
         if isinstance(executor, executors.Distributed) and executor.serve():
             return 0
         with busy("reading what is to be run", options.quiet):
-            experiment = _experiment(options)
+            experiment = _experiment(options, **groups)
         return _conduct(experiment, executor, options, ["sweep", *argv])
 
 
@@ -178,21 +189,26 @@ def _conduct(experiment: Experiment, executor: Executor, options: Any, command: 
     return show_outcome(outcome, options.out, options)
 
 
-def _experiment(options: Any) -> Experiment:
+def _experiment(options: Any, hyperparameters: Group, environment: Group) -> Experiment:
     """The experiment that is in a file, or was typed."""
     typed = {"steps": options.steps, "episodes": options.episodes, "log_every": options.log_every}
     typed |= {"seeds": options.seeds, "seed": options.seed, "exact": options.exact or None}
     typed |= {"select": {} if options.select else None}
     typed: dict[str, Any] = {name: value for name, value in typed.items() if value is not None}
-    if options.env not in ENVS and (options.env.endswith(".toml") or Path(options.env).is_file()):
+    is_file = options.env.endswith(".toml") or Path(options.env).is_file()
+    if is_file and options.env not in ENVS and not is_from_outside(options.env):
         others = [*options.methods, *options.environment, *options.hyperparameters]
         if said := [*others, *("--" + name.replace("_", "-") for name in typed)]:
-            raise InputError(f"{said[0]} beside a file: what is run is said in {options.env} alone")
+            raise InputError(
+                f"{said[0]} cannot be given together with a file: {options.env} alone says what is run"
+            )
         return Experiment.load(options.env)
-    env = {"name": known_name("an environment", options.env, ENVS)}
-    env |= parameters_of(options.env, options.environment)
-    names = [known_name("a method", name, METHODS) for name in options.methods or [""]]
-    grids = values(names, options.hyperparameters, HYPERPARAMETERS)
+    find(environment, options.env)
+    env = {"name": options.env} | parameters_of(options.env, options.environment, environment)
+    names = options.methods or [""]
+    for name in names:
+        find(hyperparameters, name)
+    grids = values(names, options.hyperparameters, hyperparameters)
     one = lambda tried: tried[0] if len(tried) == 1 else tried
     methods = [{"name": name} | {k: one(tried) for k, tried in grids[name].items()} for name in names]
     if options.steps is not None and options.episodes is not None:

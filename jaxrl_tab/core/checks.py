@@ -1,21 +1,84 @@
 """What is asked of values that people give, and how a message names them."""
 
+import copy
 import dataclasses
 import difflib
+import inspect
 import os
 import reprlib
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple, Self, TypeAlias, TypeVar, get_args, get_origin
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array
 
-from jaxrl_tab.core.pytree import T, as_array, concrete
+T = TypeVar("T")
+
+
+class InputError(ValueError):
+    """Something that the user gave is wrong; the message is one line that says what would be right.
+
+    Attributes:
+        problem: the message, but for the name with which it begins.
+        who: what refuses it, a class or an option; None where the message names nothing.
+        field: the field, or parameter, that is wrong; None where it is not one.
+        wanted: what the field takes, in words; None where it is not the value alone that is wrong.
+        value: what was given instead.
+        path: the keys, and places in lists, that lead there in the tables of an experiment.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        who: str | None = None,
+        field: str | None = None,
+        wanted: str | None = None,
+        value: Any = None,
+    ):
+        super().__init__(problem)
+        self.problem, self.who, self.field, self.wanted, self.value = problem, who, field, wanted, value
+        self.path: tuple[str | int, ...] = ()
+
+    def __str__(self) -> str:
+        return self.problem if self.who is None else f"{self.who}: {self.problem}"
+
+    def renamed(self, who: str, field: str | None = None) -> Self:
+        """The same said by another; of what is inside its `field`, where that is given."""
+        error = copy.copy(self)
+        error.who = who
+        if field is not None:
+            error.field, error.problem = field, f"{field}: {self.problem}"
+        return error
+
+
+def unfit(who: str | None, field: str, wanted: str, value: Any, hint: str = "") -> InputError:
+    """The error where `field` of `who` must be `wanted`, and is `value`; a `hint` is added to the message."""
+    problem = f"{field} must be {wanted}, not {shown(value)}{hint}"
+    return InputError(problem, who=who, field=field, wanted=wanted, value=value)
+
+
+class RunError(RuntimeError):
+    """What was asked for is right, and could not be finished here; the message is one line that says why."""
+
+
+def concrete(x: Any) -> np.ndarray | None:
+    """The value of `x` as a NumPy array, or None where it is a tracer and has no value yet."""
+    return None if isinstance(x, Tracer) else np.asarray(x)
+
+
+def as_array(x: Any) -> np.ndarray | None:
+    """`concrete(x)`; what cannot become an array, such as rows of unlike lengths, is an empty one of objects."""
+    try:
+        return concrete(x)
+    except (TypeError, ValueError, OverflowError):
+        return np.empty(0, object)
 
 
 def assign(obj: Any, **values: Any) -> None:
@@ -33,23 +96,17 @@ def numbers(name: str, what: str, value: Any) -> Any:
     if array is None:
         return value
     if array.dtype.kind not in "biuf":
-        raise InputError(f"{name}: {what} must be numbers, in rows of equal length, not {shown(value)}")
+        raise unfit(name, what, "numbers, in rows of equal length", value)
     return array
 
 
-def unbatched(name: str, what: str, value: Any, ndim: int, dtype: Any = float) -> Array:
-    """A leaf as a JAX array. Raises InputError where it has not its `ndim` axes but those of a batch."""
+def unbatched(env: Any, field: str, ndim: int, dtype: Any = float) -> Array:
+    """A leaf of an environment as a JAX array. Raises InputError where it has the axes of a batch, too."""
+    value = getattr(env, field)
     if np.ndim(value) != ndim:
-        raise InputError(f"{name}: {what} of shape {np.shape(value)} is a batch; vmap over the environment")
+        problem = f"{field} of shape {np.shape(value)} is a batch; vmap over the environment"
+        raise InputError(problem, who=type(env).__name__, field=field)
     return jnp.asarray(value, dtype)
-
-
-class InputError(ValueError):
-    """Something that the user gave is wrong; the message is one line that says what would be right."""
-
-
-class RunError(RuntimeError):
-    """What was asked for is right, and could not be finished here; the message is one line that says why."""
 
 
 _SHORT = reprlib.Repr()
@@ -93,20 +150,37 @@ def nearest(name: Any, names: Iterable[str]) -> str:
 def check_choice(name: str, what: str, value: Any, choices: Iterable[str]) -> None:
     """Raises InputError unless `value` is one of the texts in `choices`; the message names the nearest."""
     if not isinstance(value, str) or value not in choices:
-        raise InputError(f"{name}: {what} {shown(value)} is unknown; {nearest(value, choices)}")
+        problem = f"{what} {shown(value)} is unknown; {nearest(value, choices)}"
+        wanted = f"one of {', '.join(choices)}"
+        raise InputError(problem, who=name, field=what, wanted=wanted, value=value)
 
 
 def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
     """`cls(**parameters)`, where `name` is what a person calls the class.
 
     Raises:
-        InputError: a parameter is unknown, with the nearest right one; or `cls` refuses a value.
+        InputError: a parameter is unknown, with the nearest right one, or missing; or `cls` refuses a value.
     """
-    known = [f.name for f in dataclasses.fields(cls)]  # pyright: ignore[reportArgumentType]
+    fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
+    known = [f.name for f in fields]
     for parameter in parameters:
         if parameter not in known:
-            raise InputError(f"{name} has no parameter {shown(parameter)}; {nearest(parameter, known)}")
-    return cls(**parameters)
+            wanted = nearest(parameter, known)
+            problem = f"{name} has no parameter {shown(parameter)}; {wanted}"
+            raise InputError(problem, field=parameter, wanted=wanted)
+    is_ours = cls.__module__.partition(".")[0] == __name__.partition(".")[0]
+    try:
+        return cls(**parameters)
+    except InputError as error:
+        raise (error.renamed(name) if error.who == cls.__name__ else error) from None
+    except Exception as error:
+        try:
+            inspect.signature(cls).bind(**parameters)
+        except TypeError as missing:
+            raise InputError(f"{name}: {missing}") from None
+        if is_ours:
+            raise  # a defect
+        raise InputError(f"{name} refuses its parameters: {type(error).__name__}: {reason(error)}") from error
 
 
 def as_path(what: str, given: Any) -> Path:
@@ -149,21 +223,12 @@ def is_whole(value: Any, least: int = 1) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) < 2**31
 
 
-def whole(name: str, what: str, value: Any, least: int = 1) -> int:
+def whole(name: str | None, what: str, value: Any, least: int = 1) -> int:
     """`value` as an int. Raises InputError unless it `is_whole`."""
     if not is_whole(value, least):
-        raise InputError(f"{name}: {what} must be a whole number of at least {least}, not {shown(value)}")
+        too_large = " and below 2**31" if isinstance(value, Integral) and int(value) >= 2**31 else ""
+        raise unfit(name, what, f"a whole number of at least {least}{too_large}", value)
     return int(value)
-
-
-def check_switches(name: str, obj: Any) -> None:
-    """Raises InputError unless the static fields of `obj` that are declared bool are True or False."""
-    for field in dataclasses.fields(obj):
-        if field.type is not bool or not field.metadata.get("static"):
-            continue
-        if not isinstance(value := getattr(obj, field.name), bool | np.bool_):
-            raise InputError(f"{name}: {field.name} must be True or False, not {shown(value)}")
-        object.__setattr__(obj, field.name, bool(value))
 
 
 def check_pytree(what: str, obj: Any, registry: Mapping[str, type] | None = None) -> None:
@@ -179,7 +244,7 @@ def check_pytree(what: str, obj: Any, registry: Mapping[str, type] | None = None
     if hint := foreign(obj):
         raise InputError(f"{what} must be an environment of jaxrl_tab, not {shown(obj)}{hint}")
     if jax.tree_util.all_leaves([obj]):
-        raise InputError(f"{what} is no JAX pytree: decorate its class with jaxrl_tab.core.types.pytree")
+        raise InputError(f"{what} is not a JAX pytree: decorate its class with jaxrl_tab.pytree")
 
 
 def foreign(obj: Any) -> str:
@@ -204,33 +269,134 @@ def check_held(obj: Any) -> None:
             )
 
 
-def check_number(obj, name: str, ok, wanted: str, kinds: str = "a number") -> None:
-    """Raises InputError unless field `name` of `obj` is a tracer, or a number or an array of them.
+# --- what a field says of its values (see `pytree.field`) ---------------------------------------------
+Numbers: TypeAlias = float | Sequence[float] | np.ndarray | Array
+"""A field of this type keeps a number, or an array, as a NumPy array; a tracer stays as it is."""
 
-    All must be `ok`, which is `wanted` in words, and still be it in the precision in which JAX computes.
+LIMITS = {
+    "at_least": ("at least", np.greater_equal),
+    "greater_than": ("greater than", np.greater),
+    "at_most": ("at most", np.less_equal),
+    "less_than": ("less than", np.less),
+}
+
+
+class Kind(NamedTuple):
+    """What fields of one type take.
+
+    Attributes:
+        check: gives the value as the field keeps it, from the name of the class, the field, and what was
+            given; raises InputError where that is not right.
+        noun: what it is, for the help: "a number"; the limits of the field follow.
+        otherwise: what it may also be.
     """
-    value, field = getattr(obj, name), f"{type(obj).__name__}: {name}"
+
+    check: Callable[[str, dataclasses.Field, Any], Any]
+    noun: str = ""
+    otherwise: str = ""
+
+
+def check_fields(obj: Any) -> None:
+    """Raises InputError unless all fields of `obj` hold what they say that they take; keeps it in their form."""
+    for field in dataclasses.fields(obj):
+        value = getattr(obj, field.name)
+        if (kept := checked(type(obj).__name__, field, value)) is not value:
+            object.__setattr__(obj, field.name, kept)
+
+
+def checked(who: str, field: dataclasses.Field, value: Any) -> Any:
+    """`value` as a field of the class `who` keeps it. A field of a plain annotation takes anything."""
+    rule = field.metadata
+    if rule.get("static") and get_origin(field.type) is Literal:
+        check_choice(who, field.name, value, get_args(field.type))
+    elif "limits" in rule or (rule.get("static") and field.type is bool):
+        kind = KINDS.get(field.type)
+        return value if kind is None else kind.check(who, field, value)
+    return value
+
+
+def explained(field: dataclasses.Field) -> str:
+    """The help of a field, with what it takes."""
+    limits, takes = in_words(field.metadata.get("limits", {})), ""
+    if limits and (kind := KINDS.get(field.type)):
+        takes = f"{kind.noun} {limits}{kind.otherwise}"
+    if get_origin(field.type) is Literal:
+        *others, last = (f'"{choice}"' for choice in get_args(field.type))
+        takes = f"{', '.join(others)} or {last}"
+    sentence = f"{takes[0].upper()}{takes[1:]}." if takes else ""
+    return " ".join(filter(None, [field.metadata.get("help"), sentence]))
+
+
+def in_words(limits: Mapping[str, float]) -> str:
+    """What the limits of a field say: "between 0 and 1", "greater than 0"; empty where there are none."""
+    if limits.keys() == {"at_least", "at_most"}:
+        return f"between {limits['at_least']} and {limits['at_most']}"
+    return " and ".join(f"{words} {limits[name]}" for name, (words, _) in LIMITS.items() if name in limits)
+
+
+def within(limits: Mapping[str, float], number: np.ndarray) -> np.ndarray:
+    """Where numbers are finite and within the limits, bool of their shape."""
+    return np.logical_and.reduce(
+        [np.isfinite(number), *(LIMITS[name][1](number, limit) for name, limit in limits.items())]
+    )
+
+
+def check_number(who: str, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
+    """`value`, unless it is neither a number, nor an array of them, nor a tracer.
+
+    All must be within the limits, and still be it in the precision in which JAX computes.
+    """
+    name, limits = field.name, field.metadata["limits"]
     number = np.empty(0, object) if isinstance(value, list | tuple) else as_array(value)
     if number is None:
-        return
+        return value
     if number.dtype.kind not in "fiu":
-        raise InputError(f"{field} must be {kinds}, not {shown(value)}{_instead(value)}")
-    if not bool(ok(number).all()) or not np.isfinite(number).all():
-        raise InputError(f"{field} must be {wanted}, not {shown(value)}")
+        several = isinstance(value, list | tuple)
+        hint = ": sweep(...) tries the values of a list, and jax.vmap takes an array" if several else ""
+        raise unfit(who, name, kinds, value, hint)
+    wanted = in_words(limits) or "a number"
+    if not within(limits, number).all():
+        raise unfit(who, name, wanted, value)
     dtype = jax.dtypes.canonicalize_dtype(float)
     with np.errstate(over="ignore", under="ignore"):
         rounded = number.astype(dtype)
-    limits = np.finfo(dtype)
-    if not np.isfinite(rounded).all() or ((number != 0) & (abs(rounded) < limits.tiny)).any():
-        raise InputError(
-            f"{field} is {shown(value)}, and {dtype} holds 0 and sizes from {limits.tiny:.2g} to {limits.max:.2g}"
-        )
-    if not bool(ok(rounded).all()):
-        raise InputError(f"{field} must be {wanted}, and {shown(value)} is not when rounded to {dtype}")
+    sizes = np.finfo(dtype)
+    problem = ""
+    if not np.isfinite(rounded).all() or ((number != 0) & (abs(rounded) < sizes.tiny)).any():
+        holds = f"{dtype} holds 0 and sizes from {sizes.tiny:.2g} to {sizes.max:.2g}"
+        problem = f"{name} is {shown(value)}, and {holds}"
+    elif not within(limits, rounded).all():
+        problem = f"{name} must be {wanted}, and {shown(value)} is not when rounded to {dtype}"
+    if problem:
+        raise InputError(problem, who=who, field=name, wanted=wanted, value=value)
+    return value
 
 
-def _instead(value: Any) -> str:
-    """What somebody may have meant who gave `value` for a number."""
-    if isinstance(value, list | tuple):
-        return ": sweep(...) tries the values of a list, and jax.vmap takes an array"
-    return ": a text is read by schedules.parse, or on the command line" if isinstance(value, str) else ""
+def _whole(who: str, field: dataclasses.Field, value: Any) -> int:
+    return whole(who, field.name, value, field.metadata["limits"]["at_least"])
+
+
+def _switch(who: str, field: dataclasses.Field, value: Any) -> bool:
+    if not isinstance(value, bool | np.bool_):
+        raise unfit(who, field.name, "True or False", value)
+    return bool(value)
+
+
+def _numbers(who: str, field: dataclasses.Field, value: Any) -> Any:
+    array = numbers(who, field.name, value)
+    if not isinstance(array, np.ndarray):
+        return array
+    limits = field.metadata["limits"]
+    if (i := first(~within(limits, array))) is not None:
+        wanted = " and ".join(filter(None, ["finite", in_words(limits)]))
+        raise unfit(who, field.name, wanted, array[i].item())
+    return array.astype(np.float64)
+
+
+KINDS: dict[Any, Kind] = {
+    bool: Kind(_switch),
+    int: Kind(_whole, "a whole number of"),
+    float: Kind(check_number, "a number"),
+    Numbers: Kind(_numbers, "numbers"),
+}
+"""The type of a field, as it is annotated -> what it takes. `schedules` and `policies` add theirs."""

@@ -1,16 +1,15 @@
 """Step sizes and exploration rates as a method uses them: numbers or schedules, and the clock that these read."""
 
-from typing import Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, TypeAlias, get_args, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.core import tables
-from jaxrl_tab.core.checks import InputError, shown
 
 ClockName: TypeAlias = Literal["step", "episode", "visit"]
 
-CLOCKS = ("step", "episode", "visit")
+CLOCKS = get_args(ClockName)
 
 
 @runtime_checkable
@@ -24,11 +23,6 @@ class Schedule(Protocol):
 
 
 Rate: TypeAlias = "float | Float[Array, ''] | Schedule"
-
-
-def check_clock(clock: str) -> None:
-    if not isinstance(clock, str) or clock not in CLOCKS:
-        raise InputError(f"a schedule's clock is 'step', 'episode' or 'visit', not {shown(clock)}")
 
 
 class Clock(NamedTuple):

@@ -3,9 +3,8 @@
 import numpy as np
 
 from jaxrl_tab.core import clock
-from jaxrl_tab.core.checks import InputError, first
+from jaxrl_tab.core.checks import InputError, concrete, first
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Policy, Softmax, Table
-from jaxrl_tab.core.pytree import concrete
 
 
 def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
@@ -37,17 +36,20 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
             return
         can = there
     if can.ndim and out.ndim and can.shape != out.shape:
-        raise InputError(f"{what}: target is a table {can.shape}, and behaviour one {out.shape}")
-    if at := first(can & out):
-        raise InputError(
-            f"{what}: behaviour leaves out action {at[1]} in state {at[0]}, which target can take; "
+        problem = f"target is a table {can.shape}, and behaviour one {out.shape}"
+    elif at := first(can & out):
+        problem = (
+            f"behaviour leaves out action {at[1]} in state {at[0]}, which target can take; "
             "give it a positive probability"
         )
-    if at is not None:
-        raise InputError(
-            f"{what}: behaviour leaves out actions that target can take; "
+    elif at is not None:
+        problem = (
+            "behaviour leaves out actions that target can take; "
             "let it take all of them, as EpsilonGreedy(0.1) does"
         )
+    else:
+        return
+    raise InputError(problem, who=what, field="behaviour")
 
 
 def _left_out(policy: Policy) -> np.ndarray | None:

@@ -1,21 +1,21 @@
-"""What an environment or a method says about itself: its parameters, from its fields and its docstring.
+"""What an environment or a method says about itself: its parameters, from its fields.
 
 And what a person may give for one of them: a number, or text such as "glie" and "softmax:0.5".
 """
 
+import contextlib
 import dataclasses
 import inspect
-import re
 import sys
-from collections.abc import Callable
+import typing
 from fractions import Fraction
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 from jaxrl_tab.core import clock, policies, schedules
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.checks import InputError, explained, shown
 
-_ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
+Plain = bool | int | float | str | list | tuple | None  # of a parameter that another library checks
 
 
 class Parameter(NamedTuple):
@@ -24,8 +24,8 @@ class Parameter(NamedTuple):
     Attributes:
         name: of the field.
         type: its annotation, as written.
-        default: its value if it is not given.
-        help: one line, from the section "Attributes" of the class, or of the nearest base that has it there.
+        default: its value if it is not given; `dataclasses.MISSING` where it must be.
+        help: what it is and what it takes, in one line.
     """
 
     name: str
@@ -41,10 +41,13 @@ def summary(cls: type) -> str:
 
 def parameters(cls: type) -> list[Parameter]:
     """The parameters of a registered class, in their order."""
-    told: dict[str, str] = {}
-    for base in reversed(cls.__mro__):
-        told |= _attributes(base.__dict__.get("__doc__") or "")
-    return [Parameter(f.name, f.type, f.default, told.get(f.name, "")) for f in dataclasses.fields(cls)]
+    types: dict[str, Any] = {}
+    if any(isinstance(f.type, str) for f in dataclasses.fields(cls)):  # from __future__ import annotations
+        with contextlib.suppress(Exception):  # what they name need not be there
+            types = typing.get_type_hints(cls)
+    return [
+        Parameter(f.name, types.get(f.name, f.type), f.default, explained(f)) for f in dataclasses.fields(cls)
+    ]
 
 
 def takes_schedule(parameter: Parameter) -> bool:
@@ -59,8 +62,14 @@ def takes_policy(parameter: Parameter) -> bool:
 
 def kind(parameter: Parameter) -> type:
     """The type of its value, or of the entries of its value: that of its default; float for a schedule."""
-    like = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
-    return float if takes_schedule(parameter) else type(like)
+    if takes_schedule(parameter):
+        return float
+    if parameter.default is dataclasses.MISSING:  # it must be given
+        return parameter.type if parameter.type in _KINDS else float
+    entry = parameter.default
+    while isinstance(entry, tuple):
+        entry = entry[0] if entry else 0.0
+    return type(entry)
 
 
 def value(what: str, given: Any, parameter: Parameter) -> Any:
@@ -75,21 +84,24 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
     Raises:
         InputError: it is of the wrong type, or a text that means nothing.
     """
-    name = given.replace("_", "-") if isinstance(given, str) else ""
-    if takes_policy(parameter):
-        if not name and isinstance(given, policies.Policy):
-            return given
-        return _parsed(policies.parse, what, name or shown(given))
-    rate = takes_schedule(parameter)
+    if parameter.type == Plain:
+        return given
+    rate, policy = takes_schedule(parameter), takes_policy(parameter)
+    try:
+        if policy:
+            return given if isinstance(given, policies.Policy) else policies.parse(given)
+        if rate and isinstance(given, str):
+            given = schedules.read(given)
+    except InputError as error:
+        raise error.renamed(what) from None
     if rate and isinstance(given, clock.Schedule):
         return given
-    if rate and schedules.is_named(name):
-        return _parsed(schedules.parse, what, name)
     wanted, fits = _KINDS[kind(parameter)]
     wrong = not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool)
     if wrong or (isinstance(given, int | Fraction) and abs(given) > sys.float_info.max):
-        more = f" or a schedule ({schedule_forms()})" if rate else ""
-        raise InputError(f"{what} takes {wanted}{more}, not {shown(given)}")
+        wanted += f" or a schedule ({schedules.forms()})" if rate else ""
+        problem = f"{what} takes {wanted}, not {shown(given)}"
+        raise InputError(problem, field=what, wanted=wanted, value=given)
     return kind(parameter)(given)
 
 
@@ -99,32 +111,3 @@ _KINDS: dict[type, tuple[str, type]] = {
     float: ("a number", Real),
     str: ("text", str),
 }
-
-
-def schedule_forms() -> str:
-    """How a schedule may be typed."""
-    forms = ", ".join([*schedules.SHORT, *map(schedules.form, schedules.FAMILIES)])
-    return f"{forms}, where CLOCK is one of {', '.join(clock.CLOCKS)}"
-
-
-def _parsed(parse: Callable[[str], Any], what: str, text: str) -> Any:
-    try:
-        return parse(text)
-    except InputError as error:
-        raise InputError(f"{what}: {error}") from None
-
-
-def _attributes(doc: str) -> dict[str, str]:
-    """The entries of the section "Attributes": `name: text` or `name, name: text`, indented by four."""
-    _, _, section = inspect.cleandoc(doc).partition("\nAttributes:\n")
-    entries: dict[str, str] = {}
-    names: list[str] = []
-    for line in section.splitlines():
-        if line and not line.startswith(" "):
-            break
-        if entry := _ENTRY.fullmatch(line):
-            names = entry[1].split(", ")
-            entries |= dict.fromkeys(names, entry[2])
-        elif line.strip():
-            entries |= {name: f"{entries[name]} {line.strip()}" for name in names}
-    return entries

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxrl_tab.core.checks import InputError, assign, first, numbers, shown, whole
+from jaxrl_tab.core.checks import InputError, assign, concrete, first, numbers, shown, whole
 from jaxrl_tab.core.policies import Table
-from jaxrl_tab.core.pytree import concrete, pytree
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
 NAME = "Experience"
@@ -141,12 +141,7 @@ class Experience:
         given = {"s": s, "a": a, "r": r, "lengths": lengths}
         s, a, r, lengths = (numbers(NAME, name, x) for name, x in given.items())
         shape = a.shape
-        if (
-            a.ndim != 2
-            or r.shape != shape
-            or s.shape != (shape[0], shape[1] + 1)
-            or lengths.shape != shape[:1]
-        ):
+        if a.ndim != 2 or (r.shape, s.shape, lengths.shape) != (shape, (shape[0], shape[1] + 1), shape[:1]):
             raise InputError(
                 f"{NAME}: a and r must be [E, T], s [E, T + 1] with the last states, and lengths [E]; not "
                 f"{a.shape}, {r.shape}, {s.shape} and {lengths.shape}"
@@ -169,10 +164,8 @@ class Experience:
             num_actions: the number of its actions.
             behaviour: the policy that is said to have acted.
         """
-        num_states, num_actions = (
-            whole(NAME, "num_states", num_states),
-            whole(NAME, "num_actions", num_actions),
-        )
+        num_states = whole(NAME, "num_states", num_states)
+        num_actions = whole(NAME, "num_actions", num_actions)
         if behaviour is not None:
             behaviour.check(num_states, num_actions)
         if any(concrete(x) is None for x in vars(self).values()):

@@ -13,8 +13,6 @@ import sys
 import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -108,17 +106,14 @@ def size(tree: Any) -> int:
 def free(devices: Sequence[Any] = ()) -> int:
     """The bytes that are free on each of these devices; on a CPU, or without any, in the machine.
 
-    All there are where the system does not say how many are free, and no limit where it says nothing.
+    There is no limit on a device that does not say.
     """
     if devices and devices[0].platform != "cpu":
         stats = [device.memory_stats() or {} for device in devices]
         return min(s.get("bytes_limit", sys.maxsize) - s.get("bytes_in_use", 0) for s in stats)
-    with suppress(OSError, TypeError):  # Linux alone has it
-        available = re.search(r"MemAvailable:\s*(\d+) kB", Path("/proc/meminfo").read_text())
-        return 1024 * int(available[1])  # pyright: ignore[reportOptionalSubscript]
-    with suppress(AttributeError, ValueError, OSError):
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return sys.maxsize
+    import psutil  # here, so that importing the package stays cheap
+
+    return psutil.virtual_memory().available
 
 
 def disk() -> tuple[str, int]:

@@ -28,10 +28,21 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.core import schedules, tables
-from jaxrl_tab.core.checks import InputError, check_number, first, is_distribution, nearest, shown
+from jaxrl_tab.core.checks import (
+    KINDS,
+    InputError,
+    Kind,
+    as_array,
+    build,
+    concrete,
+    first,
+    is_distribution,
+    nearest,
+    shown,
+    unfit,
+)
 from jaxrl_tab.core.clock import Clock, Rate, exploration, goes_by_visit, of_state
-from jaxrl_tab.core.pytree import as_array, concrete, pytree
-from jaxrl_tab.core.schedules import check_rate
+from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import check_available
 
 # The value of an action that a state does not have: no maximum is there, and no softmax. It is finite, for 0
@@ -134,23 +145,29 @@ class Policy(Protocol):
         ...
 
 
-def check_policy(obj: Any, name: str) -> None:
-    """Raises InputError unless field `name` of `obj` is a policy, or None."""
-    value = getattr(obj, name)
+def _check_policy(who: str, field: dataclasses.Field, value: Any) -> Any:
+    """`value` where it is a policy, or None; text as `parse` reads it."""
+    if isinstance(value, str):
+        try:
+            return parse(value)
+        except InputError as error:
+            raise error.renamed(who, field.name) from None
     if value is not None and (isinstance(value, type) or not isinstance(value, Policy)):
-        table = isinstance(value, Sequence | np.ndarray | jax.Array) and not isinstance(value, str)
+        table = isinstance(value, Sequence | np.ndarray | jax.Array)
         hint = "; for probabilities [S, A] it is policies.Table(...)" if table else ""
-        raise InputError(
-            f"{type(obj).__name__}: {name} must be a policy such as policies.Softmax(0.5), not "
-            f"{shown(value)}{hint}"
-        )
+        raise unfit(who, field.name, "a policy such as policies.Softmax(0.5)", value, hint)
+    return value
 
 
-def _check_table(what: str, table: Any, num_states: int, num_actions: int) -> None:
+KINDS[Policy | None] = Kind(_check_policy)
+
+
+def _check_table(who: str, field: str, table: Any, num_states: int, num_actions: int) -> None:
     if (shape := np.shape(table)) != (num_states, num_actions):
-        raise InputError(
-            f"{what} are of shape {shape}, and the task has {num_states} states and {num_actions} actions"
+        problem = (
+            f"{field} are of shape {shape}, and the task has {num_states} states and {num_actions} actions"
         )
+        raise InputError(problem, who=who, field=field)
 
 
 def check_among(what: str, probabilities: Any, available: Any) -> None:
@@ -203,24 +220,22 @@ class Greedy(_Anywhere):
 
 @pytree
 class EpsilonGreedy(_Anywhere):
-    """With probability epsilon any action, else a maximal one (book, section 2.2).
+    """With probability epsilon any action, else a maximal one (book, section 2.2)."""
 
-    Attributes:
-        epsilon: probability of exploring, in [0, 1]; a number or a schedule.
-        available: the actions to choose from in each state, bool [S, A]; None for all that there are. The
-            values of the others are UNAVAILABLE, so that no target takes them for the best either. (What an
-            environment says about its actions need not be said again.)
-    """
-
-    epsilon: Rate = 0.1
-    available: Any = None
+    epsilon: Rate = field(default=0.1, at_least=0, at_most=1, help="Probability of exploring.")
+    available: Any = field(
+        default=None,
+        help="The actions to choose from in each state, bool [S, A]; None for all that there are. The values of "
+        "the others are UNAVAILABLE, so that no target takes them for the best either. (What an environment "
+        "says about its actions need not be said again.)",
+    )
 
     def __post_init__(self):
-        check_rate(self, "epsilon", lambda x: (x >= 0) & (x <= 1), "between 0 and 1")
         if self.available is None or (there := as_array(self.available)) is None:
             return
         if there.ndim != 2:
-            raise InputError(f"EpsilonGreedy: available must be booleans [S, A], not of shape {there.shape}")
+            problem = f"available must be booleans [S, A], not of shape {there.shape}"
+            raise InputError(problem, who="EpsilonGreedy", field="available")
         check_available("EpsilonGreedy: available", there, *there.shape)
         object.__setattr__(self, "available", there)  # rows of a list would be leaves by themselves
 
@@ -234,11 +249,11 @@ class EpsilonGreedy(_Anywhere):
 
     def check(self, num_states: int, num_actions: int) -> None:
         if self.available is not None:
-            _check_table("EpsilonGreedy: available", self.available, num_states, num_actions)
+            _check_table("EpsilonGreedy", "available", self.available, num_states, num_actions)
 
     def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
         if self.available is not None:
-            _check_table("EpsilonGreedy: available", self.available, *np.shape(available))
+            _check_table("EpsilonGreedy", "available", self.available, *np.shape(available))
             available = (jnp.asarray(self.available) > 0) & available
         return dataclasses.replace(self, available=available)
 
@@ -254,16 +269,9 @@ class EpsilonGreedy(_Anywhere):
 
 @pytree
 class Softmax(_Anywhere):
-    """Probabilities proportional to exp(Q(s, a) / temperature) (book, section 13.1).
+    """Probabilities proportional to exp(Q(s, a) / temperature) (book, section 13.1)."""
 
-    Attributes:
-        temperature: > 0; near 0 it is greedy, large it is random; a number or a schedule.
-    """
-
-    temperature: Rate = 1.0
-
-    def __post_init__(self):
-        check_rate(self, "temperature", lambda x: x > 0, "greater than 0")
+    temperature: Rate = field(default=1.0, greater_than=0, help="Near 0 it is greedy, large it is random.")
 
     @property
     def by_visit(self) -> bool:
@@ -278,15 +286,9 @@ class UCB(_Anywhere):
     """The largest upper confidence bound, Q(s, a) + c sqrt(ln t / N(s, a)) (book, equation 2.10).
 
     t = N(s) + 1 counts the choices made in s, this one included. An action that was never taken comes first.
-
-    Attributes:
-        c: width of the bound, >= 0; in units of the action values.
     """
 
-    c: float = 2.0
-
-    def __post_init__(self):
-        check_number(self, "c", lambda x: x >= 0, "at least 0")
+    c: float = field(default=2.0, at_least=0, help="Width of the bound, in units of the action values.")
 
     @property
     def by_visit(self) -> bool:
@@ -303,26 +305,21 @@ class UCB(_Anywhere):
 
 @pytree
 class Table:
-    """A policy that is given as a table, whatever Q is.
+    """A policy that is given as a table, whatever Q is."""
 
-    Attributes:
-        probabilities: pi(a | s), float [S, A]; every row sums to 1, those of terminal states too.
-    """
-
-    probabilities: Any
+    probabilities: Any = field(
+        help="pi(a | s), float [S, A]; every row sums to 1, those of terminal states too."
+    )
 
     def __post_init__(self):
         if (pi := as_array(self.probabilities)) is None:
             return
         if pi.ndim != 2 or pi.dtype.kind not in "biuf":
-            raise InputError(
-                "Table: probabilities must be numbers [S, A], in rows of equal length, not "
-                f"{shown(self.probabilities)}"
-            )
+            wanted = "numbers [S, A], in rows of equal length"
+            raise unfit("Table", "probabilities", wanted, self.probabilities)
         if (s := first(~is_distribution(pi))) is not None:
-            raise InputError(
-                f"Table: the probabilities in state {s[0]} are not a distribution: {shown(pi[s])}"
-            )
+            problem = f"the probabilities in state {s[0]} are not a distribution: {shown(pi[s])}"
+            raise InputError(problem, who="Table", field="probabilities")
         object.__setattr__(self, "probabilities", pi)  # rows of a list would be leaves by themselves
 
     @property
@@ -333,7 +330,7 @@ class Table:
         return f"table {_brief(self.probabilities)}"
 
     def check(self, num_states: int, num_actions: int) -> None:
-        _check_table("Table: probabilities", self.probabilities, num_states, num_actions)
+        _check_table("Table", "probabilities", self.probabilities, num_states, num_actions)
 
     def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
         self.check(*np.shape(available))
@@ -342,6 +339,21 @@ class Table:
 
     def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
         return tables.row(jnp.asarray(self.probabilities, float), s)
+
+
+def as_table(name: str, policy: Any, shape: tuple[int, ...] | None = None) -> Table:
+    """A Table, or the probabilities [S, A] of one, as a Table; of this shape, where one is given.
+
+    Raises:
+        InputError: it is none; the message calls it `name`.
+    """
+    try:
+        table = policy if isinstance(policy, Table) else Table(policy)
+        if shape is not None:
+            table.check(*shape)
+    except InputError as error:
+        raise error.renamed(name) from None
+    return table
 
 
 def uniform(available: Bool[Array, "S A"]) -> Table:
@@ -368,7 +380,7 @@ def parse(text: str) -> Policy:
     """
     if not isinstance(text, str):
         raise InputError(f"a policy is written as a text, such as 'softmax:0.5', not {shown(text)}")
-    name, colon, number = text.partition(":")
+    name, colon, number = text.replace("_", "-").partition(":")
     if name not in POLICIES:
         raise InputError(f"there is no policy {shown(text)}; {nearest(name, POLICIES)}")
     if not colon:
@@ -377,16 +389,19 @@ def parse(text: str) -> Policy:
     if field is None:
         raise InputError(f"{shown(text)} is not of the form {form(name)}")
     takes_schedule = field.type == Rate
-    if takes_schedule and schedules.is_named(number):
-        return POLICIES[name](schedules.parse(number))
     try:
-        value = float(number)
+        if takes_schedule and schedules.is_named(number) and not number.startswith(":"):
+            value = schedules.parse(number)
+        else:
+            value = float(number)
+    except InputError as error:
+        raise error.renamed(name, field.name) from None
     except ValueError:
         what = "a number or a schedule" if takes_schedule else "a number"
         raise InputError(
             f"{shown(text)} is not of the form {form(name)}, where {field.name.upper()} is {what}"
         ) from None
-    return POLICIES[name](value)
+    return build(POLICIES[name], name, {field.name: value})
 
 
 def form(name: str) -> str:

@@ -1,29 +1,72 @@
-"""Frozen dataclasses that are JAX pytrees."""
+"""Frozen dataclasses that are JAX pytrees, whose fields say what they take."""
 
 import dataclasses
-from typing import Any, TypeVar, dataclass_transform
+import inspect
+import re
+import textwrap
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, dataclass_transform
 
 import jax
-import numpy as np
-from jax.core import Tracer
 
-T = TypeVar("T")
+from jaxrl_tab.core.checks import LIMITS, T, check_fields, explained
 
-
-def static(default: Any = dataclasses.MISSING, **kwargs: Any) -> Any:
-    """A field of a `pytree` class that shapes the program (a size, a rule) and so is not a leaf."""
-    return dataclasses.field(default=default, metadata={"static": True}, **kwargs)
+_ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
+_SECTION = "\nAttributes:\n"
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(static, dataclasses.field))
+def field(default: Any = dataclasses.MISSING, *, static: bool = False, help: str = "", **more: Any) -> Any:
+    """A field of a `pytree` class that says what it takes.
+
+        alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
+
+    What is given is checked by that before `__post_init__` runs, by the type of the field: see `checks.KINDS`.
+    A field that gives another default to that of a base class keeps what was said of it there.
+
+    Args:
+        default: its value where none is given.
+        static: whether it shapes the program (a size, a rule), and so is not a leaf.
+        help: what it is. What it takes need not be said: it is added.
+        more: the limits of a number: at_least, greater_than, at_most, less_than; and what
+            `dataclasses.field` takes.
+    """
+    limits = {name: more.pop(name) for name in LIMITS if name in more}
+    metadata: dict[str, Any] = {"static": True} if static else {}
+    if limits or not static:
+        metadata["limits"] = limits
+    if help:
+        metadata["help"] = help
+    return dataclasses.field(default=default, metadata=metadata, **more)
+
+
+def static(default: Any = dataclasses.MISSING, **more: Any) -> Any:
+    """A `field` of a `pytree` class that shapes the program (a size, a rule) and so is not a leaf."""
+    return field(default, static=True, **more)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field, static, dataclasses.field))
 def pytree(cls: type[T]) -> type[T]:
     """Makes `cls` a frozen dataclass and a JAX pytree: its fields are leaves, but for the `static` ones.
 
-    JAX rebuilds an instance without calling `__init__`, so `__post_init__` sees only what a person wrote
-    and may check values there (`concrete` tells a number from a tracer).
+    What each field takes is checked first; what involves several fields `__post_init__` may check. JAX
+    rebuilds an instance without calling `__init__`, so both see only what a person wrote (`concrete` tells a
+    number from a tracer). The docstring gets a section on all fields that say what they are.
     """
+    said, inherited = vars(cls).get("__doc__"), getattr(cls, "__dataclass_fields__", {})
+    documented = _attributes(said or "")
+    _check_first(cls)
     cls = dataclasses.dataclass(frozen=True, eq=False)(cls)
     fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
+    for f in fields:
+        if f.name in inspect.get_annotations(cls):
+            before = dict(inherited[f.name].metadata) if f.name in inherited else {}
+            help = {"help": documented[f.name]} if f.name in documented else {}
+            # Limits are kept where none are given: MonteCarlo has another default and help for alpha.
+            own = {key: x for key, x in f.metadata.items() if x or key not in before}
+            f.metadata = MappingProxyType(before | help | own)
+    told = {f.name: explained(f) for f in fields if f.name not in documented and "help" in f.metadata}
+    cls.__doc__ = _with_attributes(said, told) if told else cls.__doc__
     leaves = [f.name for f in fields if not f.metadata.get("static")]
     statics = [f.name for f in fields if f.metadata.get("static")]
 
@@ -41,14 +84,42 @@ def pytree(cls: type[T]) -> type[T]:
     return cls
 
 
-def concrete(x: Any) -> np.ndarray | None:
-    """The value of `x` as a NumPy array, or None where it is a tracer and has no value yet."""
-    return None if isinstance(x, Tracer) else np.asarray(x)
+def _check_first(cls: Any) -> None:
+    """Has the fields of an instance of `cls` checked before the `__post_init__` of its class runs."""
+    own = vars(cls).get("__post_init__")
+
+    def __post_init__(self, *args):
+        if type(self) is cls:  # not where a subclass, which has checked all fields, calls that of its base
+            check_fields(self)
+        if own is not None:
+            own(self, *args)
+        elif (inherited := getattr(super(cls, self), "__post_init__", None)) is not None:
+            inherited(*args)
+
+    cls.__post_init__ = __post_init__
 
 
-def as_array(x: Any) -> np.ndarray | None:
-    """`concrete(x)`; what cannot become an array, such as rows of unlike lengths, is an empty one of objects."""
-    try:
-        return concrete(x)
-    except (TypeError, ValueError, OverflowError):
-        return np.empty(0, object)
+def _with_attributes(doc: str | None, told: Mapping[str, str]) -> str:
+    """A docstring with these entries in its section "Attributes", which is made where there is none."""
+    before, _, after = inspect.cleandoc(doc or "").partition(_SECTION)
+    lines = [
+        textwrap.fill(f"{name}: {help}", 110, initial_indent=" " * 4, subsequent_indent=" " * 8)
+        for name, help in told.items()
+    ]
+    return "\n".join([before.rstrip() + "\n" + _SECTION.rstrip(), *lines, after])
+
+
+def _attributes(doc: str) -> dict[str, str]:
+    """The entries of the section "Attributes": `name: text` or `name, name: text`, indented by four."""
+    _, _, section = inspect.cleandoc(doc).partition(_SECTION)
+    entries: dict[str, str] = {}
+    names: list[str] = []
+    for line in section.splitlines():
+        if line and not line.startswith(" "):
+            break
+        if entry := _ENTRY.fullmatch(line):
+            names = entry[1].split(", ")
+            entries |= dict.fromkeys(names, entry[2])
+        elif line.strip():
+            entries |= {name: f"{entries[name]} {line.strip()}" for name in names}
+    return entries

@@ -9,19 +9,29 @@ Wherever a method takes `alpha` or `epsilon` it takes a number or a schedule. A 
 
 The families `Power`, `Harmonic`, `Linear` and `Exponential` are written as they are typed on the command
 line (`str`, `parse`), and `is_glie` and `is_robbins_monro` tell whether they meet the conditions under which
-control converges. Any other function is a schedule too (`Optax`), but nothing can be told about its limit.
+control converges. A schedule of optax can be typed too, and any other function is a schedule (`Optax`), but
+nothing can be told about their limits.
 """
 
 import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import InputError, build, check_number, nearest, shown
+from jaxrl_tab.core.checks import (
+    KINDS,
+    InputError,
+    Kind,
+    as_array,
+    build,
+    check_number,
+    concrete,
+    nearest,
+    shown,
+)
 from jaxrl_tab.core.clock import (
     CLOCKS,
     Clock,
@@ -30,7 +40,6 @@ from jaxrl_tab.core.clock import (
     Schedule,
     at_visit,
     begin_step,
-    check_clock,
     end_step,
     exploration,
     goes_by_visit,
@@ -38,7 +47,8 @@ from jaxrl_tab.core.clock import (
     start,
     step_size,
 )
-from jaxrl_tab.core.pytree import as_array, concrete, pytree, static
+from jaxrl_tab.core.optax import Optax
+from jaxrl_tab.core.pytree import field, pytree, static
 
 __all__ = [
     "CLOCKS",
@@ -61,6 +71,7 @@ __all__ = [
     "end_step",
     "exploration",
     "form",
+    "forms",
     "glie",
     "goes_by_visit",
     "is_glie",
@@ -68,11 +79,15 @@ __all__ = [
     "is_robbins_monro",
     "of_state",
     "parse",
+    "read",
     "sample_average",
     "start",
     "step_size",
     "typed",
 ]
+
+
+_CLOCK = "What n counts."
 
 
 # --- the named families ------------------------------------------------------------------------------
@@ -115,7 +130,8 @@ class Family:
     def _plain(self, name: str) -> float:
         value = concrete(getattr(self, name))
         if value is None or value.ndim:
-            raise InputError(f"{type(self).__name__}: {name} must be one plain number to tell this")
+            problem = f"{name} must be one plain number to tell this"
+            raise InputError(problem, who=type(self).__name__, field=name)
         return float(value)
 
 
@@ -123,14 +139,9 @@ class Family:
 class Power(Family):
     """scale / n**power: harmonic for power 1, the book's 1/n (section 2.5)."""
 
-    power: float = 1.0
-    scale: float = 1.0
-    clock: ClockName = static(default="episode")
-
-    def __post_init__(self):
-        check_clock(self.clock)
-        for name in ("power", "scale"):
-            check_number(self, name, lambda x: x > 0, "a positive number")
+    power: float = field(default=1.0, greater_than=0, help="How fast it falls.")
+    scale: float = field(default=1.0, greater_than=0, help="Its value for n = 1.")
+    clock: ClockName = static(default="episode", help=_CLOCK)
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
         return self.scale * jnp.asarray(n, float) ** -jnp.asarray(self.power, float)
@@ -148,12 +159,8 @@ class Harmonic(Family):
     (Silver, assignment Easy21, with N0 = 100).
     """
 
-    n0: float = 100.0
-    clock: ClockName = static(default="visit")
-
-    def __post_init__(self):
-        check_clock(self.clock)
-        check_number(self, "n0", lambda x: x > 0, "a positive number")
+    n0: float = field(default=100.0, greater_than=0, help="The count after which it is 1/2.")
+    clock: ClockName = static(default="visit", help=_CLOCK)
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
         return self.n0 / (self.n0 + jnp.asarray(n - 1, float))
@@ -166,16 +173,10 @@ class Harmonic(Family):
 class Linear(Family):
     """From `start` at n = 1 in a straight line to `end` at n = steps + 1, and `end` from then on."""
 
-    start: float
-    end: float
-    steps: float
-    clock: ClockName = static(default="episode")
-
-    def __post_init__(self):
-        check_clock(self.clock)
-        for name in ("start", "end"):
-            check_number(self, name, lambda x: x >= 0, "a number of at least 0")
-        check_number(self, "steps", lambda x: x >= 1, "a number of at least 1")
+    start: float = field(at_least=0, help="Its value for n = 1.")
+    end: float = field(at_least=0, help="Its value in the end.")
+    steps: float = field(at_least=1, help="After how many counts it is `end`.")
+    clock: ClockName = static(default="episode", help=_CLOCK)
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
         done = jnp.minimum(jnp.asarray(n - 1, float) / self.steps, 1)
@@ -189,16 +190,10 @@ class Linear(Family):
 class Exponential(Family):
     """start rate**(n - 1), but never below `end`."""
 
-    start: float
-    rate: float
-    end: float = 0.0
-    clock: ClockName = static(default="episode")
-
-    def __post_init__(self):
-        check_clock(self.clock)
-        check_number(self, "start", lambda x: x > 0, "a positive number")
-        check_number(self, "rate", lambda x: (x > 0) & (x < 1), "a number between 0 and 1, both excluded")
-        check_number(self, "end", lambda x: x >= 0, "a number of at least 0")
+    start: float = field(greater_than=0, help="Its value for n = 1.")
+    rate: float = field(greater_than=0, less_than=1, help="The ratio of each value to the one before.")
+    end: float = field(default=0.0, at_least=0, help="The value below which it never falls.")
+    clock: ClockName = static(default="episode", help=_CLOCK)
 
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
         decayed = self.start * jnp.asarray(self.rate, float) ** jnp.asarray(n - 1, float)
@@ -215,6 +210,7 @@ FAMILIES: dict[str, type[Family]] = {
     "exponential": Exponential,
 }
 
+NAMES = (*FAMILIES, "optax")  # with which a schedule begins as it is typed
 SHORT = {"glie": "harmonic:1:episode", "sample-average": "harmonic:1:visit"}
 
 
@@ -230,23 +226,30 @@ def sample_average() -> Harmonic:
 
 def is_named(text: str) -> bool:
     """Whether `text` is meant to be a schedule: it has numbers with colons, or a schedule's name."""
-    return ":" in text or text in SHORT or text in FAMILIES
+    return ":" in text or text in SHORT or text in NAMES
 
 
-def parse(text: str) -> Family:
+def parse(text: str) -> Family | Optax:
     """A schedule from what is typed: "glie", "sample-average", or a family, its numbers and its clock.
 
     So "harmonic:100:visit", "power:0.8:episode", "linear:1:0.05:500:step". Numbers that have a default may be
-    left off at the end; the clock may not.
+    left off at the end; the clock may not. A schedule of optax is a call, "optax:cosine_decay_schedule(0.5,
+    8000):episode", and goes by steps where no clock follows it.
 
     Raises:
         InputError: `text` is none of these; the message says what would be right.
     """
     if not isinstance(text, str):
         raise InputError(f"a schedule is written as a text, such as 'glie', not {shown(text)}")
+    text = text.replace("_", "-")
     name, *numbers = SHORT.get(text, text).split(":")
-    if name not in FAMILIES:
-        raise InputError(f"there is no schedule {shown(text)}; {nearest(name, [*SHORT, *FAMILIES])}")
+    if name not in NAMES:
+        raise InputError(f"there is no schedule {shown(text)}; {nearest(name, [*SHORT, *NAMES])}")
+    wrong = f"{shown(text)} is not of the form {form(name)}, where CLOCK is one of {', '.join(CLOCKS)}"
+    if name == "optax":
+        if len(numbers) not in (1, 2):
+            raise InputError(wrong)
+        return build(Optax, name, dict(zip(("schedule", "clock"), numbers, strict=False)))
     fields, clock = _numbers(FAMILIES[name]), numbers.pop() if numbers else None
     try:
         given = dict(zip(fields, map(float, numbers), strict=False))
@@ -254,10 +257,31 @@ def parse(text: str) -> Family:
         given = {}
     needed = list(fields.values()).count(dataclasses.MISSING)
     if clock not in CLOCKS or len(given) < max(len(numbers), needed):
-        raise InputError(
-            f"{shown(text)} is not of the form {form(name)}, where CLOCK is one of {', '.join(CLOCKS)}"
-        )
+        missing = "" if clock in CLOCKS else ": no clock stands at its end"
+        raise InputError(wrong + missing)
     return build(FAMILIES[name], name, {**given, "clock": clock})
+
+
+def read(text: str) -> float | Family | Optax:
+    """A number or a schedule from what is typed: "0.5", "glie".
+
+    Raises:
+        InputError: `text` is neither; the message says what would be right.
+    """
+    if is_named(text.replace("_", "-")):
+        return parse(text)
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"{shown(text)} is neither a number nor a schedule; a schedule is {forms()}"
+        ) from None
+
+
+def forms() -> str:
+    """How a schedule may be typed."""
+    written = ", ".join([*SHORT, *map(form, NAMES)])
+    return f"one of {written}, where CLOCK is one of {', '.join(CLOCKS)}"
 
 
 def typed(rate: Rate) -> str | None:
@@ -271,7 +295,9 @@ def typed(rate: Rate) -> str | None:
 
 
 def form(name: str) -> str:
-    """How a schedule of the family `name` is typed: "power[:POWER[:SCALE]]:CLOCK"."""
+    """How a schedule that begins with `name` is typed: "power[:POWER[:SCALE]]:CLOCK"."""
+    if name == "optax":
+        return "optax:NAME(NUMBERS)[:CLOCK]"
     numbers = _numbers(FAMILIES[name])
     needed = [f":{n.upper()}" for n, default in numbers.items() if default is dataclasses.MISSING]
     spare = [f"[:{n.upper()}" for n, default in numbers.items() if default is not dataclasses.MISSING]
@@ -284,35 +310,26 @@ def _numbers(cls: type[Family]) -> dict[str, Any]:
     return {f.name: f.default for f in fields if f.name != "clock"}
 
 
-# --- any function ------------------------------------------------------------------------------------
-@pytree
-class Optax:
-    """Any optax schedule, or any function of a count that starts at 0 and is written in jax.numpy."""
-
-    schedule: Callable[[Any], Any] = static()
-    clock: ClockName = static(default="step")
-
-    def __post_init__(self):
-        check_clock(self.clock)
-        if not callable(self.schedule):
-            raise InputError(f"Optax: schedule must be a function of a count, not {shown(self.schedule)}")
-
-    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
-        with jax.numpy_dtype_promotion("standard"):  # the function is somebody else's
-            return jnp.asarray(self.schedule(n - 1), float)
-
-
-def check_rate(obj, name: str, ok, wanted: str) -> None:
-    """Raises InputError unless field `name` of `obj` is a schedule, a tracer, or numbers that are `ok`."""
-    value = getattr(obj, name)
+# --- what a method takes ------------------------------------------------------------------------------
+def _check_rate(who: str, field: dataclasses.Field, value: Any) -> Any:
+    """`value` where it is a schedule, a tracer, or numbers within the limits of the field; text as it is read."""
+    if isinstance(value, Schedule) and not isinstance(value, type):
+        return value
+    name, kinds = field.name, "a number or a schedule"
     if isinstance(value, type):
-        raise InputError(f"{type(obj).__name__}: {name} must be a number or a schedule, not a class")
-    if callable(value) and not isinstance(value, Schedule):
-        raise InputError(
-            f"{type(obj).__name__}: {name} is a function; wrap it: schedules.Optax(f, clock='step')"
-        )
-    if not isinstance(value, Schedule):
-        check_number(obj, name, ok, wanted, "a number or a schedule")
+        raise InputError(f"{name} must be {kinds}, not a class", who=who, field=name, wanted=kinds)
+    if callable(value):
+        wrapped = f"{name} is a function; wrap it: schedules.Optax(f, clock='step')"
+        raise InputError(wrapped, who=who, field=name, wanted=kinds, value=value)
+    if isinstance(value, str):
+        try:
+            value = read(value)
+        except InputError as error:
+            raise error.renamed(who, name) from None
+    return value if isinstance(value, Schedule) else check_number(who, field, value, kinds)
+
+
+KINDS[Rate] = Kind(_check_rate, "a number", ", or a schedule")
 
 
 def check_single(what: str, obj: Any) -> None:
@@ -320,19 +337,15 @@ def check_single(what: str, obj: Any) -> None:
 
     But initial values of Q may be a table [S, A].
     """
-    for field in dataclasses.fields(obj):
-        value = getattr(obj, field.name)
-        if field.metadata.get("static"):
+    for f in dataclasses.fields(obj):
+        value = getattr(obj, f.name)
+        if f.metadata.get("static"):
             continue
         if dataclasses.is_dataclass(value):
-            check_single(f"{what}: {field.name}", value)
-        elif (
-            field.type in (float, Rate)
-            and (shape := np.shape(value))
-            and (field.name, len(shape)) != ("q0", 2)
-        ):
+            check_single(f"{what}: {f.name}", value)
+        elif f.type in (float, Rate) and (shape := np.shape(value)) and (f.name, len(shape)) != ("q0", 2):
             raise InputError(
-                f"{what}: {field.name} is an array of shape {shape}: one run takes one number; sweep(...) "
+                f"{what}: {f.name} is an array of shape {shape}: one run takes one number; sweep(...) "
                 "tries all of a list, and jax.vmap runs all of an array"
             )
 

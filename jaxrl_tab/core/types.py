@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrl_tab.core.checks import InputError, first, shown
-from jaxrl_tab.core.pytree import concrete
+from jaxrl_tab.core.checks import InputError, concrete, first, shown
+from jaxrl_tab.core.declared import of_environment
 
 T = TypeVar("T")
 
@@ -74,6 +74,8 @@ class Task(NamedTuple):
 class Environment(Protocol):
     """A task: a frozen pytree whose numbers are leaves and whose sizes are static.
 
+    What else it can do, it declares (`declared.OfEnvironment`).
+
     It may have a method `instance(key) -> Environment`, which draws the problem of one run; `train` calls it
     once. `mean_optimal_value(gamma) -> float` may then say the mean over problems of v* from the start.
 
@@ -126,18 +128,7 @@ class Algorithm(Protocol[L]):
     Attributes:
         gamma: the discount rate, in [0, 1].
 
-    A method whose `update` draws A' as its last act, as `policy(key, new state, S')`, and learns nothing from
-    it, may say so by `acts_after_update = True` in the class that defines `update`. The driver then draws A'
-    itself, together with the first actions of episodes, which makes a step a quarter faster and changes no
-    decision.
-
-    In the same place `learns_from` says what experience of somebody else `update` learns rightly from (see
-    `offline`): "transitions", any of them in any order; "transitions of b", where the method is told the
-    policy b that acted, as a table in its field `behaviour`; or "episodes of b", in order. A method that does
-    not say can learn only from what it did itself.
-
-    A method that multiplies returns by ratios of importance sampling says `multiplies_returns = True`: what
-    it learns may be greater than any return, and is no sign that it diverges.
+    What else there is to know about it, it declares by attributes of its class: see `declared.OfMethod`.
 
     Where the environment says which actions are `available`, the method is asked for one like itself that takes
     and counts no others: `restricted_to(available) -> Algorithm`, available bool [S, A].
@@ -178,9 +169,9 @@ def available_actions(env: Any) -> Bool[Array, "S A"] | None:
     Raises:
         InputError: what `available` gives has the wrong shape, or a state has no action.
     """
-    if getattr(env, "available", None) is None:
+    if (available := of_environment(env).available) is None:
         return None
-    there = jax.vmap(env.available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
+    there = jax.vmap(available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
     check_available(f"{type(env).__name__}: available", there, env.num_states, env.num_actions)
     return there
 
@@ -220,12 +211,3 @@ def restricted(chooser: T, available: Bool[Array, "S A"] | None) -> T:
             "method restricted_to(available), available bool [S, A], that returns what takes no other"
         )
     return chooser.restricted_to(available)  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def said_of_update(algorithm: Any, name: str) -> Any:
-    """What the class that defines the `update` of `algorithm` says of it by its attribute `name`, or None.
-
-    A subclass with another `update` must say so again.
-    """
-    owner = next(cls for cls in type(algorithm).__mro__ if "update" in vars(cls))
-    return vars(owner).get(name)

@@ -190,9 +190,9 @@ def _check_trials(trials: Any, others: Mapping[str, Any]) -> None:
         raise InputError(f"draw must be a list of dicts from hyperparameters to values, not {shown(trials)}")
     names = set(trials[0])
     if (i := next((i for i, trial in enumerate(trials) if set(trial) != names), None)) is not None:
-        raise InputError(f"draw {i} is of other hyperparameters than draw 0")
+        raise InputError(f"draw {i} has other hyperparameters than draw 0")
     if both := names & set(others):
-        raise InputError(f"{min(both)} is in the draws and beside them")
+        raise InputError(f"{min(both)} is given both in the draws and beside them")
 
 
 def _spaced(grid: Any, at: Any) -> list[Any]:

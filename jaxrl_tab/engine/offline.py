@@ -22,10 +22,11 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import rng, tables
-from jaxrl_tab.core.checks import InputError, check_pytree, numbers, whole
+from jaxrl_tab.core.checks import InputError, check_pytree, concrete, numbers, whole
+from jaxrl_tab.core.declared import LearnsFrom, of_method
 from jaxrl_tab.core.experience import Experience
-from jaxrl_tab.core.policies import Table
-from jaxrl_tab.core.pytree import concrete, pytree
+from jaxrl_tab.core.policies import Policy, Table, as_table
+from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import (
     Algorithm,
     Environment,
@@ -35,7 +36,6 @@ from jaxrl_tab.core.types import (
     check_available,
     init_learner,
     restricted,
-    said_of_update,
 )
 from jaxrl_tab.engine.train import train
 from jaxrl_tab.envs import ENVS
@@ -118,7 +118,7 @@ def replay(
     """
     rng.check_key(key)
     algorithm = _checked(algorithm, experience, num_states, num_actions, available)
-    if said_of_update(algorithm, "learns_from").startswith("episodes"):
+    if of_method(algorithm).learns_from.in_episodes:
         raise InputError(
             f"replay draws single transitions, and {type(algorithm).__name__} learns from whole episodes: "
             "learn takes it; or give a one-step method such as QLearning"
@@ -132,15 +132,14 @@ def _checked(algorithm: Any, experience: Any, num_states: int, num_actions: int,
     check_pytree("algorithm", algorithm, METHODS)
     if not isinstance(experience, Experience):
         raise InputError(f"experience must be an Experience, not {type(experience).__name__}")
-    name, learns_from = type(algorithm).__name__, said_of_update(algorithm, "learns_from")
-    if learns_from is None:
+    name, method = type(algorithm).__name__, of_method(algorithm)
+    if method.learns_from is LearnsFrom.ITSELF:
         raise InputError(
             f"{name} can learn only from what it did itself; take QLearning for the optimal policy, or "
             "ExpectedSarsa(target=policies.Table(pi)) for the values of any policy, that of the log too"
         )
-    behaviour = getattr(algorithm, "behaviour", None)
-    behaviour = behaviour if isinstance(behaviour, Table) else None
-    if learns_from.endswith(" of b") and behaviour is None:
+    behaviour = method.behaviour if isinstance(method.behaviour, Table) else None
+    if method.learns_from.needs_behaviour and behaviour is None:
         raise InputError(
             f"{name} weighs what it learns by the policy that acted, which must be given: "
             "behaviour=policies.Table(b)"
@@ -229,12 +228,12 @@ def _method(behaviour: Any) -> Any:
     if isinstance(behaviour, type | str) or hasattr(behaviour, "update"):
         check_pytree("behaviour", behaviour, METHODS)
         return behaviour
-    if hasattr(behaviour, "probs") and not isinstance(behaviour, Table):
+    if isinstance(behaviour, Policy) and not isinstance(behaviour, Table):
         raise InputError(
             f"collect: {type(behaviour).__name__} chooses by Q, and nobody has learned one here; give its "
             "probabilities [S, A], such as planning.epsilon_greedy_policy(q, 0.1), or a method"
         )
-    return _Acts(behaviour=behaviour if isinstance(behaviour, Table) else Table(behaviour))
+    return _Acts(behaviour=as_table("behaviour", behaviour))
 
 
 @pytree
@@ -276,7 +275,7 @@ class _Logged:
 
     @property
     def exploring_starts(self) -> bool:
-        return getattr(self.method, "exploring_starts", False)
+        return of_method(self.method).exploring_starts
 
     def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
         return self  # its method was, before it began

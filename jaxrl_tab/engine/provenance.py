@@ -82,7 +82,7 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
 
 def installed() -> dict[str, Any]:
     """The versions of the packages that compute, and the digest of this one's sources."""
-    names = ("jaxrl_tab", "jax", "jaxlib", "numpy")
+    names = ("jaxrl_tab", "jax", "jaxlib", "numpy", "optax")
     return {name: metadata.version(name) for name in names} | {"digest of jaxrl_tab's sources": sources()}
 
 

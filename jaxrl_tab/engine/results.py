@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.clock import Schedule
+from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.core.types import Environment
@@ -45,6 +46,7 @@ class SweepResult:
         first_seed: see `root_seed`.
         largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `sweep.Part`.
         fresh: whether the root is instead the one that is kept for fresh seeds; see `sweep.Part`.
+        learns: whether the method learns action values, as in control, or state values, as in prediction.
     """
 
     environment: str
@@ -64,6 +66,7 @@ class SweepResult:
     first_seed: int = 0
     largest_value: Any = np.inf
     fresh: bool = False
+    learns: Learns = Learns.ACTIONS
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -114,6 +117,7 @@ class SweepResult:
             "environment": self.environment,
             "environment_parameters": json.dumps(describe(self.env)),
             "algorithm": self.algorithm,
+            "learns": self.learns.value,
             "fixed": json.dumps({name: label(v) for name, v in self.fixed.items() if v is not None}),
             **{name: value for name, value in budget.items() if value is not None},
             "log_every": self.log_every,

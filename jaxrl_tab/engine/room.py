@@ -159,7 +159,7 @@ def smaller_call(call: memory.Call, lanes: int, most: int, devices: Sequence[Any
     else:
         raise RunError(
             f"there is not enough memory for {lanes} runs at a time on each device ({len(devices)}), the "
-            f"fewest there can be, which need {memory.words(len(devices) * call.bytes(lanes, 1))}: take a "
+            f"smallest number possible, which need {memory.words(len(devices) * call.bytes(lanes, 1))}: take a "
             "larger log_every, or a smaller environment"
         )
     said = f"{lanes} runs at a time, {most} times a call"

@@ -5,7 +5,7 @@ import functools
 import itertools
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from numbers import Integral
 from typing import Any, Literal, NamedTuple, cast
 
@@ -13,20 +13,21 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core import rng
+from jaxrl_tab.algorithms.prediction import METHOD, METHODS
+from jaxrl_tab.core import names, rng
 from jaxrl_tab.core.checks import (
     InputError,
     build,
     check_held,
     check_pytree,
+    checked,
     foreign,
-    is_whole,
-    nearest,
     one_line,
     repeated,
     shown,
+    whole,
 )
+from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
 from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.axes import DRAW, check_settings, spread, swept_names
@@ -35,7 +36,7 @@ from jaxrl_tab.engine.results import SweepResult, label, parameters
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.train import Log
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.progress import Progress, Report, reporting
 
@@ -109,17 +110,18 @@ class Part:
         """
         budget, env = self.budget, self.env
         steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps
-        sampled = isinstance(env, Finite) and type(env).step is Finite.step and not hasattr(env, "instance")
+        of_outcomes = samples_outcomes(env) and of_environment(env).instance is None
 
         @functools.cache
         def largest_return(gamma: float, anywhere: bool) -> float:
             return planning.largest_return(env, gamma, steps, anywhere)
 
         def largest(config: Any) -> float:
-            if not sampled or getattr(config, "multiplies_returns", False):
+            method = of_method(config)
+            if not of_outcomes or method.multiplies_returns:
                 return np.inf
-            first = abs(getattr(config, "q0", getattr(config, "v0", 0.0)))
-            return BEYOND * (first + largest_return(config.gamma, getattr(config, "exploring_starts", False)))
+            initial = abs(getattr(config, method.learns.initial, 0.0))
+            return BEYOND * (initial + largest_return(config.gamma, method.exploring_starts))
 
         return np.array([largest(config) for config in self.configs])
 
@@ -152,8 +154,8 @@ def sweep(
 
     Args:
         env: the environment.
-        algorithm: a class such as `Sarsa`, or its name in `ALGORITHMS` or `PREDICTION`. It may also stand before
-            the environment, as in `train`.
+        algorithm: a class such as `Sarsa`, or its name: "sarsa", "mine.py:Mine" (see `core.names`). It may also
+            stand before the environment, as in `train`.
         grid: for each hyperparameter a list of values (an axis of the result) or a single value. A value
             is a number, a schedule or a policy. Besides lists there are grids in steps and random draws,
             such as `LogGrid(0.01, 1, 5)` and `LogUniform(0.01, 1)`: see `axes`. What is not named keeps its
@@ -219,11 +221,9 @@ def prepare(
     Raises:
         InputError: something given is wrong.
     """
+    names.check_not_importing()
     for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0), ("first_seed", first_seed, 0)):
-        if not is_whole(value, least):
-            raise InputError(
-                f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
-            )
+        whole(None, name, value, least)
     if not isinstance(env, Environment):
         raise InputError(
             f"env must be an environment such as make('windy-gridworld'), not {shown(env)}{foreign(env)}"
@@ -236,6 +236,7 @@ def prepare(
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
     axes, configs = configurations(cls, {} if grid is None else grid, num_draws, seed)
+    check_pytree(cls.__name__, configs[0])
     if len(configs) * num_seeds >= 2**31:
         raise InputError(
             f"{len(configs):,} settings x {num_seeds:,} seeds are more than the 2**31 runs that can be numbered: "
@@ -296,13 +297,15 @@ def compute(
 def result(part: Part, computed: Computed) -> SweepResult:
     """The result of a sweep from what all runs of it gave, in the order of their numbers."""
     axes, first = part.axes, part.configs[0]
+    method = of_method(first)
     # Where a behaviour policy is given epsilon is not looked at, and it would mislead to show it.
-    unused = {"epsilon"} if getattr(first, "behaviour", None) is not None else set()
+    unused = {"epsilon"} if method.behaviour is not None else set()
     shape = (*(len(values) for values in axes.values()), part.num_seeds)
     q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(
         environment=_name_in(ENVS, type(part.env)),
         algorithm=_name_in(METHODS, part.algorithm),
+        learns=method.learns,
         env=part.env,
         grid=axes,
         fixed={k: value for k, value in parameters(first).items() if k not in {*swept_names(axes), *unused}},
@@ -322,20 +325,12 @@ def result(part: Part, computed: Computed) -> SweepResult:
 
 
 def _algorithm_class(algorithm: type[Algorithm] | str) -> type[Algorithm]:
-    if isinstance(algorithm, str):
-        if algorithm not in METHODS:
-            raise InputError(f"no method is called {shown(algorithm)}; {nearest(algorithm, METHODS)}")
-        return METHODS[algorithm]
-    if (
-        not isinstance(algorithm, type)
-        or not dataclasses.is_dataclass(algorithm)
-        or not hasattr(algorithm, "update")
-    ):
-        raise InputError(
-            "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
-            f"(got {shown(algorithm)})"
-        )
-    return algorithm
+    if isinstance(algorithm, str | type):
+        return names.find(METHOD, algorithm).cls
+    raise InputError(
+        "algorithm must be a class such as Sarsa, not an instance: its hyperparameters go into the grid "
+        f"(got {shown(algorithm)})"
+    )
 
 
 def configurations(
@@ -350,29 +345,42 @@ def configurations(
         raise InputError(f"grid must be a dict from hyperparameters to values, not {shown(grid)}")
     if wrong := [key for key in grid if not isinstance(key, str)]:
         raise InputError(f"the keys of grid must be names of hyperparameters, not {shown(wrong[0])}")
+    fields = {field.name: field for field in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
+
+    def plain(parameter: str, value: Any) -> Any:
+        """A NumPy or JAX number as a Python number, and "glie" as the schedule that it is."""
+        value = value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) else value
+        is_text = isinstance(value, str) and parameter in fields
+        return checked(name, fields[parameter], value) if is_text else value
+
     axes, single = {}, {}
     for parameter, values in spread(grid, num_draws, seed, name).items():
+        if isinstance(values, Set | Iterator):
+            problem = f"the grid of {parameter} must be a list, which has an order and a length, not {shown(values)}"
+            raise InputError(problem, field=parameter, wanted="a list", value=values)
         if _is_list(values):
             if any(map(_is_list, values)):
-                raise InputError(
+                problem = (
                     f"the grid of {parameter} must be a flat list, not {shown(values)}; "
                     "probabilities [S, A] are one value where they are a policies.Table"
                 )
-            axes[parameter] = tuple(_plain(value) for value in values)
+                raise InputError(problem, field=parameter)
+            axes[parameter] = tuple(plain(parameter, value) for value in values)
         else:
-            single[parameter] = _plain(values)
+            single[parameter] = plain(parameter, values)
     for parameter, values in axes.items():
         if not values:
-            raise InputError(f"the grid of {parameter} is empty")
+            raise InputError(f"the grid of {parameter} is empty", field=parameter)
         if parameter != DRAW and (again := repeated(map(label, values))):
-            raise InputError(f"the grid of {parameter} holds {one_line(str(again[0]))} more than once")
+            problem = f"the grid of {parameter} holds {one_line(str(again[0]))} more than once"
+            raise InputError(problem, field=parameter)
     sizes = [len(values) for values in axes.values()]
     check_settings(math.prod(sizes), f"{' x '.join(map(str, sizes))} values of {', '.join(axes)}")
-    names = [name for name in axes if name != DRAW]
+    swept = [name for name in axes if name != DRAW]
 
     def instance(point: tuple) -> Algorithm:
         *values, trial = point if DRAW in axes else (*point, {})
-        return build(cls, name, single | dict(zip(names, values, strict=True)) | trial)
+        return build(cls, name, single | dict(zip(swept, values, strict=True)) | trial)
 
     return axes, [instance(point) for point in itertools.product(*axes.values())]
 
@@ -381,11 +389,6 @@ def _is_list(value: Any) -> bool:
     if isinstance(value, np.ndarray | jax.Array):
         return value.ndim > 0
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
-
-
-def _plain(value: Any) -> Any:
-    """A NumPy or JAX number as a Python number."""
-    return value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) else value
 
 
 def leaves_as_arrays(algorithm: Algorithm) -> Algorithm:
@@ -425,7 +428,7 @@ def _exact_value(
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
     """Those with this gamma whose exact values may differ: of control one, of prediction one for each pi."""
     same = [config for config in configs if config.gamma == gamma]
-    if not hasattr(same[0], "exact_value"):
+    if of_method(same[0]).learns is Learns.ACTIONS:
         return same[:1]
     by_pi: dict[int, Any] = {id(config.pi): config for config in cast(list[Any], same)}
     return list(by_pi.values())
@@ -433,12 +436,13 @@ def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
 
 def _judge(env: Environment, config: Any) -> float:
     """The exact value from the start of what `config` learns; NaN where there is no finite answer."""
-    if hasattr(env, "instance"):  # a problem for each run: an environment may know the mean over them
-        mean = getattr(env, "mean_optimal_value", None)
-        return np.nan if mean is None or hasattr(config, "exact_value") else mean(config.gamma)
+    of_states, declared = of_method(config).learns is Learns.STATES, of_environment(env)
+    if declared.instance is not None:  # a problem for each run: an environment may know the mean over them
+        mean = declared.mean_optimal_value
+        return np.nan if mean is None or of_states else mean(config.gamma)
     if not isinstance(env, FiniteEnvironment):
         return np.nan
-    if hasattr(config, "exact_value"):
+    if of_states:
         return config.exact_value(env)
     try:
         return planning.start_value(env, planning.value_iteration(env, config.gamma)[0])

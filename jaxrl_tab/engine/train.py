@@ -17,8 +17,8 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import policies, rng, schedules, tables
-from jaxrl_tab.core.checks import InputError, check_held, check_pytree
-from jaxrl_tab.core.pytree import concrete
+from jaxrl_tab.core.checks import InputError, check_held, check_pytree, concrete
+from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import (
     Algorithm,
     Environment,
@@ -26,11 +26,10 @@ from jaxrl_tab.core.types import (
     available_actions,
     init_learner,
     restricted,
-    said_of_update,
 )
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
 
 L = TypeVar("L")
@@ -176,8 +175,8 @@ def unchecked(
 ) -> tuple[Any, Log]:
     """`train` without its checks. `full` is `in_full((algorithm, env))` for exact values, or None."""
     stream = rng.stream(key)
-    if hasattr(env, "instance"):
-        env = env.instance(rng.as_key(rng.word(stream, jnp.int32(0), INSTANCE)))
+    if (instance := of_environment(env).instance) is not None:
+        env = instance(rng.as_key(rng.word(stream, jnp.int32(0), INSTANCE)))
         full = full and (full[0], env)  # it is drawn in the precision of the program
     measure = _make_measure(algorithm, env, full, budget.record)
     algorithm = restricted(algorithm, available_actions(env))
@@ -222,7 +221,7 @@ def _restored(full: T, given: T) -> T:
 
 def _make_start(algorithm: Algorithm, env: Environment) -> _Start:
     """How episodes begin: as the environment and the method say, or, for exploring starts, anyhow."""
-    if not getattr(algorithm, "exploring_starts", False):
+    if not of_method(algorithm).exploring_starts:
         return _Start(env.reset, algorithm.policy)
     planning.check_finite(env)
     states = ~planning.terminal_states(planning.enumerate_model(env))
@@ -243,9 +242,9 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
 
     # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
     env_step = env.step
-    if isinstance(env, Finite) and type(env).step is Finite.step:
+    if samples_outcomes(env):
         env_step = env.tabulated_step()
-    acts_after_update = said_of_update(algorithm, "acts_after_update")
+    acts_after_update = of_method(algorithm).acts_after_update
 
     def step(run: _Run, key: _Decisions) -> tuple[_Run, Log]:
         s_next, reward, terminal = env_step(key.step, run.s, run.a)
@@ -436,13 +435,13 @@ def _recorded(record: Record, learner: Any) -> dict[str, Array]:
     if not isinstance(found, dict):
         raise InputError("record must be a function from the state of the learner to a dict of arrays")
     if taken := sorted({*Log._fields, "q", "seed", "row"} & set(found)):
-        raise InputError(f"record: {taken[0]!r} is a name in the results already; take another")
+        raise InputError(f"record: {taken[0]!r} is already a name in the results; choose another one")
     return jax.tree.map(jnp.asarray, found)
 
 
 def _exact_measurer(algorithm: Any, env: Environment) -> Measured:
-    """The exact numbers beside a method: its own `measurer`, if it learns something else than control."""
-    if hasattr(algorithm, "measurer"):
+    """The exact numbers beside a method: in prediction those of its own `measurer`."""
+    if of_method(algorithm).learns is Learns.STATES:
         return algorithm.measurer(env)
     measure = planning.measurer(env, algorithm.gamma)
     return lambda learner: dict(zip(("greedy_value", "q_error"), measure(learner.q), strict=True))

@@ -6,7 +6,8 @@ ENVS holds those that can be made from their name alone; `FiniteMDP` needs its a
 import re
 from typing import Any
 
-from jaxrl_tab.core.checks import InputError, build, nearest, shown
+from jaxrl_tab.core import names
+from jaxrl_tab.core.checks import build, nearest, shown
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
 from jaxrl_tab.envs.cliff_walking import CliffWalking
@@ -20,7 +21,7 @@ from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.two_doors import TwoDoors
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
 
-ENVS = {
+ENVS: dict[str, type] = {
     "windy-gridworld": WindyGridworld,
     "cliff-walking": CliffWalking,
     "random-walk": RandomWalk,
@@ -33,43 +34,58 @@ ENVS = {
     "trace-gridworld": TraceGridworld,
 }
 
-
 # What people look for under these names, without hyphens, as Gymnasium calls it.
 GYMNASIUM = {"frozenlake": "FrozenLake-v1", "frozenlake8x8": "FrozenLake8x8-v1", "taxi": "Taxi-v4"}
 
 
 def make(name: str, **parameters: Any):
-    """The environment called `name` in ENVS, with its parameters: `make("windy-gridworld", moves="king")`.
+    """The environment of this name with its parameters: `make("windy-gridworld", moves="king")`.
+
+    Args:
+        name: of ENVS, or from outside: "mine.py:MyEnv", "gymnasium:FrozenLake-v1", "mdp.npz" (see `core.names`).
+        parameters: of the environment.
 
     Raises:
         InputError: the name, a parameter or a value is wrong.
     """
-    if not isinstance(name, str) or name not in ENVS:
-        raise InputError(f"no environment is called {shown(name)}; {instead(name)}")
-    return build(ENVS[name], name, parameters)
+    reference = names.find(ENVIRONMENT, name)
+    return build(reference.cls, name, parameters)
 
 
 def instead(name: Any) -> str:
     """What a message says instead of `name`, which is not in ENVS: one of ours, or how another is imported."""
     if not isinstance(name, str):
         return nearest(name, ENVS)
-    library, _, there = name.partition(":")
-    if there and library in ("gymnasium", "gymnax"):
-        return f"in Python, rl.interop.make({shown(name)}) imports it"
     stem, _, suffix = name.rpartition("-")
     if suffix in ("misc", "bsuite", "MinAtar"):
-        return f"in Python, rl.interop.from_gymnax({shown(name)}) imports it, if its states can be counted"
+        return f"{shown('gymnax:' + name)} imports it, if its states can be counted"
     is_versioned = re.fullmatch("v[0-9]+", suffix) is not None
     plain = re.sub("[-_]", "", (stem if is_versioned else name).lower())
     if plain not in (ours.replace("-", "") for ours in ENVS) and (is_versioned or plain in GYMNASIUM):
         perhaps = "" if plain in GYMNASIUM else ", if it has a table of its outcomes"
-        return (
-            f"in Python, rl.interop.from_gymnasium({shown(GYMNASIUM.get(plain, name))}) imports it{perhaps}"
-        )
+        return f"{shown('gymnasium:' + GYMNASIUM.get(plain, name))} imports it{perhaps}"
     return nearest(name, ENVS)
 
 
+def _of_table(file: names.File) -> type:
+    """The class of the table in a file, which has no parameters."""
+    mdp = FiniteMDP.load(file.path, file.data)
+    return names.made_by(lambda: mdp, "FiniteMDP", {})
+
+
+ENVIRONMENT = names.Kind(
+    noun="an environment",
+    registry=ENVS,
+    group="jaxrl_tab.environments",
+    needs=("num_states", "num_actions", "max_steps", "reset", "step"),
+    add=ENVS.__setitem__,
+    hint=instead,
+    table=_of_table,
+)
+
+
 __all__ = [
+    "ENVIRONMENT",
     "ENVS",
     "Blackjack",
     "CliffWalking",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from numbers import Integral
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.checks import InputError, unfit
 from jaxrl_tab.core.types import Outcome
 
 MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so that every episode ends
+
+TIME_LIMIT = "Time limit of an episode, in steps."
 
 # (row, column) of each move, and how it is drawn. The first four are those of the book's grids.
 COMPASS = ((-1, 0), (0, 1), (1, 0), (0, -1), (-1, 1), (1, 1), (1, -1), (-1, -1), (0, 0))
@@ -94,6 +96,11 @@ class Finite:
         return step
 
 
+def samples_outcomes(env: Any) -> TypeGuard[Finite]:
+    """Whether `step` is nothing but a draw from `outcomes`, as `Finite` has it."""
+    return isinstance(env, Finite) and type(env).step is Finite.step
+
+
 class FixedStart(Finite):
     """A finite MDP whose episodes all start in the state `start_state`."""
 
@@ -161,7 +168,7 @@ def check_grid(
     start = check_cell(name, "start", start, shape)
     goal = check_cell(name, "goal", goal, shape)
     if start == goal:
-        raise InputError(f"{name}: start and goal are the same cell {start}")
+        raise InputError(f"start and goal are the same cell {start}", who=name, field="goal")
     return shape, start, goal
 
 
@@ -169,9 +176,7 @@ def check_shape(name: str, shape: Sequence[int], least: tuple[int, int] = (1, 1)
     """`shape` as (rows, columns). Raises InputError unless both are whole numbers and large enough."""
     pair = _pair(shape)
     if pair is None or pair[0] < least[0] or pair[1] < least[1]:
-        raise InputError(
-            f"{name}: shape must be (rows, columns), at least {least[0]} x {least[1]}, not {shown(shape)}"
-        )
+        raise unfit(name, "shape", f"(rows, columns), at least {least[0]} x {least[1]}", shape)
     return pair
 
 
@@ -179,12 +184,10 @@ def check_cell(name: str, what: str, cell: Sequence[int], shape: tuple[int, int]
     """`cell` as (row, column). Raises InputError unless it is inside `shape`."""
     pair = _pair(cell)
     if pair is None:
-        raise InputError(f"{name}: {what} must be a cell (row, column), not {shown(cell)}")
+        raise unfit(name, what, "a cell (row, column)", cell)
     if not (0 <= pair[0] < shape[0] and 0 <= pair[1] < shape[1]):
-        raise InputError(
-            f"{name}: {what} {pair} is outside the grid; rows are 0 to {shape[0] - 1}, "
-            f"columns 0 to {shape[1] - 1}"
-        )
+        inside = f"rows are 0 to {shape[0] - 1}, columns 0 to {shape[1] - 1}"
+        raise InputError(f"{what} {pair} is outside the grid; {inside}", who=name, field=what)
     return pair
 
 

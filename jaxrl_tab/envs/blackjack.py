@@ -7,14 +7,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.core.checks import InputError, assign, check_choice, shown, whole
+from jaxrl_tab.core.checks import InputError, unfit
 from jaxrl_tab.core.pytree import pytree, static
-from jaxrl_tab.envs.base import Panel
+from jaxrl_tab.envs.base import TIME_LIMIT, Panel
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, hands_panel, tabulate
 
-NAME = "blackjack"
 MAX_STEPS = 32  # no hand can take more than 20 cards: the sums 12 to 21 with a usable ace, then without
-RULES = ("book", "gymnasium", "gymnasium-sab", "natural")
 
 ACE, TEN = 1, 10
 CARDS = range(ACE, TEN + 1)
@@ -47,18 +45,12 @@ class Blackjack(CardGame):
     which is Gymnasium with sab=False, natural=True, a natural that wins gets 1.5. Nowhere does a dealer's
     natural beat a 21. The optimal values from the start, with gamma 1, are -0.046556, -0.046556, -0.043113
     and -0.025729.
-
-    Attributes:
-        rules: "book", "gymnasium", "gymnasium-sab" or "natural": what a 21 with two cards is worth.
-        max_steps: time limit of an episode, in steps.
     """
 
-    rules: Literal["book", "gymnasium", "gymnasium-sab", "natural"] = static(default="book")
-    max_steps: int = static(default=MAX_STEPS)
-
-    def __post_init__(self):
-        check_choice(NAME, "rules", self.rules, RULES)
-        assign(self, max_steps=whole(NAME, "max_steps", self.max_steps))
+    rules: Literal["book", "gymnasium", "gymnasium-sab", "natural"] = static(
+        default="book", help="What a 21 with two cards is worth."
+    )
+    max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     @property
     def game(self) -> Game:
@@ -86,12 +78,14 @@ class Blackjack(CardGame):
         Raises:
             InputError: there is no such state.
         """
+        who = type(self).__name__
         if not isinstance(player, Integral) or not LEAST <= player <= LIMIT:
-            raise InputError(f"{NAME}: player must be a sum of {LEAST} to {LIMIT}, not {shown(player)}")
+            raise unfit(who, "player", f"a sum of {LEAST} to {LIMIT}", player)
         if not isinstance(dealer, Integral) or not ACE <= dealer <= TEN:
-            raise InputError(f"{NAME}: dealer must be a card of {ACE} (an ace) to {TEN}, not {shown(dealer)}")
+            raise unfit(who, "dealer", f"a card of {ACE} (an ace) to {TEN}", dealer)
         if natural and not (player == LIMIT and usable):
-            raise InputError(f"{NAME}: a natural is {LIMIT} with a usable ace, not {player}, usable={usable}")
+            problem = f"a natural is {LIMIT} with a usable ace, not {player}, usable={usable}"
+            raise InputError(problem, who=who, field="natural")
         hand = NATURAL if natural and len(self.game.hands) == HANDS else _hand(int(player), bool(usable))
         return SHOWN * hand + int(dealer) - 1
 

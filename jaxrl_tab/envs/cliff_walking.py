@@ -3,12 +3,10 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import assign, whole
+from jaxrl_tab.core.checks import assign
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.envs.base import MAX_STEPS, Grid, check_shape
-
-NAME = "cliff-walking"
+from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Grid, check_shape
 
 
 @pytree
@@ -18,18 +16,16 @@ class CliffWalking(Grid):
     The cliff is the bottom row between its two ends. A step onto it costs 100, and the walker is back at the
     start in the same step; the episode goes on. Every other step costs 1, the one onto the goal as well.
     Actions are up, right, down, left. The cells of the cliff are states that no walker is ever in.
-
-    Attributes:
-        shape: (rows, columns), at least 2 x 3. Of the book's 4 x 12, the start is state 36, the goal 47.
-        max_steps: time limit of an episode, in steps.
     """
 
-    shape: tuple[int, int] = static(default=(4, 12))
-    max_steps: int = static(default=MAX_STEPS)
+    shape: tuple[int, int] = static(
+        default=(4, 12),
+        help="(rows, columns), at least 2 x 3. Of the book's 4 x 12, the start is state 36, the goal 47.",
+    )
+    max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     def __post_init__(self):
-        shape = check_shape(NAME, self.shape, least=(2, 3))
-        assign(self, shape=shape, max_steps=whole(NAME, "max_steps", self.max_steps))
+        assign(self, shape=check_shape(type(self).__name__, self.shape, least=(2, 3)))
 
     @property
     def start(self) -> tuple[int, int]:  # pyright: ignore[reportIncompatibleVariableOverride]

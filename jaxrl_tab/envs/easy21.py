@@ -6,12 +6,11 @@ from numbers import Integral
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.core.checks import InputError, assign, shown, whole
+from jaxrl_tab.core.checks import unfit
 from jaxrl_tab.core.pytree import pytree, static
-from jaxrl_tab.envs.base import Panel
+from jaxrl_tab.envs.base import TIME_LIMIT, Panel
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, hands_panel, tabulate
 
-NAME = "easy21"
 MAX_STEPS = 100  # a hand that goes on and on is bust long before
 
 BLACK = 2 / 3  # of all cards are black and add; the others are red and subtract
@@ -32,15 +31,9 @@ class Easy21(CardGame):
     States are numbered 10 (player - 1) + dealer - 1, for the player's sum of 1 to 21 and the dealer's card of
     1 to 10. `state` gives the number; `q[:210].reshape(21, 10, 2)` is [player, dealer, action]. State 210 is
     terminal. The optimal value from the start, with gamma 1, is 0.063076.
-
-    Attributes:
-        max_steps: time limit of an episode, in steps.
     """
 
-    max_steps: int = static(default=MAX_STEPS)
-
-    def __post_init__(self):
-        assign(self, max_steps=whole(NAME, "max_steps", self.max_steps))
+    max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     @property
     def game(self) -> Game:
@@ -57,9 +50,9 @@ class Easy21(CardGame):
             InputError: there is no such state.
         """
         if not isinstance(player, Integral) or not 1 <= player <= LIMIT:
-            raise InputError(f"{NAME}: player must be a sum of 1 to {LIMIT}, not {shown(player)}")
+            raise unfit(type(self).__name__, "player", f"a sum of 1 to {LIMIT}", player)
         if not isinstance(dealer, Integral) or not 1 <= dealer <= SHOWN:
-            raise InputError(f"{NAME}: dealer must be a card of 1 to {SHOWN}, not {shown(dealer)}")
+            raise unfit(type(self).__name__, "dealer", f"a card of 1 to {SHOWN}", dealer)
         return SHOWN * (int(player) - 1) + int(dealer) - 1
 
 

@@ -1,5 +1,8 @@
 """Any finite MDP, from arrays or from lists of outcomes (book, section 3.1)."""
 
+import io
+import os
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -7,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import TOLERANCE, InputError, assign, first, numbers, whole
+from jaxrl_tab.core.checks import TOLERANCE, InputError, as_path, assign, first, numbers, reason, shown, whole
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.base import MAX_STEPS, Finite
@@ -152,6 +155,49 @@ class FiniteMDP(Finite):
         _fill(mdp, listed, is_terminal, start_prob, max_steps)
         return mdp
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the table to a file, whose name ends in ".npz" and stands for it wherever an environment is named.
+
+        Raises:
+            InputError: the name ends otherwise, or this is a batch.
+        """
+        path = as_path("the file of a table", path)
+        if path.suffix != ".npz":
+            raise InputError(f"{NAME}: the name of the file must end in .npz, not {shown(str(path))}")
+        path.write_bytes(self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """What `save` writes."""
+        if np.ndim(self.successors) != 3:
+            raise InputError(f"{NAME}: a batch of environments cannot be saved; save them one by one")
+        content = io.BytesIO()
+        arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in _SAVED}
+        np.savez(content, **arrays)
+        return content.getvalue()
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], data: bytes | None = None) -> "FiniteMDP":
+        """The table that `save` wrote; `data` is the content of the file, where it was read already.
+
+        Raises:
+            InputError: there is no such file, or it holds no such table.
+        """
+        path = as_path("the file of a table", path)
+        try:
+            with np.load(io.BytesIO(data if data is not None else path.read_bytes())) as arrays:
+                saved = {name: arrays[name] for name in _SAVED}
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {reason(error)}") from None
+        except Exception as error:  # there is no end to what zipfile and NumPy raise where a file is damaged
+            raise InputError(f"{path} is not a table that FiniteMDP.save wrote: {reason(error)}") from None
+        try:
+            _check_saved(saved)
+        except InputError as error:
+            raise InputError(f"{path} is not a table that FiniteMDP.save wrote: {error}") from None
+        mdp = object.__new__(FiniteMDP)
+        assign(mdp, **saved | {"max_steps": int(saved["max_steps"])})
+        return mdp
+
     @property
     def num_states(self) -> int:
         return self.successors.shape[-3]  # from the right: a stack of environments has axes before it
@@ -268,6 +314,39 @@ def _ended(
 
 
 # --- checks ------------------------------------------------------------------------------------------
+
+
+_SAVED = {  # what is in a file: the kind of the numbers, and the axes
+    "successors": ("i", "SAK"),
+    "prob": ("f", "SAK"),
+    "reward": ("f", "SAK"),
+    "is_terminal": ("b", "S"),
+    "start_states": ("i", "M"),
+    "start_prob": ("f", "M"),
+    "max_steps": ("i", ""),
+}
+
+
+def _check_saved(saved: Mapping[str, np.ndarray]) -> None:
+    """Raises InputError unless these arrays are the fields of a `FiniteMDP`."""
+    sizes: dict[str, int] = {}
+    for name, (numbers_of, axes) in _SAVED.items():
+        shape = saved[name].shape
+        fits = len(shape) == len(axes) and all(
+            sizes.setdefault(axis, n) == n > 0 for axis, n in zip(axes, shape, strict=True)
+        )
+        if saved[name].dtype.kind != numbers_of or not fits:
+            raise InputError(f"{NAME}: {name} has the shape {shape} and the type {saved[name].dtype}")
+    successors, prob = saved["successors"], saved["prob"]
+    _check_states("successor", successors.ravel(), sizes["S"])
+    _check_states("start state", saved["start_states"], sizes["S"])
+    row = np.repeat(np.arange(sizes["S"] * sizes["A"]), sizes["K"])
+    columns = successors.ravel(), prob.ravel(), saved["reward"].ravel()
+    _check_outcomes(Listed(sizes["S"], sizes["A"], row, *columns))
+    start = np.zeros(sizes["S"])
+    start[saved["start_states"]] = saved["start_prob"]
+    _start(start, saved["is_terminal"])
+    whole(NAME, "max_steps", saved["max_steps"][()])
 
 
 def _terminal(terminal: Any, num_states: int) -> np.ndarray:

@@ -1,17 +1,12 @@
 """The one-state loop with infinite variance (book, example 5.5)."""
 
-from typing import Any
-
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import InputError, assign, numbers, shown, unbatched, whole
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.checks import Numbers, unbatched
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.envs.base import MAX_STEPS, FixedStart
-
-NAME = "infinite-variance"
+from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, FixedStart
 
 
 @pytree
@@ -25,20 +20,10 @@ class InfiniteVariance(FixedStart):
     sum over k of 2 (1 - back) (2 back)^(k-1): infinite from `back` = 1/2 on. An ordinary importance-sampling
     average then tends to 1 with certainty, but its error has no variance to shrink. `back` is a leaf: `vmap`
     can batch it.
-
-    Attributes:
-        back: probability that left leads back, below 1.
-        max_steps: time limit of an episode, in steps.
     """
 
-    back: Any = 0.9
-    max_steps: int = static(default=MAX_STEPS)
-
-    def __post_init__(self):
-        back = numbers(NAME, "back", self.back).astype(float)
-        if isinstance(back, np.ndarray) and not ((back >= 0) & (back < 1)).all():
-            raise InputError(f"{NAME}: back must be at least 0 and below 1, not {shown(self.back)}")
-        assign(self, back=back, max_steps=whole(NAME, "max_steps", self.max_steps))
+    back: Numbers = field(default=0.9, at_least=0, less_than=1, help="Probability that left leads back.")
+    max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     @property
     def num_states(self) -> int:
@@ -58,7 +43,7 @@ class InfiniteVariance(FixedStart):
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
         over, left = s == 1, a == 0
-        back = jnp.where(left, unbatched(NAME, "back", self.back, ndim=0), 0)
+        back = jnp.where(left, unbatched(self, "back", ndim=0), 0)
         s_next = jnp.where(over, 1, jnp.array([0, 1], jnp.int32))
         reward = jnp.where(left & ~over, jnp.array([0, 1], float), 0)
         return jnp.stack([back, 1 - back]), Outcome(s_next, reward, s_next == 1)

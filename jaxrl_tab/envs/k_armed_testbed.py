@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import Any, Self
+from typing import Self
 
 import jax
 import jax.numpy as jnp
@@ -10,12 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import tables
-from jaxrl_tab.core.checks import InputError, assign, first, numbers, unbatched, whole
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.checks import InputError, Numbers, assign, unbatched
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.bandit import Bandit
-
-NAME = "k-armed-testbed"
 
 
 @pytree
@@ -26,28 +24,19 @@ class KArmedTestbed(Bandit):
     play. `train` draws a problem for each run, from its key. Before that, `means` are those of the mean
     problem: 0. `outcomes` gives the mean of the reward, `step` adds the noise. `means` is a leaf: `vmap` can
     batch it.
-
-    Attributes:
-        arms: number of arms.
-        means: q*, the mean reward of each arm, [arms], or one number for all.
     """
 
-    arms: int = static(default=10)
-    means: Any = 0.0
+    arms: int = static(default=10, at_least=1, help="Number of arms.")
+    means: Numbers = field(
+        default=0.0, help="q*, the mean reward of each arm, [arms], or one number for all."
+    )
 
     def __post_init__(self):
-        arms = whole(NAME, "arms", self.arms)
-        means = numbers(NAME, "means", self.means)
-        if isinstance(means, np.ndarray):
-            if (i := first(~np.isfinite(means))) is not None:
-                raise InputError(f"{NAME}: means must be finite numbers, not {means[i]}")
-            means = np.full(arms, means) if means.ndim == 0 else means
-            means = means.astype(np.float64)
-        if means.shape[-1:] != (arms,):
-            raise InputError(
-                f"{NAME}: means must have one number for each of the {arms} arms, not shape {means.shape}"
-            )
-        assign(self, arms=arms, means=means)
+        if isinstance(self.means, np.ndarray) and self.means.ndim == 0:
+            assign(self, means=np.full(self.arms, self.means))
+        if (shape := np.shape(self.means))[-1:] != (self.arms,):
+            problem = f"means must have one number for each of the {self.arms} arms, not shape {shape}"
+            raise InputError(problem, who=type(self).__name__, field="means")
 
     def instance(self, key: Key[Array, ""]) -> Self:
         """The environment with a problem drawn from `key`: means from N(0, 1), float [arms]."""
@@ -58,7 +47,7 @@ class KArmedTestbed(Bandit):
         return self.arms
 
     def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        means = unbatched(NAME, "means", self.means, ndim=1)
+        means = unbatched(self, "means", ndim=1)
         return jnp.ones(1), tables.entry(means, jnp.asarray(a, jnp.int32))[None]
 
     def step(self, key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:

@@ -4,12 +4,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrl_tab.core.checks import assign, whole
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.base import FixedStart
-
-NAME = "maximization-bias"
 
 A, B, END = range(3)
 LEFT = 0
@@ -31,17 +28,11 @@ class MaximizationBias(FixedStart):
     each of the two (epsilon 0.1, alpha 0.1, plain loops, 10 000 runs) Q-learning goes left in 63% of runs in
     episode 100, and Double Q-learning in 58% in episode 10; with two actions, as here and in the book, it is
     46% in both.
-
-    Attributes:
-        actions: number of actions in B, at least 2.
     """
 
-    actions: int = static(default=10)
+    actions: int = static(default=10, at_least=2, help="Number of actions in B.")
 
     max_steps = 2
-
-    def __post_init__(self):
-        assign(self, actions=whole(NAME, "actions", self.actions, least=2))
 
     @property
     def num_states(self) -> int:

@@ -1,17 +1,12 @@
 """The random walk (book, examples 6.2 and 7.1)."""
 
-from typing import Any
-
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import InputError, assign, numbers, shown, unbatched, whole
-from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.checks import Numbers, unbatched, unfit
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.envs.base import MAX_STEPS, FixedStart
-
-NAME = "random-walk"
+from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, FixedStart
 
 
 @pytree
@@ -21,28 +16,22 @@ class RandomWalk(FixedStart):
     The states in a row: 0 is the left end, 1 to `states` are between, `states` + 1 is the right end. Both
     ends are terminal. Entering the right one gives 1, entering the left one `left_reward`, all else 0. There
     is one action. With gamma 1 the value of state i is left_reward + (1 - left_reward) i / (states + 1).
-
-    Attributes:
-        states: number of states between the ends, odd; 19 in example 7.1, 5 in example 6.2.
-        left_reward: reward at the left end; -1 in example 7.1, 0 in example 6.2.
-        max_steps: time limit of an episode, in steps.
     """
 
-    states: int = static(default=19)
-    left_reward: Any = -1.0
-    max_steps: int = static(default=MAX_STEPS)
+    states: int = static(
+        default=19,
+        at_least=1,
+        help="Number of states between the ends, odd; 19 in example 7.1, 5 in example 6.2.",
+    )
+    left_reward: Numbers = field(
+        default=-1.0, help="Reward at the left end; -1 in example 7.1, 0 in example 6.2."
+    )
+    max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     def __post_init__(self):
-        states = whole(NAME, "states", self.states)
-        if states % 2 == 0:
-            raise InputError(
-                f"{NAME}: states must be odd, so that there is a middle to start in, not {states}"
-            )
-        left_reward = numbers(NAME, "left_reward", self.left_reward).astype(float)
-        if isinstance(left_reward, np.ndarray) and not np.isfinite(left_reward).all():
-            raise InputError(f"{NAME}: left_reward must be a finite number, not {shown(self.left_reward)}")
-        max_steps = whole(NAME, "max_steps", self.max_steps)
-        assign(self, states=states, left_reward=left_reward, max_steps=max_steps)
+        if self.states % 2 == 0:
+            wanted = "odd, so that there is a middle to start in"
+            raise unfit(type(self).__name__, "states", wanted, self.states)
 
     @property
     def num_states(self) -> int:
@@ -57,7 +46,7 @@ class RandomWalk(FixedStart):
         return (self.states + 1) // 2
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
-        left_reward = unbatched(NAME, "left_reward", self.left_reward, ndim=0)
+        left_reward = unbatched(self, "left_reward", ndim=0)
         left, right = 0, self.states + 1
         s = jnp.asarray(s, jnp.int32)
         over = (s == left) | (s == right)

@@ -3,12 +3,10 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import assign, whole
+from jaxrl_tab.core.checks import assign
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.envs.base import MAX_STEPS, Grid, check_grid
-
-NAME = "trace-gridworld"
+from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Grid, check_grid
 
 
 @pytree
@@ -19,23 +17,16 @@ class TraceGridworld(Grid):
     the value of one action, the last, n-step Sarsa those of the last n, and Sarsa(lambda) those of the
     whole path. With gamma below 1 the value of a cell d steps from the goal is gamma^(d - 1).
     Actions are up, right, down, left.
-
-    Attributes:
-        shape: (rows, columns).
-        start: the cell (row, column) in which episodes start.
-        goal: the terminal cell.
-        max_steps: time limit of an episode, in steps.
     """
 
-    shape: tuple[int, int] = static(default=(9, 10))
-    start: tuple[int, int] = static(default=(7, 1))
-    goal: tuple[int, int] = static(default=(2, 6))
-    max_steps: int = static(default=MAX_STEPS)
+    shape: tuple[int, int] = static(default=(9, 10), help="(rows, columns).")
+    start: tuple[int, int] = static(default=(7, 1), help="The cell (row, column) in which episodes start.")
+    goal: tuple[int, int] = static(default=(2, 6), help="The terminal cell.")
+    max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     def __post_init__(self):
-        shape, start, goal = check_grid(NAME, self.shape, self.start, self.goal)
-        max_steps = whole(NAME, "max_steps", self.max_steps)
-        assign(self, shape=shape, start=start, goal=goal, max_steps=max_steps)
+        shape, start, goal = check_grid(type(self).__name__, self.shape, self.start, self.goal)
+        assign(self, shape=shape, start=start, goal=goal)
 
     @property
     def num_actions(self) -> int:

@@ -6,11 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import TOLERANCE, InputError, assign, first, numbers, shown, unbatched
-from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.checks import TOLERANCE, InputError, Numbers, assign, first, unbatched
+from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.envs.bandit import Bandit
-
-NAME = "two-doors"
 
 
 @pytree
@@ -21,21 +19,28 @@ class TwoDoors(Bandit):
     behaviour opens the right one from then on, and never learns what else may be behind the left one. Here
     the left door hides 6 half of the time and nothing else, which is 3 on average; the right one 1, 2 or 3,
     which is 2. Actions are left and right. All three rows are leaves: `vmap` can batch them.
-
-    Attributes:
-        prizes: the possible rewards, none below 0, [K].
-        left: the probability of each prize behind the left door, [K].
-        right: the probability of each prize behind the right door, [K].
     """
 
-    prizes: Any = (0.0, 1.0, 2.0, 3.0, 6.0)
-    left: Any = (0.5, 0.0, 0.0, 0.0, 0.5)
-    right: Any = (0.0, 0.25, 0.5, 0.25, 0.0)
+    prizes: Numbers = field(default=(0.0, 1.0, 2.0, 3.0, 6.0), at_least=0, help="The possible rewards, [K].")
+    left: Numbers = field(
+        default=(0.5, 0.0, 0.0, 0.0, 0.5),
+        at_least=0,
+        help="The probability of each prize behind the left door, [K].",
+    )
+    right: Numbers = field(
+        default=(0.0, 0.25, 0.5, 0.25, 0.0),
+        at_least=0,
+        help="The probability of each prize behind the right door, [K].",
+    )
 
     def __post_init__(self):
-        prizes = _prizes(self.prizes)
-        left, right = (_door(what, getattr(self, what), prizes) for what in ("left", "right"))
-        assign(self, prizes=prizes, left=left, right=right)
+        who, shape = type(self).__name__, np.shape(self.prizes)
+        if not shape or not shape[-1]:
+            raise InputError(
+                f"prizes must be a row of one number or more, not of shape {shape}", who=who, field="prizes"
+            )
+        left, right = (_door(who, what, getattr(self, what), shape[-1]) for what in ("left", "right"))
+        assign(self, left=left, right=right)
 
     @property
     def num_actions(self) -> int:
@@ -46,9 +51,7 @@ class TwoDoors(Bandit):
         return "left", "right"
 
     def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        prizes, left, right = (
-            unbatched(NAME, what, getattr(self, what), ndim=1) for what in ("prizes", "left", "right")
-        )
+        prizes, left, right = (unbatched(self, what, ndim=1) for what in ("prizes", "left", "right"))
         return jnp.where(a == 0, left, right), prizes
 
     def lock_in_probability(self) -> float:
@@ -75,30 +78,15 @@ class TwoDoors(Bandit):
         return float(pays[np.argmin(mean)] / sum(pays))
 
 
-def _prizes(value: Any) -> Any:
-    prizes = numbers(NAME, "prizes", value)
-    if not prizes.ndim or not prizes.shape[-1]:
-        raise InputError(f"{NAME}: prizes must be a row of one number or more, not {shown(value)}")
-    if not isinstance(prizes, np.ndarray):
-        return prizes
-    if (i := first(~(np.isfinite(prizes) & (prizes >= 0)))) is not None:
-        raise InputError(f"{NAME}: prizes must be finite and at least 0, not {prizes[i]}")
-    return prizes.astype(np.float64)
-
-
-def _door(what: str, value: Any, prizes: Any) -> Any:
-    """The probabilities of the prizes behind a door, scaled to add up to 1 exactly."""
-    prob = numbers(NAME, what, value)
-    if prob.shape[-1:] != prizes.shape[-1:]:
-        raise InputError(
-            f"{NAME}: {what} must have one probability for each of the {prizes.shape[-1]} prizes, "
-            f"not shape {prob.shape}"
-        )
+def _door(who: str, what: str, prob: Any, count: int) -> Any:
+    """The probabilities of so many prizes behind a door, scaled to add up to 1 exactly."""
+    if (shape := np.shape(prob))[-1:] != (count,):
+        problem = f"{what} must have one probability for each of the {count} prizes, not shape {shape}"
+        raise InputError(problem, who=who, field=what)
     if not isinstance(prob, np.ndarray):
         return prob
-    if (i := first(~(np.isfinite(prob) & (prob >= 0)))) is not None:
-        raise InputError(f"{NAME}: the probabilities of {what} must be from 0 to 1, not {prob[i]}")
-    total = prob.sum(-1, keepdims=True, dtype=np.float64)
+    total = prob.sum(-1, keepdims=True)
     if (i := first(abs(total - 1) > TOLERANCE)) is not None:
-        raise InputError(f"{NAME}: the probabilities of {what} add up to {total[i]:.6g}, not to 1")
+        problem = f"the probabilities of {what} add up to {total[i]:.6g}, not to 1"
+        raise InputError(problem, who=who, field=what)
     return prob / total

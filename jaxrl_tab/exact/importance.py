@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float
 from jaxrl_tab.core.checks import InputError, first, shown
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.experience import Experience
-from jaxrl_tab.core.policies import Table, check_among
+from jaxrl_tab.core.policies import Table, as_table, check_among
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
 from jaxrl_tab.exact.model import Model
@@ -325,21 +325,11 @@ def _probabilities(
     target: Any, behaviour: Any, shape: tuple[int, int] | None = None
 ) -> tuple[Float[np.ndarray, "S A"], Float[np.ndarray, "S A"]]:
     """The probabilities of both policies, float64, checked; of this shape, or else both of the same."""
-    b = _table("behaviour", behaviour, shape)
-    pi = _table("target", target, b.probabilities.shape)
+    b = as_table("behaviour", behaviour, shape)
+    pi = as_table("target", target, b.probabilities.shape)
     check_coverage("importance sampling", pi, b)
     pi, b = (np.asarray(table.probabilities, np.float64) for table in (pi, b))
     return pi / pi.sum(1, keepdims=True), b / b.sum(1, keepdims=True)
-
-
-def _table(name: str, policy: Any, shape: tuple[int, int] | None) -> Table:
-    try:
-        table = policy if isinstance(policy, Table) else Table(policy)
-        if shape is not None:
-            table.check(*shape)
-    except InputError as error:
-        raise InputError(f"{name}: {str(error).partition(': ')[2]}") from None
-    return table
 
 
 def _ratio(pi: Float[np.ndarray, "S A"], b: Float[np.ndarray, "S A"]) -> Float[np.ndarray, "S A"]:

@@ -25,8 +25,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import InputError, first, is_distribution, shown
-from jaxrl_tab.core.pytree import as_array
+from jaxrl_tab.core.checks import InputError, as_array, first, shown
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (
@@ -360,14 +359,8 @@ def _numbers(name: str, value: Any) -> np.ndarray:
 
 
 def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
-    probs = _numbers("policy_probs", policy_probs)
-    shape = model.prob.shape[:2]
-    if probs.shape != shape:
-        raise InputError(f"policy_probs must have shape [S, A] = {shape}, not {probs.shape}")
-    if (i := first(~is_distribution(probs))) is not None:
-        raise InputError(
-            f"policy_probs of state {i[0]} are {probs[i].tolist()}; they must be 0 or more and add up to 1"
-        )
+    table = policies.as_table("policy_probs", policy_probs, model.prob.shape[:2])
+    probs = _numbers("policy_probs", table.probabilities)
     if model.available is not None:
         policies.check_among("policy_probs", probs, model.available)
     return probs / probs.sum(1, keepdims=True)

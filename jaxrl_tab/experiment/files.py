@@ -2,8 +2,10 @@
 
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,26 +23,74 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from jaxrl_tab.stats.columns import Methods
 
-class Outcome(NamedTuple):
+
+@dataclass(frozen=True)
+class Outcome:
     """What an experiment gave.
 
     Attributes:
         datasets: `SweepResult.to_xarray` of each part, by its name "ENVIRONMENT/METHOD".
         fresh: the same of the setting chosen for each part, on fresh seeds; empty without selection.
         envs: the environments by their names.
-        by: the function of `stats` that the settings were chosen by, if they were.
     """
 
     datasets: "dict[str, xr.Dataset]"
     fresh: "dict[str, xr.Dataset]"
     envs: dict[str, Environment]
-    by: str | None = None
 
-    def of(self, label: str) -> "dict[str, xr.Dataset]":
-        """The datasets of one environment, by the names of the methods."""
-        own = {name.partition("/"): ds for name, ds in self.datasets.items()}
-        return {method: ds for (environment, _, method), ds in own.items() if environment == label}
+    @cached_property
+    def methods(self) -> "dict[str, Methods]":
+        """The datasets of each environment, with all that is worked out of them."""
+        from jaxrl_tab.stats.columns import by_environment
+
+        return by_environment(self.datasets, self.envs)
+
+    @cached_property
+    def fresh_methods(self) -> "dict[str, Methods]":
+        """The same of the fresh seeds."""
+        from jaxrl_tab.stats.columns import by_environment
+
+        return by_environment(self.fresh, self.envs)
+
+    @cached_property
+    def summary(self) -> "pd.DataFrame":
+        """`stats.summary` of all environments; their names are a column where there are several."""
+        import pandas as pd
+
+        tables = {label: methods.summary for label, methods in self.methods.items()}
+        if len(tables) > 1:
+            tables = {label: pd.DataFrame({"environment": label} | dict(x)) for label, x in tables.items()}
+        return pd.concat(tables.values(), ignore_index=True)
+
+    @cached_property
+    def selection(self) -> "pd.DataFrame":
+        """The setting chosen for each part: its score on the seeds that it was chosen on, and on fresh ones.
+
+        Returns:
+            A frame with the columns `environment`, `method`, the hyperparameters that were swept, `chosen_score`
+            with `chosen_low` and `chosen_high`, which flatter it, and `fresh_score` with `fresh_low` and
+            `fresh_high`, which do not; the intervals are of the mean, 95%.
+        """
+        import pandas as pd
+
+        from jaxrl_tab import stats
+
+        rows = []
+        for name, fresh in self.fresh.items():
+            environment, _, method = name.partition("/")
+            own = self.methods[environment].settings[method]
+            setting, chosen, again, _ = stats.selection(own, fresh)
+            row = {"environment": environment, "method": method, **stats.named(own.ds, setting)}
+            for kind, found in (("chosen", chosen), ("fresh", again)):
+                row |= {f"{kind}_score": float(found.estimate)}
+                row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}
+            rows.append(row)
+        # Not all methods have all hyperparameters.
+        names = dict.fromkeys(name for row in rows for name in row)
+        scores = [name for name in names if name.startswith(("chosen_", "fresh_"))]
+        return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
 
 def chosen(ds: "xr.Dataset", by: str) -> int:
@@ -60,18 +110,18 @@ def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> N
     folder = store.path
     about = {"command": records["sessions"][0]["command"], "version": __version__}
     files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
-    files.append(_write_table(folder / SUMMARY, summary(outcome)))
+    files.append(_write_table(folder / SUMMARY, outcome.summary))
     if outcome.fresh:
         files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
-        files.append(_write_table(folder / SELECTION, selection(outcome)))
+        files.append(_write_table(folder / SELECTION, outcome.selection))
     scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
     names = storage.file_names(outcome.envs)
     try:
         with storage.said(folder):
-            for label, env in outcome.envs.items():
+            for label, methods in outcome.methods.items():
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
-                plot.save_all(outcome.of(label), env, place)
-            report.write(scratch, outcome.datasets, outcome.envs, _about(store, records), outcome.fresh)
+                plot.save_all(methods, outcome.envs[label], place)
+            report.write_methods(scratch, outcome.methods, _about(store, records), outcome.fresh_methods)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
             with storage.said(goal):
@@ -102,46 +152,6 @@ def _write_table(file: Path, table: "pd.DataFrame") -> Path:
     with storage.writing(file) as unfinished:
         table.to_csv(unfinished, index=False)
     return file
-
-
-def summary(outcome: Outcome) -> "pd.DataFrame":
-    """`stats.summary` of all environments; their names are a column where there are several."""
-    import pandas as pd
-
-    from jaxrl_tab import stats
-
-    tables = {label: stats.summary(outcome.of(label)) for label in outcome.envs}
-    if len(tables) > 1:
-        for label, table in tables.items():
-            table.insert(0, "environment", label)
-    return pd.concat(tables.values(), ignore_index=True)
-
-
-def selection(outcome: Outcome) -> "pd.DataFrame":
-    """The setting chosen for each part: its score on the seeds that it was chosen on, and on fresh ones.
-
-    Returns:
-        A frame with the columns `environment`, `method`, the hyperparameters that were swept, `chosen_score`
-        with `chosen_low` and `chosen_high`, which flatter it, and `fresh_score` with `fresh_low` and
-        `fresh_high`, which do not; the intervals are of the mean, 95%.
-    """
-    import pandas as pd
-
-    from jaxrl_tab import stats
-
-    rows = []
-    for name, fresh in outcome.fresh.items():
-        environment, _, method = name.partition("/")
-        ds = outcome.datasets[name]
-        setting, chosen, again, _ = stats.selection(ds, fresh, getattr(stats, outcome.by or "score"))
-        row = {"environment": environment, "method": method, **stats.named(ds, setting)}
-        for kind, found in (("chosen", chosen), ("fresh", again)):
-            row |= {f"{kind}_score": float(found.estimate)}
-            row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}
-        rows.append(row)
-    names = dict.fromkeys(name for row in rows for name in row)  # not all methods have all hyperparameters
-    scores = [name for name in names if name.startswith(("chosen_", "fresh_"))]
-    return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
 
 def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:

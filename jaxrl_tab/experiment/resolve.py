@@ -6,21 +6,26 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+import typing
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
-from jaxrl_tab.core import clock, describe, policies, schedules
-from jaxrl_tab.core.checks import InputError, build, check_choice, is_whole, nearest, repeated, shown
+from jaxrl_tab.algorithms.prediction import METHOD
+from jaxrl_tab.core import clock, describe, names, policies, schedules
+from jaxrl_tab.core.checks import InputError, check_choice, nearest, repeated, shown, whole
+from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.sweep import configurations
-from jaxrl_tab.envs import ENVS, instead
-from jaxrl_tab.experiment.places import DEEPEST, at, blame
+from jaxrl_tab.envs import ENVIRONMENT
+from jaxrl_tab.experiment.instances import is_array, made, table_of
+from jaxrl_tab.experiment.places import DEEPEST, Source, at, blame
 
 LONGEST_LABEL = 200  # characters
+ABOUT = ("name", "label", "sha256")  # in a table, beside parameters; the last is the checksum of its file
+References = dict[str, names.Reference]  # what names stand for, as they were typed and as they are recorded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,27 +45,27 @@ class Selection:
         with at("by"):
             check_choice("select", "by", self.by, CRITERIA)
         with at("fresh_seeds"):
-            whole("fresh_seeds", self.fresh_seeds, 1)
+            whole(None, "fresh_seeds", self.fresh_seeds)
 
 
 CRITERIA = ("score",)
 
 
-def environments(given: Any) -> list[dict[str, Any]]:
+def environments(given: Any, source: Source | None, references: References) -> list[dict[str, Any]]:
     """The plain data of each environment: one for each combination of what is listed."""
     found, places = [], []
-    for i, table in enumerate(_tables("environment", given, ENVS)):
+    for i, table in enumerate(_tables("environment", given, ENVIRONMENT, source, references)):
         with at("environment", i):
-            made = _environment(table, len(found))
-            found += made
-            places += [i] * len(made)
+            several = _environment(table, references[table["name"]].cls, len(found))
+            found += several
+            places += [i] * len(several)
     _check_labels("environment", found, places)
     return found
 
 
-def _environment(table: Mapping[str, Any], others: int) -> list[dict[str, Any]]:
+def _environment(table: Mapping[str, Any], cls: type, others: int) -> list[dict[str, Any]]:
     """Those that a table describes, beside so many others."""
-    cls, label = ENVS[table["name"]], table["label"]
+    label, about = table["label"], {key: table[key] for key in ABOUT if key in table}
     wanted = {p.name: p for p in describe.parameters(cls)}
     tried = {}
     for key, given in _own(table, wanted).items():
@@ -71,10 +76,11 @@ def _environment(table: Mapping[str, Any], others: int) -> list[dict[str, Any]]:
     for point in itertools.product(*tried.values()):
         values = dict(zip(tried, point, strict=True))
         with blame(values):
-            build(cls, label, values)
+            made(cls, label, values)
         own = [f"{key}={_short(value)}" for key, value in values.items() if len(tried[key]) > 1]
         data = {key: values.get(key, _listed(p.default)) for key, p in wanted.items()}
-        found.append({"name": table["name"], "label": ",".join([label, *own])} | data)
+        data = {key: value for key, value in data.items() if value is not None}
+        found.append(about | {"label": ",".join([label, *own])} | data)
     return found
 
 
@@ -85,17 +91,20 @@ def _short(value: Any) -> str:
 
 def _values_of_environment(key: str, given: Any, parameter: describe.Parameter) -> list[Any]:
     """What is to be tried of a parameter of an environment."""
+    if is_array(given):
+        return [given]
     given = _axis(key, given)
     if isinstance(given, axes.Random):
         raise InputError(f"{key}: an environment can have grids, but nothing random")
     given = _listed(given.values() if isinstance(given, axes.Grid) else given)
-    depth = 1 if isinstance(parameter.default, tuple) else 0
+    depth = _depth_of_value(parameter)
+    if parameter.type == describe.Plain and parameter.default is None:
+        return [given]  # a list may be meant as one
     tried = given if _depth(given) == depth + 1 else [given]
     if any(_depth(x) != depth for x in tried):
         what = "a list, or a list of lists" if depth else "a value, or a list"
         raise InputError(f"{key} takes {what} to be tried one by one, not {shown(given)}")
-    one = lambda x: describe.value(key, x, parameter)
-    values = [[one(entry) for entry in x] if depth else one(x) for x in tried]
+    values = [_deep(x, lambda entry: describe.value(key, entry, parameter)) for x in tried]
     if not values:
         raise InputError(f"the grid of {key} is empty")
     if again := repeated(values):
@@ -103,38 +112,52 @@ def _values_of_environment(key: str, given: Any, parameter: describe.Parameter) 
     return values
 
 
-def methods(given: Any, seed: int, environments: int) -> list[dict[str, Any]]:
+def _depth_of_value(parameter: describe.Parameter) -> int:
+    """How deep lists are in one another in a value of a parameter."""
+    if parameter.default is dataclasses.MISSING:
+        return 1 if typing.get_origin(parameter.type) is tuple else 0
+    return _depth(parameter.default) if isinstance(parameter.default, tuple) else 0
+
+
+def _deep(value: Any, change: Callable[[Any], Any]) -> Any:
+    """`change` of all that is in lists in one another."""
+    return [_deep(x, change) for x in value] if isinstance(value, list) else change(value)
+
+
+def methods(
+    given: Any, source: Source | None, references: References, seed: int, environments: int
+) -> list[dict[str, Any]]:
     """The plain data of each method."""
-    tables = _tables("method", given, METHODS)
-    first = tables[0]["name"]
-    for i, table in enumerate(tables):
+    tables = _tables("method", given, METHOD, source, references)
+    classes = [references[table["name"]].cls for table in tables]
+    by_kind: dict[Learns, str] = {}
+    for i, (table, cls) in enumerate(zip(tables, classes, strict=True)):
         with at("method", i):
-            prediction, control = sorted([first, table["name"]], key=lambda name: name not in PREDICTION)
-            if prediction in PREDICTION and control not in PREDICTION:
+            by_kind.setdefault(of_method(cls).learns, table["name"])
+            if len(by_kind) == 2:
                 raise InputError(
-                    f"{prediction} learns the values of a policy, and {control} a policy, which cannot be "
-                    "compared; sweep methods of prediction and of control apart"
+                    f"{by_kind[Learns.STATES]} learns the values of a policy, and {by_kind[Learns.ACTIONS]} a "
+                    "policy, which cannot be compared; sweep methods of prediction and of control apart"
                 )
     grids, settings = [], 0
-    for i, table in enumerate(tables):
+    for i, (table, cls) in enumerate(zip(tables, classes, strict=True)):
         with at("method", i):
-            grids.append(grid_of(table, seed))
+            grids.append(grid_of(table, cls, seed))
             settings += math.prod(len(x) for x in grids[-1].values() if isinstance(x, list))
             times = f" in {environments:,} environments" if environments > 1 else ""
             axes.check_settings(settings * environments, f"the methods{times}")
     _check_labels("method", tables, range(len(tables)))
     found = []
-    for i, (table, grid) in enumerate(zip(tables, grids, strict=True)):
+    for i, (table, cls, grid) in enumerate(zip(tables, classes, grids, strict=True)):
         with at("method", i):
-            found.append(_method(table, grid))
+            found.append(_method(table, cls, grid))
     return found
 
 
-def _method(table: Mapping[str, Any], grid: Mapping[str, Any]) -> dict[str, Any]:
-    cls = METHODS[table["name"]]
+def _method(table: Mapping[str, Any], cls: type, grid: Mapping[str, Any]) -> dict[str, Any]:
     with blame(table):
         _, configs = configurations(cls, grid)
-    data = {"name": table["name"], "label": table["label"]}
+    data = {key: table[key] for key in ABOUT if key in table}
     together = [name for trial in grid.get(DRAW, [])[:1] for name in trial]
     for key in [*(key for key in keys(cls) if key not in together), *([DRAW] if together else [])]:
         with at(key):
@@ -143,9 +166,9 @@ def _method(table: Mapping[str, Any], grid: Mapping[str, Any]) -> dict[str, Any]
     return data
 
 
-def grid_of(table: Mapping[str, Any], seed: int) -> dict[str, Any]:
+def grid_of(table: Mapping[str, Any], cls: type, seed: int) -> dict[str, Any]:
     """The grid of a method, as `sweep` takes it, in the order of the class; what is random is drawn."""
-    wanted = {p.name: p for p in describe.parameters(METHODS[table["name"]])}
+    wanted = {p.name: p for p in describe.parameters(cls)}
     own = _own(table, wanted, "draws", DRAW)
     given = {}
     for key, x in own.items():
@@ -169,33 +192,57 @@ def grid_of(table: Mapping[str, Any], seed: int) -> dict[str, Any]:
     return grid
 
 
-def _tables(kind: str, given: Any, registry: Mapping[str, type]) -> list[dict[str, Any]]:
-    """What is given for the key `kind`, as tables with a name that is known and a label."""
+def _tables(
+    key: str, given: Any, kind: names.Kind, source: Source | None, references: References
+) -> list[dict[str, Any]]:
+    """What is given for `key`, as tables with a name, a label, and the checksum of its file where there is one.
+
+    What the names stand for is added to `references`.
+    """
     several = isinstance(given, Sequence) and not isinstance(given, str)
-    found = []
-    with at(kind):
-        axes.check_settings(len(given) if several else 1, f"so many tables [[{kind}]]")
+    tables = []
+    with at(key):
+        axes.check_settings(len(given) if several else 1, f"so many tables [[{key}]]")
     for i, table in enumerate(given if several else [given]):
-        with at(kind, i):
-            table = {"name": table} if isinstance(table, str) else table
-            if not isinstance(table, Mapping):
-                raise InputError(f"{kind} must be a name, or tables with a name each, not {shown(table)}")
+        with at(key, i):
+            if not isinstance(table, Mapping | str | type) and not dataclasses.is_dataclass(table):
+                raise InputError(
+                    f"{key} must be a name, a class, an instance, or a table with one of them as its name, not "
+                    f"{shown(table)}"
+                )
+            table = dict(table) if isinstance(table, Mapping) else {"name": table}
             if "name" not in table:
-                raise InputError(f"the {kind} has no name: one of {', '.join(registry)}")
+                raise InputError(f"the {key} has no name: one of {', '.join(kind.registry)}")
             with at("name"):
-                name = table["name"]
-                if not isinstance(name, str) or name not in registry:
-                    if registry is ENVS:
-                        raise InputError(f"{shown(name)} is not an environment; {instead(name)}")
-                    raise InputError(f"{shown(name)} is not a method; {nearest(name, registry)}")
+                if dataclasses.is_dataclass(table["name"]) and not isinstance(table["name"], type):
+                    table = table_of(kind, table["name"]) | {k: x for k, x in table.items() if k != "name"}
+                reference = _find(kind, table, source, references)
             with at("label"):
-                label = table.get("label", name)
+                label = table.get("label", reference.label)
                 _check_label(label)
-            found.append({**table, "name": name, "label": label})
-    if not found:
-        with at(kind):
-            raise InputError(f"there is no {kind}: name one or more of {', '.join(registry)}")
-    return found
+            about = {"name": reference.name, "label": label}
+            about |= {"sha256": reference.file.sha256} if reference.file else {}
+            tables.append({**table, **about})
+    if not tables:
+        with at(key):
+            raise InputError(f"there is no {key}: name one or more of {', '.join(kind.registry)}")
+    return tables
+
+
+def _find(
+    kind: names.Kind, table: Mapping[str, Any], source: Source | None, references: References
+) -> names.Reference:
+    """What the name of a table stands for, which is added to `references`."""
+    name, sha256 = table["name"], table.get("sha256")
+    pinned = source.pinned.get(name) if source and isinstance(name, str) else None
+    if pinned:
+        reference = names.find(kind, pinned["name"], None, pinned["sha256"])._replace(label=pinned["label"])
+    else:
+        reference = names.find(kind, name, source.path.parent if source else None, sha256)
+    for known in (name, reference.name) if isinstance(name, str) else (reference.name,):
+        if references.setdefault(known, reference).file != reference.file:
+            raise InputError(f"{known} is named twice, and its file was changed in between")
+    return reference
 
 
 def _check_label(label: Any) -> None:
@@ -223,9 +270,9 @@ def _check_labels(kind: str, tables: Sequence[Mapping[str, Any]], places: Sequen
 
 def belongs(key: str) -> str | None:
     """Below what a parameter belongs that was not written in a table."""
-    for kind, registry in (("method", METHODS), ("environment", ENVS)):
-        if any(key in keys(cls) for cls in registry.values()):
-            return f"write it below a [[{kind}]] that has it"
+    for table, kind in (("method", METHOD), ("environment", ENVIRONMENT)):
+        if any(key in keys(cls) for cls in kind.registry.values()):
+            return f"write it below a [[{table}]] that has it"
     return None
 
 
@@ -233,7 +280,7 @@ def _own(table: Mapping[str, Any], wanted: Mapping[str, describe.Parameter], *mo
     """The parameters of a table, and keys that may be there besides, in the order of the class."""
     known = [*wanted, *more]
     for key in table:
-        if key not in ("name", "label", *known):
+        if key not in (*ABOUT, *known):
             with at(key):
                 from jaxrl_tab.experiment.spec import Experiment  # which is made from what is resolved here
 
@@ -252,7 +299,7 @@ def _axis(key: str, given: Any) -> Any:
     if len(kinds) != 1:
         known = ", ".join(axes.WRITTEN)
         hint = nearest(next(iter(given)), axes.WRITTEN) if given and not kinds else f"one of {known}"
-        raise InputError(f"{key}: {shown(dict(given))} is no way to try values; {hint}")
+        raise InputError(f"{key}: {shown(dict(given))} is not a way to give values to try; {hint}")
     (kind,) = kinds
     cls, ends = axes.WRITTEN[kind], given[kind]
     more = {name: x for name, x in given.items() if name != kind}
@@ -267,7 +314,7 @@ def _axis(key: str, given: Any) -> Any:
     try:
         return cls(ends) if cls is axes.Choice else cls(*ends, **more)
     except InputError as error:
-        raise InputError(f"{key}: {error}") from None
+        raise error.renamed(key) from None
 
 
 def _value(key: str, given: Any, parameter: describe.Parameter) -> Any:
@@ -323,14 +370,6 @@ def _depth_of_lists(value: Any) -> int:
     return 1 + max(map(_depth_of_lists, value), default=0) if isinstance(value, list) else 0
 
 
-def whole(name: str, value: Any, least: int) -> int:
-    if not is_whole(value, least):
-        raise InputError(
-            f"{name} must be a whole number of at least {least} and below 2**31, not {shown(value)}"
-        )
-    return int(value)
-
-
 def selection(given: Any, seeds: int) -> dict[str, Any]:
     if isinstance(given, Selection):
         return dataclasses.asdict(given)
@@ -344,4 +383,5 @@ def selection(given: Any, seeds: int) -> dict[str, Any]:
 
 
 def keys(cls: type) -> list[str]:
-    return [field.name for field in dataclasses.fields(cls) if field.name != "source"]
+    """The fields that are data."""
+    return [field.name for field in dataclasses.fields(cls) if field.compare]

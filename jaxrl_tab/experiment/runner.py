@@ -1,10 +1,11 @@
 """An experiment in a folder: computed shard by shard, so that no more than one is ever lost.
 
-The folder holds `experiment.toml` as it was given, `resolved.json` with all defaults and draws filled in,
-`provenance.json`, the shards with their manifest (see `storage`), and, when all are there, `results.nc`,
-`summary.csv`, pictures and `report.html`. Which runs are in a shard depends on the experiment alone, and what
-a run gives on its seed and hyperparameters alone: so the results are the same to the last bit, however often
-it was interrupted. Where they would not be, as with another version of JAX, nothing is computed: see `Origin`.
+The folder holds `experiment.toml` as it was given, `resolved.json` with all defaults and draws filled in, copies
+of the files that somebody's own classes are in (see `sources`), `provenance.json`, the shards with their manifest
+(see `storage`), and, when all are there, `results.nc`, `summary.csv`, pictures and `report.html`. Which runs are in
+a shard depends on the experiment alone, and what a run gives on its seed and hyperparameters alone: so the results
+are the same to the last bit, however often it was interrupted. Where they would not be, as with another version of
+JAX, nothing is computed: see `Origin`.
 """
 
 import contextlib
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import jax
 import numpy as np
 
+from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
 from jaxrl_tab.engine import batch, room
@@ -28,12 +30,12 @@ from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import Computed, Part, leaves_as_arrays, result
 from jaxrl_tab.engine.train import Log
-from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import Outcome, chosen, write_files
 from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, session, settings_of
-from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
+from jaxrl_tab.experiment.shards import FRESH, Job, Shard, forget_parts, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
 from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report, reporting
@@ -71,7 +73,7 @@ def run(
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
-            _begin(path, experiment, memory)
+            _begin(path, experiment, memory, keep=False)
             return _go_on(path, experiment, executor, memory, progress, command, keep=False)
     path = _path(folder)
     _begin(path, experiment, memory)
@@ -90,8 +92,8 @@ def resume(
 ) -> Outcome:
     """Goes on with what `run` left: computes the shards that are missing or damaged, and no others.
 
-    What is damaged is named in a warning of the logger `jaxrl_tab.experiment.runner`, and set aside. The settings
-    of JAX that change numbers are as in `run` while it computes, and afterwards what they were.
+    What is damaged is named in a warning, by a logger below `jaxrl_tab`, and set aside. The settings of JAX that
+    change numbers are as in `run` while it computes, and afterwards what they were.
 
     Args:
         folder: the folder.
@@ -108,7 +110,7 @@ def resume(
     path = _path(folder)
     if not os.path.isdir(path):
         name = one_line(str(path))
-        raise InputError(f"{name} is no folder" if os.path.exists(path) else f"there is no folder {name}")
+        raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
     if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
     command = _typed(command)
@@ -140,7 +142,8 @@ def _go_on(
     store = Store(path, experiment.fingerprint)
     _warn_of_what_was(store)
     records = _records(store)
-    job, select = Job(json.dumps(experiment.data()), limit), experiment.select
+    job = Job(json.dumps(experiment.data()), limit, files=experiment.files)
+    select = experiment.select
     with settings_of(store, records), reporting(progress) as report:
         meter = Meter(report)
         origin = Origin.of(store, records, mixed)
@@ -160,7 +163,7 @@ def _go_on(
                 new |= _compute(store, job, executor, meter, {}, origin)
                 fresh, _ = _collect(store, job, list(later), room)
                 fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
-            outcome = Outcome(datasets, fresh, envs, select["by"] if select else None)
+            outcome = Outcome(datasets, fresh, envs)
             if keep and (new or not store.files):
                 if origin.changed and not new:
                     warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
@@ -238,10 +241,18 @@ def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[
     return datasets, room
 
 
-def _begin(path: Path, experiment: Experiment, limit: int | None) -> None:
-    """A new folder with the experiment in it, and no shards. Raises InputError where it cannot be run."""
+def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> None:
+    """A new folder with the experiment in it, and no shards. Raises InputError where it cannot be run.
+
+    Where the folder is kept, all is computed with the classes that are in the copies there.
+    """
     source = experiment.source
     with storage.new_folder(path) as new:
+        if keep:
+            sources.write(new, experiment.references)
+            names.forget(experiment.files)
+            forget_parts()
+            experiment = Experiment(**experiment.data(), source=source)
         _check_room(experiment.parts(), limit, new)
         storage.write(new / GIVEN, source.text if source else experiment.to_toml())
         storage.write_json(new / RESOLVED, experiment.data())
@@ -278,12 +289,14 @@ def _experiment_in(path: Path) -> Experiment:
     manifest = storage.read_manifest(path)
     begun_with = manifest and manifest["fingerprint"]
     data = storage.read_json(path / RESOLVED)
+    pinned = sources.read(path, data)
+    forget_parts()
     resolved = _understood(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
     given = None
     if storage.is_file(path / GIVEN):
         with storage.said(path / GIVEN, "read"):
             (path / GIVEN).read_bytes()
-        given = _understood(lambda: Experiment.load(path / GIVEN))
+        given = _understood(lambda: Experiment.load(path / GIVEN, pinned))
     if resolved and begun_with in (None, resolved.fingerprint):
         experiment = resolved
         if given is None:
@@ -302,7 +315,7 @@ def _experiment_in(path: Path) -> Experiment:
     else:
         raise InputError(f"there is no experiment in {path} any more: {GIVEN} and {RESOLVED} are damaged")
     source = (_records_in(path) or {}).get("file")
-    if source and Path(source).is_file() and (changed := _changed(source, experiment.data())):
+    if source and Path(source).is_file() and (changed := _changed(source, experiment.data(), pinned)):
         raise InputError(
             f"{source} was changed since: {changed}; put it back, or rename it to go on with what it was"
         )
@@ -335,10 +348,10 @@ def _records_in(path: Path) -> dict[str, Any] | None:
     return records if all(map(is_session, records["sessions"])) else None
 
 
-def _changed(source: str, data: Mapping[str, Any]) -> str:
+def _changed(source: str, data: Mapping[str, Any], pinned: Mapping[str, Any]) -> str:
     """What a file says otherwise than the data of the experiment that was once read from it."""
     try:
-        return "; ".join(difference(data, Experiment.load(source).data()))
+        return "; ".join(difference(data, Experiment.load(source, pinned).data()))
     except InputError as error:
         return str(error)
 

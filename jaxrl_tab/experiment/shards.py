@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxrl_tab.core import names
 from jaxrl_tab.engine import room
 from jaxrl_tab.engine.sweep import Part, compute
 from jaxrl_tab.experiment.spec import Experiment
@@ -39,19 +40,23 @@ class Job(NamedTuple):
         memory: how many bytes may be taken; None: half of what is free.
         chosen: for each part the number of the configuration that is run again on fresh seeds, as JSON; None
             where nothing is.
+        files: what the experiment's own classes and tables are in, which need not be on other machines.
     """
 
     experiment: str
     memory: int | None
     chosen: str | None = None
+    files: tuple[names.File, ...] = ()
 
     @property
     def parts(self) -> dict[str, Part]:
+        names.keep(self.files)
         return _parts(self.experiment, self.chosen)
 
     @property
     def shards(self) -> list[Shard]:
         """In the order of their numbers. Those of fresh seeds come last."""
+        names.keep(self.files)
         return _shards(self.experiment, self.chosen)
 
     def setting(self, shard: Shard) -> int | None:
@@ -83,6 +88,12 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
     return [shard for name, part in _parts(experiment, chosen).items() for shard in _split(name, part)]
 
 
+def forget_parts() -> None:
+    """Parts are made anew from now on, as of classes that are loaded from copies."""
+    _parts.cache_clear()
+    _shards.cache_clear()
+
+
 def _again(part: Part, config: int, seeds: int) -> Part:
     """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
     one = [part.configs[config]]
@@ -102,11 +113,9 @@ def shard_runs(part: Part) -> int:
     """How many runs make a shard: whole blocks of lanes."""
     budget, states = part.budget, part.env.num_states
     length = budget.num_steps or budget.num_episodes or 0
-    rows = -(-length // (budget.log_every or 1))
+    rows = -(-length // budget.row)
     steps = budget.num_steps or length * EPISODE_STEPS
-    if (
-        budget.exact
-    ):  # solves a system of equations in each row, about a hundred multiply-adds in a step's time
+    if budget.exact:  # a system of equations in each row, a hundred multiply-adds in the time of a step
         steps += rows * states**3 // 300
     given = 4 * (states * part.env.num_actions + 7 * rows)  # a table, and at most 7 numbers in a row
     return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // given) // room.LANES) * room.LANES

@@ -34,15 +34,26 @@ from typing import Any, Self
 import jax
 import numpy as np
 
-from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
-from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError, as_path, build, nearest, one_line, shown
+from jaxrl_tab.algorithms.prediction import METHODS
+from jaxrl_tab.core import memory, names
+from jaxrl_tab.core.checks import InputError, as_path, nearest, one_line, shown, whole
+from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.sweep import Part, prepare
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.experiment.places import Source, Wrong, at, located, split_statements
-from jaxrl_tab.experiment.resolve import belongs, environments, grid_of, keys, methods, selection, whole
+from jaxrl_tab.experiment.instances import made
+from jaxrl_tab.experiment.places import Source, at, located, split_statements
+from jaxrl_tab.experiment.resolve import (
+    ABOUT,
+    References,
+    belongs,
+    environments,
+    grid_of,
+    keys,
+    methods,
+    selection,
+)
 
 MOST_BYTES = 2**26  # of a file
 TEMPLATE = Path(__file__).with_name("template.toml")
@@ -56,13 +67,15 @@ class Experiment:
     which `Experiment(**data)` makes the same one again.
 
     Attributes:
-        environment: one or several, each a name, or a dict of `name`, parameters, and a `label` where it is
-            not called by its name. Where a parameter is given as a list (of lists, where it is a list
-            itself), each combination is an environment of its own.
-        method: one or several, each a name, or a dict of `name`, hyperparameters, `label`, and `draws`: how
-            many trials of what is random. A hyperparameter is a value, a list, or, as in `axes`, a grid in
-            steps or a distribution: {"log": [0.01, 1], "points": 5} or LogGrid(0.01, 1, 5). A schedule or a
-            policy is as it is typed: "glie", "softmax:0.5". A policy can also be probabilities [S][A].
+        environment: one or several, each a name (also "mine.py:MyEnv", see `core.names`), a class, an
+            instance, or a dict of `name` (which may be a class or an instance, too), parameters, and a `label`
+            where it is not called by its name. Where a parameter is given as a list (of lists, where it is a
+            list itself), each combination is an environment of its own.
+        method: one or several, each a name, a class, an instance, whose fields are fixed, or a dict of `name`,
+            hyperparameters, `label`, and `draws`: how many trials of what is random. A hyperparameter is a
+            value, a list, or, as in `axes`, a grid in steps or a distribution: {"log": [0.01, 1], "points": 5}
+            or LogGrid(0.01, 1, 5). A schedule or a policy is as it is typed: "glie", "softmax:0.5". A policy
+            can also be probabilities [S][A].
         seeds: how many seeds.
         steps, episodes: how long each run is; one of the two.
         log_every: how many steps, or episodes, are summed up in a row of the log.
@@ -71,6 +84,7 @@ class Experiment:
         select: whether the best setting of each method is run again on fresh seeds, and by what it is chosen:
             a dict as `Selection` has it; None: not.
         source: the file that it was read from; not part of the data.
+        references: what the names stand for; not part of the data.
     """
 
     environment: Any
@@ -83,22 +97,27 @@ class Experiment:
     exact: bool = False
     select: Any = None
     source: Source | None = dataclasses.field(default=None, repr=False, compare=False)
+    references: References = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self):
+        names.check_not_importing()
         with located(self.source):
             for name, least in (("seeds", 1), ("steps", 1), ("episodes", 1), ("log_every", 1), ("seed", 0)):
                 with at(name):
                     if name in ("seeds", "seed") or getattr(self, name) is not None:
-                        self._set(name, whole(name, getattr(self, name), least))
+                        self._set(name, whole(None, name, getattr(self, name), least))
             if (self.steps is None) == (self.episodes is None):
                 with at("episodes"):
                     raise InputError("give either steps or episodes: how long a run is")
             with at("exact"):
                 if not isinstance(self.exact, bool | np.bool_):
                     raise InputError(f"exact must be true or false, not {shown(self.exact)}")
-            self._set("environment", environments(self.environment))
-            self._set("method", methods(self.method, self.seed, len(self.environment)))
-            prediction = all(method["name"] in PREDICTION for method in self.method)
+            source, references = self.source, self.references
+            self._set("environment", environments(self.environment, source, references))
+            count = len(self.environment)
+            self._set("method", methods(self.method, source, references, self.seed, count))
+            classes = [references[method["name"]].cls for method in self.method]
+            prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
             self._set("exact", bool(self.exact) or prediction)
             self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
             with at("select"):
@@ -108,8 +127,12 @@ class Experiment:
         object.__setattr__(self, name, value)
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
+    def load(cls, path: str | Path, pinned: Mapping[str, Mapping[str, Any]] | None = None) -> Self:
         """The experiment in a TOML file.
+
+        Args:
+            path: the file. Paths in it start from its folder.
+            pinned: names in it whose meaning is settled, as `sources.read` gives it.
 
         Raises:
             InputError: the file cannot be read, or something in it is wrong; with its name and the line.
@@ -122,12 +145,12 @@ class Experiment:
         except OSError as error:
             raise InputError(f"{one_line(str(path))} cannot be read: {error.strerror}") from None
         except UnicodeDecodeError:
-            raise InputError(f"{one_line(str(path))} is no text in UTF-8") from None
+            raise InputError(f"{one_line(str(path))} is not UTF-8 text") from None
         if len(content) > MOST_BYTES:
             raise InputError(
-                f"{one_line(str(path))} is larger than {memory.words(MOST_BYTES)}: that is no experiment"
+                f"{one_line(str(path))} is larger than {memory.words(MOST_BYTES)}: that is not an experiment"
             )
-        source = Source(path, text.replace("\r\n", "\n"))
+        source = Source(path, text.replace("\r\n", "\n"), pinned or {})
         return cls.from_data(_read(source), source)
 
     @classmethod
@@ -143,7 +166,7 @@ class Experiment:
                         raise InputError(f"an experiment has no {shown(key)}; {hint}")
             for key, registry in (("environment", ENVS), ("method", METHODS)):
                 if key not in data:
-                    raise Wrong(f"there is no [[{key}]]: name one or more of {', '.join(registry)}", ())
+                    raise InputError(f"there is no [[{key}]]: name one or more of {', '.join(registry)}")
         return cls(**data, source=source)
 
     def data(self) -> dict[str, Any]:
@@ -155,6 +178,12 @@ class Experiment:
         """The sha256 of the data, in hexadecimal digits."""
         return hashlib.sha256(_canonical(self.data()).encode()).hexdigest()
 
+    @property
+    def files(self) -> tuple[names.File, ...]:
+        """The files that its own classes and tables are in."""
+        files = {x.file.sha256: x.file for x in self.references.values() if x.file}
+        return tuple(files.values())
+
     def parts(self) -> dict[str, Part]:
         """What is to be run, by the labels "ENVIRONMENT/METHOD"; nothing is compiled.
 
@@ -165,14 +194,15 @@ class Experiment:
         budget = Budget(self.steps, self.episodes, self.log_every, self.exact)
         with located(self.source):
             for environment in self.environment:
-                values = {key: x for key, x in environment.items() if key not in ("name", "label")}
-                env = build(ENVS[environment["name"]], environment["label"], values)
+                values = {key: x for key, x in environment.items() if key not in ABOUT}
+                env = made(self.references[environment["name"]].cls, environment["label"], values)
                 for i, method in enumerate(self.method):
                     with at("method", i):
+                        cls = self.references[method["name"]].cls
                         part = prepare(
                             env,
-                            method["name"],
-                            grid_of(method, self.seed),
+                            cls,
+                            grid_of(method, cls, self.seed),
                             budget,
                             num_seeds=self.seeds,
                             seed=self.seed,

@@ -167,19 +167,15 @@ def lock(folder: Path) -> Iterator[None]:
     Raises:
         InputError: another process is in it, or it cannot be written.
     """
-    try:
-        flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
-        file = os.fdopen(os.open(folder / LOCK, flags, 0o666), "rb+", buffering=0)
-    except OSError as error:
-        raise InputError(f"{one_line(str(folder))} cannot be written: {reason(error)}") from None
-    with file:
-        with contextlib.suppress(ImportError):  # Windows has no such locks
-            import fcntl
+    from filelock import FileLock, Timeout  # here, so that importing the package stays cheap
 
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise InputError(f"another process is at work in {one_line(str(folder))}") from None
+    try:
+        held = FileLock(folder / LOCK, timeout=0).acquire()
+    except Timeout:
+        raise InputError(f"another process is at work in {one_line(str(folder))}") from None
+    except OSError as error:
+        raise InputError(f"{one_line(str(folder / LOCK))} cannot be written: {reason(error)}") from None
+    with held:
         yield
 
 
@@ -399,10 +395,15 @@ def _empty(fingerprint: str) -> dict[str, Any]:
     return {"fingerprint": fingerprint, "shards": {}, "files": {}}
 
 
-def _own_folder(path: Path) -> Path:
-    """A folder in the folder, made if need be. Raises InputError where it is a link: that leads out of it."""
+def check_no_link(path: Path) -> None:
+    """Raises InputError where a folder in the folder is a link: that leads out of it."""
     if path.is_symlink():
         raise InputError(f"{one_line(str(path))} is a link: put the folder that it leads to in its place")
+
+
+def _own_folder(path: Path) -> Path:
+    """A folder in the folder, made if need be. Raises InputError where it is a link."""
+    check_no_link(path)
     with said(path):
         path.mkdir(exist_ok=True)
     return path

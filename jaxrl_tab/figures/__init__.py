@@ -30,3 +30,7 @@ FIGURES = {
 }
 
 __all__ = ["FIGURES", "Check", "Figure", "Number", "swept"]
+
+
+def __dir__() -> list[str]:
+    return __all__

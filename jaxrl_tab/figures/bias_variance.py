@@ -49,11 +49,8 @@ def _draw(datasets):
         handles, labels = ax.get_legend_handles_labels()
         at = {"loc": "upper center", "bbox_to_anchor": (place, 0.9)}
         last.add_artist(Legend(last, handles, labels, **at, frameon=False, fontsize=plot.TYPE))
-    plot.head(
-        canvas,
-        f"Random walk, 19 states: RMS error over states and the first {by_n.sizes['row']} episodes\n"
-        f"mean and pointwise 95% interval over {by_n.sizes['seed']} seeds",
-    )
+    what = f"RMS error over states and the first {by_n.sizes['row']} episodes"
+    plot.head(canvas, f"Random walk, 19 states: {what}", by_n.sizes["seed"])
     return canvas
 
 

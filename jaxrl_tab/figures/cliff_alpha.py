@@ -64,26 +64,17 @@ def _draw(datasets):
         "ε-greedy to Q*, ties split": (_greedy_limit(), "-."),
     }
     for name, (value, style) in exact.items():
-        ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=f"{name}: −{-value:.1f}", zorder=1)
+        plot.exact_line(ax, value, f"{name}: −{-value:.1f}", ls=style, zorder=1)
     plot.tidy(ax, "step size α", "mean return per episode")
     ax.set(ylim=(LOWEST, 0), xlim=(0.05, 1.05))
+    phases = "episodes 1 to 100 (interim) and 501 to 1000 (asymptotic)"
     seeds = datasets["sarsa"].sizes["seed"]
-    plot.head(
-        canvas,
-        f"Cliff walking, ε = {EPSILON}: episodes 1 to 100 (interim) and 501 to 1000 (asymptotic)\n"
-        f"mean and pointwise 95% interval over {seeds} seeds",
-    )
+    plot.head(canvas, f"Cliff walking, ε = {EPSILON}: {phases}", seeds)
     # Matplotlib names lines first; here they come last, in a column of their own.
     handles, labels = ax.get_legend_handles_labels()
     order = np.roll(np.arange(len(handles)), -len(exact))
-    canvas.legend(
-        [handles[i] for i in order],
-        [labels[i] for i in order],
-        loc="outside lower center",
-        ncols=3,
-        frameon=False,
-        fontsize=plot.SMALL,
-    )
+    look = {"loc": "outside lower center", "ncols": 3, "frameon": False, "fontsize": plot.SMALL}
+    canvas.legend([handles[i] for i in order], [labels[i] for i in order], **look)
     return canvas
 
 

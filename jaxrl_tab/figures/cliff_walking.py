@@ -39,14 +39,10 @@ def _draw(datasets):
         plot.mean_curve(ax, ds.row + 1, ds.returns, words.title_of(method), color, lw=1)
     lines = {"optimal policy": (optimum(), "--"), "best ε-soft policy": (best_soft(), ":")}
     for name, (value, style) in lines.items():
-        ax.axhline(value, color=plot.INK, ls=style, lw=1.2, label=f"{name}: −{-value:.3g}")
+        plot.exact_line(ax, value, f"{name}: −{-value:.3g}", ls=style)
     plot.tidy(ax, "episodes", "sum of rewards in the episode")
     ax.set(ylim=(-100, 0), xlim=(0, 500))
-    seeds = datasets["sarsa"].sizes["seed"]
-    plot.head(
-        canvas,
-        f"Cliff walking, α = {ALPHA}, ε = {EPSILON}\nmean and pointwise 95% interval over {seeds} seeds",
-    )
+    plot.head(canvas, f"Cliff walking, α = {ALPHA}, ε = {EPSILON}", datasets["sarsa"].sizes["seed"])
     plot.legend(ax, loc="lower right")
     return canvas
 

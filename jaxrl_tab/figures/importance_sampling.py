@@ -132,14 +132,8 @@ def _draw(datasets):
     ordinary = datasets["ordinary"]
     episodes, seeds = _episodes(ordinary).values, ordinary.sizes["seed"]
     exact = variance().ordinary
-    left.plot(
-        episodes,
-        exact / episodes,
-        color=plot.INK,
-        ls="--",
-        lw=1.2,
-        label=f"exact, ordinary: {exact:.2f} / episodes",
-    )
+    look = {"color": plot.INK, "ls": "--", "lw": 1.2}
+    left.plot(episodes, exact / episodes, label=f"exact, ordinary: {exact:.2f} / episodes", **look)
     plot.tidy(left, "episodes", "mean squared error")
     left.set(xscale="log", yscale="log")
     left.set_title(
@@ -153,7 +147,7 @@ def _draw(datasets):
         width = {"ordinary": 0.8, "weighted": 2.2}[weighting]  # these are soon at 1, all of them, and stay
         lines = right.plot(paths.episodes, paths, color=color, lw=width)
         lines[0].set_label(f"{weighting}, {paths.sizes['seed']} runs")
-    right.axhline(1, color=plot.INK, ls="--", lw=1, label="exact: 1", zorder=3)
+    plot.exact_line(right, 1, "exact: 1", lw=1, zorder=3)
     plot.tidy(right, "episodes", "estimate of v")
     right.set(xscale="log", xlim=(1, None), ylim=(0, 3))
     right.set_title(

@@ -48,7 +48,7 @@ def _draw(datasets):
             ds = datasets[name]
             plays = ds.steps.isel(seed=0).cumsum("row")
             plot.mean_curve(ax, plays, ds.rewards / ds.steps, name, colors[name], lw=1.5)
-        ax.axhline(best, color=plot.INK, ls="--", lw=1.2, label=f"the best arm: {best:.2f}")
+        plot.exact_line(ax, best, f"the best arm: {best:.2f}")
         plot.tidy(ax, "plays", "mean reward" if ax is axes[0] else "")
         ax.set(xlim=(0, None), ylim=(-0.1, 1.65))
         ax.set_title(title, fontsize=plot.TYPE)

@@ -32,14 +32,10 @@ def _draw(datasets):
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
         plot.mean_curve(ax, ds.row + 1, 100 * _left(ds), words.title_of(method), color)
     least = 100 * EPSILON / 2
-    ax.axhline(least, color=plot.INK, ls="--", lw=1.2, label=f"optimal but for exploration: {least:g}%")
+    plot.exact_line(ax, least, f"optimal but for exploration: {least:g}%")
     plot.tidy(ax, "episodes", "% of runs that go left from A")
     ax.set(ylim=(0, 100), xlim=(0, None))
-    seeds = datasets[METHODS[0]].sizes["seed"]
-    plot.head(
-        canvas,
-        f"Maximization bias, α = {ALPHA}, ε = {EPSILON}\nmean and pointwise 95% interval over {seeds} seeds",
-    )
+    plot.head(canvas, f"Maximization bias, α = {ALPHA}, ε = {EPSILON}", datasets[METHODS[0]].sizes["seed"])
     plot.legend(ax, loc="upper right")
     return canvas
 

@@ -50,14 +50,12 @@ def _draw(datasets):
     for (name, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
         plot.mean_curve(ax, _plays(ds), ds.right, name, color)
     exact = TwoDoors().lock_in_probability()
-    label = f"exact probability of lock-in: {exact:.3f}"
-    ax.axhline(exact, color=plot.INK, ls="--", lw=1.2, label=label)
+    plot.exact_line(ax, exact, f"exact probability of lock-in: {exact:.3f}")
     plot.tidy(ax, "plays", "share of runs that prefer the worse door")
     ax.set_xscale("log")
     ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     ax.set_ylim(0, 1)
-    seeds = datasets[GREEDY].sizes["seed"]
-    plot.head(canvas, f"Two doors, sample averages\nmean and pointwise 95% interval over {seeds} seeds")
+    plot.head(canvas, "Two doors, sample averages", datasets[GREEDY].sizes["seed"])
     plot.legend(ax, loc="upper right")
     return canvas
 

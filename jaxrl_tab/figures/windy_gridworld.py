@@ -31,10 +31,7 @@ def _draw(datasets):
     v, q = planning.value_iteration(env)
     plot.greedy_path(grid, env, q, "An optimal policy", planning.start_value(env, v))
     seeds = datasets["sarsa"].sizes["seed"]
-    plot.head(
-        canvas,
-        f"Windy gridworld, α = {ALPHA}, ε = {EPSILON}\nmean and pointwise 95% interval over {seeds} seeds",
-    )
+    plot.head(canvas, f"Windy gridworld, α = {ALPHA}, ε = {EPSILON}", seeds)
     return canvas
 
 

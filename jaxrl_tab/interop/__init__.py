@@ -8,10 +8,13 @@ Each library is imported when it is asked for: `import gymnax` takes seconds and
 comes before it.
 """
 
+import functools
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core import names
+from jaxrl_tab.core.checks import InputError, reason, shown
+from jaxrl_tab.envs import ENVIRONMENT
 
 if TYPE_CHECKING:
     from jaxrl_tab.interop.gymnasium import from_gymnasium, to_gymnasium
@@ -19,7 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["from_gymnasium", "from_gymnax", "make", "to_gymnasium", "to_gymnax"]
 
-LIBRARIES = ("gymnasium", "gymnax")
+# What pip installs of each: gymnax imports six, and does not declare it.
+LIBRARIES = {"gymnasium": "gymnasium", "gymnax": "gymnax six"}
 
 
 def make(name: str, **parameters: Any) -> Any:
@@ -30,7 +34,7 @@ def make(name: str, **parameters: Any) -> Any:
         parameters: what the library's own `make` takes.
 
     Raises:
-        InputError: the name is of no such form, the library is not installed, or it is as `from_gymnax` and
+        InputError: the name is of no such form, the library cannot be imported, or it is as `from_gymnax` and
             `from_gymnasium` say.
     """
     library, _, there = str(name).partition(":")
@@ -43,9 +47,24 @@ def __getattr__(name: str) -> Any:
     library = name.partition("_")[2]
     if name not in __all__ or library not in LIBRARIES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(_module(library), name)
+
+
+def _module(library: str) -> Any:
+    """The module here that is about a library."""
     try:
-        return getattr(importlib.import_module(f"{__name__}.{library}"), name)
-    except ModuleNotFoundError as error:
-        if error.name != library:
-            raise
-        raise InputError(f"{library} is not installed; python -m pip install {library}") from None
+        return importlib.import_module(f"{__name__}.{library}")
+    except Exception as error:  # of gymnax, a version that is too old for JAX raises an AttributeError
+        raise InputError(
+            f"{library} cannot be imported ({reason(error)}); python -m pip install --upgrade {LIBRARIES[library]}"
+        ) from None
+
+
+def _class_of(library: str, name: str) -> type:
+    """The class of an environment of a library, with the keyword arguments that it has there as parameters."""
+    module = _module(library)
+    make = functools.partial(module.by_name, name)
+    return names.made_by(make, name, module.arguments(name), f"{name} of {library}.")
+
+
+ENVIRONMENT.libraries.update((library, functools.partial(_class_of, library)) for library in LIBRARIES)

@@ -1,6 +1,7 @@
 """Gymnasium, both ways."""
 
 import copy
+import inspect
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +10,7 @@ import gymnasium
 import jax
 import numpy as np
 from gymnasium import spaces, wrappers
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 
 from jaxrl_tab.core import rng
@@ -70,12 +71,32 @@ def from_gymnasium(env: Any, **parameters: Any) -> FiniteMDP:
         )
     if getattr(inner, "fickle_passenger", False):
         raise InputError(
-            f"{name}: the moods of a fickle passenger are not in its table; leave fickle_passenger"
+            f"{name}: fickle_passenger changes what happens, and its table does not show that; leave it out"
         )
     mdp = FiniteMDP.from_outcomes(table, (), start, limit)
     _check_spaces(name, inner, len(table), mdp.num_actions)
     _check_steps(name, inner, limit)
     return mdp
+
+
+def arguments(name: str) -> dict[str, Any]:
+    """The keyword arguments of a registered environment, but for how it is rendered, with their defaults."""
+    try:
+        spec = gymnasium.spec(name)
+        creator = (
+            load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
+        )
+    except (gymnasium.error.Error, ImportError) as error:
+        raise InputError(f"gymnasium: {' '.join(str(error).split())}") from None
+    keywords = inspect.signature(creator).parameters if creator else {}
+    return {
+        key: spec.kwargs.get(key, keyword.default)
+        for key, keyword in keywords.items()
+        if key != "render_mode" and keyword.default is not keyword.empty
+    }
+
+
+by_name = from_gymnasium
 
 
 def _make(name: str | EnvSpec, parameters: Mapping[str, Any]) -> gymnasium.Env:

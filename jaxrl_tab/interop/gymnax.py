@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -157,6 +158,21 @@ def _rows(x: np.ndarray, number: np.ndarray, num_states: int) -> np.ndarray:
     table = np.zeros((num_states, *x.shape[1:]), x.dtype)
     table[number] = x
     return table
+
+
+def arguments(name: str) -> dict[str, Any]:
+    """The keyword arguments of a registered environment and the fields of its `params`, with their defaults."""
+    env, params = _made(name, None, {})
+    keywords = inspect.signature(type(env)).parameters.values()
+    found = {keyword.name: keyword.default for keyword in keywords if keyword.default is not keyword.empty}
+    return found | {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
+
+
+def by_name(name: str, **values: Any) -> EnumeratedGymnax | SampledGymnax:
+    """The environment with some of its `arguments`."""
+    keywords = inspect.signature(type(_made(name, None, {})[0])).parameters
+    params = {key: value for key, value in values.items() if key not in keywords}
+    return from_gymnax(name, params, **{key: value for key, value in values.items() if key in keywords})
 
 
 def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environment.Environment, Any]:

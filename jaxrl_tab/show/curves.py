@@ -11,11 +11,11 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from jaxrl_tab import stats
 from jaxrl_tab.core.checks import InputError
-from jaxrl_tab.core.types import Environment
 from jaxrl_tab.show import words
 from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal, tidy
 from jaxrl_tab.show.words import label_of, shortened, significant, text_of
 from jaxrl_tab.stats.along import Datasets
+from jaxrl_tab.stats.columns import Methods
 
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
 FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has its tick on an axis
@@ -109,17 +109,14 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
         raise InputError(f"no method swept {parameter!r}")
     prediction = stats.is_prediction(*datasets.values())
     series, drawn = {}, set()
-    for name, ds in datasets.items():
-        chosen = stats.best(ds)
+    for name, own in Methods.of(datasets).settings.items():
+        ds, chosen = own.ds, dict(own.best)
         if parameter in stats.drawn(ds):
             drawn.add(name)
             del chosen["draw"]
         chosen.pop(parameter, None)
         label = label_of(name, stats.named(ds, chosen))
-        late = xr.zeros_like(ds.episodes.isel(seed=0, row=0), bool)
-        if not prediction:
-            late = stats.unfinished(ds).any("seed")
-        parts = [part.sel(chosen) for part in (*stats.score_interval(ds), late)]
+        parts = [part.sel(chosen) for part in (*own.interval, own.unfinished > 0)]
         ds = ds.sel(chosen)
         if name not in drawn and parameter not in ds.dims:
             if parameter not in stats.fixed(ds):
@@ -225,10 +222,10 @@ def at_setting(datasets: Datasets, given: Mapping[str, Any]) -> Iterable[tuple[s
     for name in given:
         if not any(name in stats.hyperparameters(ds) for ds in datasets.values()):
             raise InputError(f"no method swept {name!r}")
-    for method, ds in datasets.items():
-        own = {name: value for name, value in given.items() if name in stats.hyperparameters(ds)}
-        setting = stats.best(ds, **own)
-        yield label_of(method, stats.named(ds, setting)), ds.sel(setting)
+    for name, own in Methods.of(datasets).settings.items():
+        held = {key: value for key, value in given.items() if key in stats.hyperparameters(own.ds)}
+        setting = stats.best(own.ds, **held) if held else own.best
+        yield label_of(name, stats.named(own.ds, setting)), own.ds.sel(setting)
 
 
 def _from_origin(x: xr.DataArray) -> np.ndarray:
@@ -241,13 +238,10 @@ def common_optimum(datasets: Datasets) -> float:
     return float(values[0]) if np.ptp(values) < 1e-6 * max(1, abs(values[0])) else np.nan
 
 
-def common_soft_optimum(datasets: Datasets, env: Environment) -> float:
-    """What the best policy is worth that explores as the best settings do, if that is one number, else NaN."""
-    if stats.is_prediction(*datasets.values()):
-        return np.nan
-    settings = [stats.fixed(ds) | stats.named(ds, stats.best(ds)) for ds in datasets.values()]
-    explored = [{key: setting.get(key) for key in ("epsilon", "gamma", "behaviour")} for setting in settings]
-    return stats.soft_optimum(env, explored[0]) if all(x == explored[0] for x in explored) else np.nan
+def common_soft_optimum(methods: Methods) -> float:
+    """What the best policy is worth that explores as the best settings do, if all explore alike; else NaN."""
+    first, *others = methods.settings.values()
+    return first.soft if all(own.exploration == first.exploration for own in others) else np.nan
 
 
 def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float) -> None:

@@ -13,11 +13,13 @@ from matplotlib.patches import Rectangle
 
 from jaxrl_tab import stats
 from jaxrl_tab.core import memory, policies
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs.base import COMPASS, Grid
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.style import ALARM, COLORS, GREY, INK, SMALL, axes_title, color_bar
 from jaxrl_tab.show.words import label_of, seeds_in_words, significant
+from jaxrl_tab.stats.columns import Method
 
 
 def greedy_path(
@@ -186,7 +188,8 @@ def greedy_actions(q: np.ndarray) -> np.ndarray:
 def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
     """Cells, hatched where nobody gets; where there is wind, its strength as a shade and in numbers below."""
     rows, columns = env.shape
-    wind = np.asarray(getattr(env, "wind", np.zeros(columns)))
+    wind = of_environment(env).wind
+    wind = np.zeros(columns) if wind is None else np.asarray(wind)
     strongest = max(1, np.abs(wind).max())
     for column, strength in enumerate(wind):
         shade = mpl.colormaps["Blues"](0.36 * abs(strength) / strongest)
@@ -264,10 +267,9 @@ def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
         text.set_path_effects([patheffects.withStroke(linewidth=2, foreground="white")])
 
 
-def median_path(ax: Axes, env: Grid, method: str, ds: xr.Dataset) -> None:
-    """The greedy path that is the median over seeds in length, at the best hyperparameters."""
-    setting = stats.best(ds)
-    label, ds = label_of(method, stats.named(ds, setting)), ds.sel(setting)
+def median_path(ax: Axes, env: Grid, own: Method) -> None:
+    """The greedy path that is the median over seeds in length, at the best setting of a method."""
+    label, ds = label_of(own.name, stats.named(own.ds, own.best)), own.at_best
     moves = _Moves.of(env)
     lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in tables_of_seeds(ds)])
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]

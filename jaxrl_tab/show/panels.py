@@ -10,8 +10,9 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxrl_tab import stats
 from jaxrl_tab.core.checks import InputError
-from jaxrl_tab.core.types import Environment, available_actions
-from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions
+from jaxrl_tab.envs.base import Panel
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, at_setting, mean_curve
 from jaxrl_tab.show.style import (
@@ -33,9 +34,14 @@ from jaxrl_tab.show.words import significant
 from jaxrl_tab.stats.along import Datasets
 
 
+def tables_of(env: Environment) -> tuple[Panel, ...]:
+    """The tables in which people see the states; none where they are a list, or nothing exact is known."""
+    return of_environment(env).panels() if isinstance(env, FiniteEnvironment) else ()
+
+
 def panels(
     axes: Sequence[Axes],
-    env: Finite,
+    env: Environment,
     v: np.ndarray,
     best: np.ndarray | None = None,
     title: str = "",
@@ -46,7 +52,7 @@ def panels(
     States that are terminal or out of reach are left empty.
 
     Args:
-        axes: where to draw, one for each of `env.panels()`.
+        axes: where to draw, one for each of `tables_of(env)`.
         env: the environment.
         v: values, [S].
         best: which actions are best, bool [S, A]; named below the values. None: names none.
@@ -57,14 +63,15 @@ def panels(
     shown = np.isfinite(v) & planning.reachable(model) & ~planning.terminal_states(model)
     low, high = limits or (v[shown].min(initial=np.inf), v[shown].max(initial=-np.inf))
     image = None
-    for ax, table in zip(axes, env.panels(), strict=True):
+    names = of_environment(env).action_names
+    for ax, table in zip(axes, tables_of(env), strict=True):
         values = np.ma.masked_array(v, ~shown)[table.states]
         image = ax.imshow(values, cmap="viridis", vmin=low, vmax=high)
         for row, column in np.argwhere(shown[table.states]):
             s = table.states[row, column]
             text = _cell(float(v[s]))
             if best is not None:
-                text += "\n" + _either([env.action_names[a] for a in np.flatnonzero(best[s])])
+                text += "\n" + _either([names[a] for a in np.flatnonzero(best[s])])
             color = (
                 INK if v[s] > low + 0.6 * (high - low) else "white"
             )  # on the bright colours, and on the dark
@@ -94,9 +101,9 @@ def _either(names: Sequence[str]) -> str:
     return "\n".join(names) if len(names) < 3 else f"{len(names)} tied"
 
 
-def panels_canvas(env: Finite, rows: int) -> tuple[Figure, np.ndarray]:
+def panels_canvas(env: Environment, rows: int) -> tuple[Figure, np.ndarray]:
     """A figure with the axes for so many rows of `panels`, [rows, panels]."""
-    tables = env.panels()
+    tables = tables_of(env)
     widths = [1.5 + len(table.columns) for table in tables]  # in cells, with the names of the rows
     cell = min(0.5, WIDTH / sum(widths))
     tallest = max(len(table.rows) for table in tables)
@@ -104,14 +111,14 @@ def panels_canvas(env: Finite, rows: int) -> tuple[Figure, np.ndarray]:
     return figure, figure.subplots(rows, len(tables), squeeze=False, width_ratios=widths)
 
 
-def action_values(ax: Axes, env: Finite, q: np.ndarray) -> None:
+def action_values(ax: Axes, env: Environment, q: np.ndarray) -> None:
     """A mark for the value of each action, `q` [S, A], in each state that is not terminal.
 
     Where there are more actions than states, the actions lie along the axis and the marks tell the states
     apart. Of more than `MOST_MARKS` kinds of marks two are left: for the largest value and for all others.
     """
     states = np.flatnonzero(~planning.terminal_states(planning.exact_model(env)))
-    along, marked = ("state", states.astype(str)), ("action", np.array(env.action_names))
+    along, marked = ("state", states.astype(str)), ("action", np.array(of_environment(env).action_names))
     x, shown = states, q[states].T  # [marks, places]
     if env.num_actions > len(states):
         along, marked = marked, along

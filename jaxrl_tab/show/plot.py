@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from jaxrl_tab import stats
 from jaxrl_tab.core.types import Environment
-from jaxrl_tab.envs.base import Finite, Grid
+from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.curves import (
     at_setting,
@@ -41,7 +41,14 @@ from jaxrl_tab.show.grids import (
     values,
     walk,
 )
-from jaxrl_tab.show.panels import action_values, panels, panels_canvas, state_values, uniform_values
+from jaxrl_tab.show.panels import (
+    action_values,
+    panels,
+    panels_canvas,
+    state_values,
+    tables_of,
+    uniform_values,
+)
 from jaxrl_tab.show.style import (
     ALARM,
     CELL,
@@ -59,6 +66,7 @@ from jaxrl_tab.show.style import (
     WIDTH,
     canvas,
     color_bar,
+    exact_line,
     head,
     legend,
     literal,
@@ -66,6 +74,7 @@ from jaxrl_tab.show.style import (
 )
 from jaxrl_tab.show.words import in_words, seeds_in_words, shortened, title_of, unusual, written
 from jaxrl_tab.stats.along import Datasets
+from jaxrl_tab.stats.columns import Methods
 
 __all__ = [
     "ALARM",
@@ -86,6 +95,7 @@ __all__ = [
     "changes",
     "color_bar",
     "episodes_against_steps",
+    "exact_line",
     "greedy_path",
     "head",
     "in_words",
@@ -117,10 +127,11 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
         datasets: a sweep for each method, at least one.
         env: the environment of all of them.
     """
-    curves = _curves(datasets, env)
-    if isinstance(env, Grid) and not stats.is_prediction(*datasets.values()):
-        winner = stats.ranked(datasets)[0]
-        curves["greedy_path"] = lambda ax: median_path(ax, env, winner, datasets[winner])
+    methods = Methods.of(datasets, env)
+    curves = _curves(methods, env)
+    if isinstance(env, Grid) and not stats.learns_states(*methods.values()):
+        winner = methods.settings[stats.ranked(methods.settings)[0]]
+        curves["greedy_path"] = lambda ax: median_path(ax, env, winner)
     columns = min(2, len(curves))
     rows = -(-len(curves) // columns)
     figure = canvas(WIDTH, 2.8 * rows + 0.4)
@@ -154,7 +165,8 @@ def save_all(
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    figures = pictures(datasets, env) | {"overview": overview(datasets, env)}
+    methods = Methods.of(datasets, env)
+    figures = pictures(methods, env) | {"overview": overview(methods, env)}
     files = [folder / f"{name}.{kind}" for name in figures]
     for file, figure in zip(files, figures.values(), strict=True):
         save(figure, file)
@@ -171,40 +183,38 @@ def save(figure: Figure, file: Path) -> None:
 
 def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
     """The figures of `save_all` by their names, but for the overview, in which they are again."""
-    prediction = stats.is_prediction(*datasets.values())
-    figures = {}
-    for name, draw in _curves(datasets, env).items():
+    methods, figures = Methods.of(datasets, env), {}
+    for name, draw in _curves(methods, env).items():
         figure = canvas(NARROW, 4.2)
         draw(figure.subplots())
         _say_what_ran(figure, datasets, env, intervals=True)
         figures[name] = figure
-    if isinstance(env, Grid) and not prediction:
-        figures["greedy_path"] = _all_paths(datasets, env)
-    elif isinstance(env, Finite) and env.panels():
-        figures["values"] = value_tables(datasets, env)
+    if isinstance(env, Grid) and not stats.learns_states(*methods.values()):
+        figures["greedy_path"] = _all_paths(methods, env)
+    elif tables_of(env):
+        figures["values"] = value_tables(methods, env)
     return figures
 
 
-def _curves(datasets: Datasets, env: Environment) -> dict[str, Callable[[Axes], None]]:
+def _curves(methods: Methods, env: Environment) -> dict[str, Callable[[Axes], None]]:
     """What draws each picture of one pair of axes, by its name."""
-    prediction = stats.is_prediction(*datasets.values())
     curves: dict[str, Callable[[Axes], None]] = {}
-    if not prediction:
-        curves["episodes"] = lambda ax: episodes_against_steps(ax, datasets)
-    soft = common_soft_optimum(datasets, env)
-    curves["learning_curves"] = lambda ax: learning_curves(ax, datasets, soft=soft)
-    names = (name for ds in datasets.values() for name in stats.hyperparameters(ds) + stats.drawn(ds))
+    if not stats.learns_states(*methods.values()):
+        curves["episodes"] = lambda ax: episodes_against_steps(ax, methods)
+    soft = common_soft_optimum(methods)
+    curves["learning_curves"] = lambda ax: learning_curves(ax, methods, soft=soft)
+    names = (name for ds in methods.values() for name in stats.hyperparameters(ds) + stats.drawn(ds))
     swept = dict.fromkeys(name for name in names if name != "draw")
     for i, name in enumerate(sorted(swept, key=lambda name: name != "alpha")):
         key = f"sensitivity_{name}" if i else "sensitivity"
         line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
-        curves[key] = lambda ax, name=name, line=line: sensitivity(ax, datasets, name, soft=line)
-    if prediction and not (isinstance(env, Finite) and env.panels()):
-        curves["values"] = lambda ax: state_values(ax, datasets, env)
+        curves[key] = lambda ax, name=name, line=line: sensitivity(ax, methods, name, soft=line)
+    if stats.learns_states(*methods.values()) and not tables_of(env):
+        curves["values"] = lambda ax: state_values(ax, methods, env)
     return curves
 
 
-def value_tables(datasets: Datasets, env: Finite) -> Figure:
+def value_tables(datasets: Datasets, env: Environment) -> Figure:
     """The panels of the environment: a row for what each method learned, and one for what is exact.
 
     What a method learned is the mean over seeds of its largest action value, and the action that is greedy
@@ -217,7 +227,7 @@ def value_tables(datasets: Datasets, env: Finite) -> Figure:
         value = sum(q.max(-1).sum(0, dtype=float) for q in tables_of_seeds(ds)) / ds.sizes["seed"]
         learned[f"{label}: mean of {seeds_in_words({label: ds})}"] = (
             value,
-            None if stats.is_prediction(ds) else best,
+            None if stats.learns_states(ds) else best,
         )
     limits = None
     if (exact := _exact_table(datasets, env)) is not None:
@@ -232,9 +242,9 @@ def value_tables(datasets: Datasets, env: Finite) -> Figure:
     return figure
 
 
-def _exact_table(datasets: Datasets, env: Finite) -> tuple[np.ndarray, np.ndarray | None] | None:
+def _exact_table(datasets: Datasets, env: Environment) -> tuple[np.ndarray, np.ndarray | None] | None:
     """v* and the optimal actions, or of prediction v_pi and None; None where there is no one such answer."""
-    if stats.is_prediction(*datasets.values()):
+    if stats.learns_states(*datasets.values()):
         v = uniform_values(datasets, env)
         return None if v is None else (v, None)
     if not np.isfinite(common_optimum(datasets)):
@@ -243,20 +253,20 @@ def _exact_table(datasets: Datasets, env: Finite) -> tuple[np.ndarray, np.ndarra
     return v, greedy_actions(q)
 
 
-def _all_paths(datasets: Datasets, env: Grid) -> Figure:
+def _all_paths(methods: Methods, env: Grid) -> Figure:
     """The greedy path of every method, and an optimal one where there is a finite optimum."""
-    optimum = common_optimum(datasets)
-    count = len(datasets) + bool(np.isfinite(optimum))
+    optimum = common_optimum(methods)
+    count = len(methods) + bool(np.isfinite(optimum))
     columns, rows = min(2, count), -(-count // 2)
     width = WIDTH * columns / 2
     figure = canvas(width, (0.9 + 0.95 * width / columns * env.shape[0] / env.shape[1]) * rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax, (method, ds) in zip(grid, datasets.items(), strict=False):
-        median_path(ax, env, method, ds)
+    for ax, own in zip(grid, methods.settings.values(), strict=False):
+        median_path(ax, env, own)
     if np.isfinite(optimum):
-        gamma = stats.fixed(next(iter(datasets.values()))).get("gamma", 1.0)
+        gamma = stats.fixed(next(iter(methods.values()))).get("gamma", 1.0)
         _, q = planning.value_iteration(env, gamma)
-        greedy_path(grid[len(datasets)], env, q, "An optimal policy", optimum)
+        greedy_path(grid[len(methods)], env, q, "An optimal policy", optimum)
     for ax in grid[count:]:
         ax.remove()
     return figure
@@ -278,3 +288,7 @@ def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, *, inter
         [f"mean over {seeds_in_words(datasets)}, and its 95% interval at each point"] if intervals else []
     )
     head(figure, "\n".join(lines).replace("\xa0", " "))
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -5,7 +5,6 @@ to read it, and how it was made.
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,21 +16,20 @@ from jaxrl_tab.core import describe
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
-from jaxrl_tab.envs.base import Finite, Grid
+from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.show import plot, words
 from jaxrl_tab.show.html import embedded, render
+from jaxrl_tab.show.panels import tables_of
 from jaxrl_tab.show.rows import (
     AT_ONCE,
-    Row,
     Table,
     View,
     chosen_table,
+    columns_of,
     decimals,
-    difference_cells,
     finding,
     notes,
     rank,
-    rows_of,
     runs_in_words,
     setting_of,
     settings_table,
@@ -39,6 +37,9 @@ from jaxrl_tab.show.rows import (
 )
 from jaxrl_tab.show.words import counts_in_words, listed, number
 from jaxrl_tab.stats.along import Datasets
+from jaxrl_tab.stats.columns import Methods, Row, by_environment, text
+
+__all__ = ["write"]
 
 FILE = "report.html"
 
@@ -102,30 +103,32 @@ def write(
     for name, ds in fresh.items():
         if any(ds.sizes[parameter] > 1 for parameter in stats.hyperparameters(ds)):
             raise InputError(f"what was run on fresh seeds must be one setting, but {name} is a sweep")
-    chapters = []
-    for label, names in groupby(datasets, lambda name: name.partition("/")[0]):
-        if label not in envs:
-            raise InputError(f"there is no environment {label!r}; there are {', '.join(envs)}")
-        parts = {name: datasets[name] for name in names}
-        again = {_method(name): ds for name, ds in fresh.items() if name in parts}
-        chapters.append(
-            _chapter(label, {_method(name): ds for name, ds in parts.items()}, envs[label], again)
-        )
-    text = render(
+    return write_methods(Path(folder), by_environment(datasets, envs), about, by_environment(fresh, envs))
+
+
+def write_methods(
+    folder: Path, methods: Mapping[str, Methods], about: Mapping[str, Any], fresh: Mapping[str, Methods]
+) -> Path:
+    """`write`, of the methods of each environment, of which something may have been worked out already."""
+    chapters = [_chapter(label, own, fresh.get(label, Methods({}))) for label, own in methods.items()]
+    sweeps = {f"{label}/{name}": ds for label, own in methods.items() for name, ds in own.items()}
+    seeds = [ds.sizes["seed"] for ds in sweeps.values()]
+    page = render(
         "report.html",
-        title=_title(datasets, chapters),
+        title=_title(chapters),
         chapters=chapters,
+        explained={heading: said for chapter in chapters for heading, said in chapter.explained.items()},
         about=about,
-        speed=[_speed(name, ds) for name, ds in datasets.items()],
-        seeds=counts_in_words(ds.sizes["seed"] for ds in datasets.values()),
+        speed=[_speed(name, ds) for name, ds in sweeps.items()],
+        seeds=counts_in_words(seeds),
         fresh=bool(fresh),
         coverage=COVERAGE,
-        unseen=stats.unseen(min(ds.sizes["seed"] for ds in datasets.values())),
+        unseen=stats.unseen(min(seeds)),
         at_once=AT_ONCE,
         version=__version__,
     )
-    file = Path(folder) / FILE
-    file.write_text(text, encoding="utf-8")
+    file = folder / FILE
+    file.write_text(page, encoding="utf-8")
     return file
 
 
@@ -134,7 +137,7 @@ class Picture(NamedTuple):
 
     Attributes:
         source: its address, which holds the picture itself.
-        alt: what it shows, for who does not see it.
+        alt: what it shows, in words, for readers who cannot see it.
         caption: how to read it.
         large: whether it has the width of the page.
     """
@@ -165,70 +168,74 @@ class Chapter(NamedTuple):
     num_settings: int
     diverged: list[str]
     num_diverged: int
-    unfinished: bool
     doubtful: bool
     tied: bool
     explores: bool
-    greedy_worth: bool
+    explained: dict[str, str]
 
 
 # --- a chapter ---------------------------------------------------------------------------------------
-def _chapter(label: str, datasets: Datasets, env: Environment, fresh: Datasets) -> Chapter:
-    prediction = stats.is_prediction(*datasets.values())
-    rows = [row for method, ds in datasets.items() for row in rows_of(method, ds, env)]
-    again = {method: rows_of(method, ds, env)[0] for method, ds in fresh.items()}
+def _chapter(label: str, methods: Methods, fresh: Methods) -> Chapter:
+    env, prediction, rows = methods.env, methods.prediction, methods.rows
+    assert env is not None
+    again = {row.method: row for row in fresh.rows}
     ranked = sorted(rows, key=lambda row: rank(row, prediction))
-    stars = [row for row in ranked if row.star]
-    if len(again) == len(stars):
+    stars = [row for row in ranked if row["best"]]
+    on_fresh = len(again) == len(stars)
+    if on_fresh:
         stars.sort(key=lambda row: rank(again[row.method], prediction))
     view = View(prediction, varied(rows), decimals([*stars, *again.values()]))
-    judged = fresh if len(fresh) == len(datasets) else datasets
-    differences = difference_cells({row.method: judged[row.method] for row in stars}, view)
+    differences = (fresh if on_fresh else methods).differences
+    judged = again if on_fresh else {row.method: row for row in stars}
+    columns = dict.fromkeys(columns_of("chosen", [*stars, *again.values()]) + columns_of("all", rows))
     return Chapter(
         label=words.title_of(label),
         about=describe.summary(type(env)),
         unusual=", ".join(plot.unusual(env)),
-        methods=list(datasets),
-        runs=runs_in_words(next(iter(datasets.values()))),
+        methods=list(methods),
+        runs=runs_in_words(next(iter(methods.values()))),
         common=", ".join(
             plot.in_words({k: x for row in rows for k, x in row.setting.items() if k not in view.varied})
         ),
         finding=finding(stars, again, view),
         prediction=prediction,
         compared=bool(differences),
-        on_fresh=judged is fresh,
+        on_fresh=on_fresh,
         notes=notes(stars, again, view),
-        chosen=chosen_table(stars, again, differences, view),
-        pictures=_pictures(label, datasets, env, stars, view),
+        chosen=chosen_table(stars, again, judged if differences else {}, view),
+        pictures=_pictures(label, methods, env, stars, view),
         settings=settings_table(ranked, view),
         num_settings=len(rows),
-        diverged=[f"{setting_of(row, view)}: {row.diverged} of {row.seeds}" for row in rows if row.diverged],
-        num_diverged=sum(row.diverged for row in rows),
-        unfinished=any(row.unfinished for row in rows),
+        diverged=[
+            f"{setting_of(row, view)}: {row['diverged']} of {row['seeds']}" for row in rows if row["diverged"]
+        ],
+        num_diverged=sum(row["diverged"] for row in rows),
         doubtful=any(row.doubtful for row in [*rows, *again.values()]),
-        tied=any(row.tied and not row.star for row in rows),
-        explores=not np.isnan([row.soft for row in rows]).all(),
-        greedy_worth=not prediction and any("greedy_value" in ds for ds in datasets.values()),
+        tied=any(row["tied"] and not row["best"] for row in rows),
+        explores=not np.isnan([row["soft"] for row in rows]).all(),
+        explained={_sentence(text(x.report, prediction)): x.help for x in columns if x.help},
     )
 
 
 # --- pictures ----------------------------------------------------------------------------------------
 def _pictures(
-    label: str, datasets: Datasets, env: Environment, stars: Sequence[Row], view: View
+    label: str, methods: Methods, env: Environment, stars: Sequence[Row], view: View
 ) -> list[Picture]:
-    figures = plot.pictures(datasets, env)
-    if isinstance(env, Grid) and not view.prediction:
-        figures["values"] = plot.value_tables(datasets, env)
+    figures = plot.pictures(methods, env)
+    if isinstance(env, Grid) and not stats.learns_states(*methods.values()):
+        figures["values"] = plot.value_tables(methods, env)
     captions = CAPTIONS | (OF_PREDICTION if view.prediction else {})
-    ends = ", ".join(f"{words.title_of(row.method)} {number(row.mean, view.decimals)}" for row in stars)
+    ends = ", ".join(
+        f"{words.title_of(row.method)} {number(row['score'][0], view.decimals)}" for row in stars
+    )
     what = view.what if view.prediction else f"{view.what} at the end"
-    optimum = stars[0].optimum
+    optimum = stars[0]["optimum"]
     known = "" if view.prediction or np.isnan(optimum) else f"; exact optimum {number(optimum)}"
     pictures = []
     for name, figure in figures.items():
         kind, _, parameter = name.partition("_") if name.startswith("sensitivity") else (name, "", "")
-        shown = _parameter(datasets, parameter)
-        texts = kind == "values" and isinstance(env, Finite) and bool(env.panels())  # hundreds of them
+        shown = _parameter(methods, parameter)
+        texts = kind == "values" and bool(tables_of(env))  # hundreds of them
         title = kind.replace("_", " ") + (f" to {shown}" if kind == "sensitivity" else "")
         pictures.append(
             Picture(
@@ -252,11 +259,11 @@ def _parameter(datasets: Datasets, name: str) -> str:
 
 
 # --- words -------------------------------------------------------------------------------------------
-def _method(name: str) -> str:
-    return name.partition("/")[2] or name
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
-def _title(datasets: Datasets, chapters: Sequence[Chapter]) -> str:
+def _title(chapters: Sequence[Chapter]) -> str:
     methods = dict.fromkeys(words.title_of(method) for chapter in chapters for method in chapter.methods)
     labels = [chapter.label for chapter in chapters]
     return f"{listed(list(methods), 'methods')} in {listed(labels, 'environments')}"
@@ -268,3 +275,7 @@ def _speed(name: str, ds: xr.Dataset) -> list[str]:
     known = [float(ds.attrs.get(key, np.nan)) for key in ("seconds", "compile_seconds", "steps_per_second")]
     known[2] /= 1e6
     return [name, f"{steps:,}".replace(",", " "), *(number(x, 1) for x in known)]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -101,6 +101,12 @@ def canvas(width: float, height: float) -> Figure:
     return _Canvas((width, height), dpi=DPI, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06))
 
 
-def head(figure: Figure, text: str) -> None:
-    """The title of a whole figure."""
-    figure.suptitle(literal(text), fontsize=TITLE)
+def head(figure: Figure, text: str, seeds: int | None = None) -> None:
+    """The title of a whole figure; in a line of its own over how many seeds its means and intervals are."""
+    over = "" if seeds is None else f"\nmean and pointwise 95% interval over {seeds} seeds"
+    figure.suptitle(literal(text + over), fontsize=TITLE)
+
+
+def exact_line(ax: Axes, value: float, label: str, **line: Any) -> None:
+    """A level line for what is exact, named in the legend; it is drawn as `line` says, dashed by default."""
+    ax.axhline(value, label=label, **{"color": INK, "ls": "--", "lw": 1.2} | line)

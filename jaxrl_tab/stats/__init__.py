@@ -33,6 +33,7 @@ bad: they never reach a threshold (`time_to_threshold`), and with `final_return`
 
 from jaxrl_tab.stats.along import MEMORY, Interval
 from jaxrl_tab.stats.bootstrap import RESAMPLES, bootstrap_interval, iqm, iqm_interval
+from jaxrl_tab.stats.columns import COLUMNS, Column, Methods, summary
 from jaxrl_tab.stats.comparisons import (
     Difference,
     holm,
@@ -64,6 +65,7 @@ from jaxrl_tab.stats.measures import (
     is_prediction,
     last_tenth,
     learning_curve,
+    learns_states,
     mean_return,
     merge_rows,
     named,
@@ -85,18 +87,20 @@ from jaxrl_tab.stats.settings import (
     ranked,
     score_interval,
     selection,
-    summary,
     tied,
 )
 
 __all__ = [
+    "COLUMNS",
     "MEMORY",
     "NOT_SWEPT",
     "RESAMPLES",
     "SOFT_STATES",
+    "Column",
     "Difference",
     "Interval",
     "Measure",
+    "Methods",
     "Selection",
     "area_under_curve",
     "at_edge",
@@ -115,6 +119,7 @@ __all__ = [
     "is_prediction",
     "last_tenth",
     "learning_curve",
+    "learns_states",
     "mean_interval",
     "mean_return",
     "median_interval",
@@ -144,3 +149,7 @@ __all__ = [
     "unfinished",
     "unseen",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -22,6 +22,8 @@ import xarray as xr
 from jaxrl_tab import stats
 from jaxrl_tab.core.checks import InputError, nearest
 
+__all__ = ["load", "save", "to_pandas"]
+
 Datasets = xr.Dataset | Mapping[str, xr.Dataset]
 Per = Literal["row", "seed"]
 LOG = ("steps", "episodes", "returns", "lengths", "rewards")
@@ -134,3 +136,7 @@ def _wide(x: xr.DataArray) -> type:
 
 def _repeated(value: object, times: int) -> list[object]:
     return [value] * times
+
+
+def __dir__() -> list[str]:
+    return __all__

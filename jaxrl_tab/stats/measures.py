@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.declared import Learns, of_environment
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
 from jaxrl_tab.stats.along import Interval, blocks, by_seeds, check_dims
@@ -46,9 +47,18 @@ def final_return(ds: xr.Dataset) -> xr.DataArray:
     return mean_return(ds, last_tenth(ds))
 
 
+def learns_states(*datasets: xr.Dataset) -> bool:
+    """Whether all are of methods of prediction, which learn the values of states.
+
+    A file that was written before datasets said what was learned tells it by the error that it holds.
+    """
+    by_error = lambda ds: Learns.STATES if "v_error" in ds else Learns.ACTIONS
+    return all(ds.attrs.get("learns", by_error(ds)) == Learns.STATES for ds in datasets)
+
+
 def is_prediction(*datasets: xr.Dataset) -> bool:
     """Whether all are of methods of prediction whose error was recorded (`exact=True`)."""
-    return all("v_error" in ds for ds in datasets)
+    return learns_states(*datasets) and all("v_error" in ds for ds in datasets)
 
 
 @by_seeds
@@ -324,7 +334,7 @@ def soft_optimum(env: Environment, setting: Mapping[str, Any]) -> float:
         epsilon, gamma = float(epsilon.removeprefix("epsilon-greedy:")), float(setting.get("gamma", 1.0))
     except ValueError:  # a schedule, or another policy
         return np.nan
-    if not epsilon or env.num_states > SOFT_STATES or hasattr(env, "instance"):
+    if not epsilon or env.num_states > SOFT_STATES or of_environment(env).instance is not None:
         return np.nan
     try:
         return planning.start_value(env, planning.epsilon_soft(env, epsilon, gamma)[1])

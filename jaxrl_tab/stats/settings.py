@@ -1,34 +1,120 @@
-"""Which setting is best, and what its rows of a table hold."""
+"""Which setting of a method is best, how good it is, and how methods differ at their best settings."""
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.stats.along import Interval, check_fraction, name_list
-from jaxrl_tab.stats.bootstrap import iqm_interval
 from jaxrl_tab.stats.comparisons import Difference, paired_difference
-from jaxrl_tab.stats.intervals import least_of, mean_interval, median_interval, seeds_wanted, with_one_more
+from jaxrl_tab.stats.intervals import least_of, mean_interval, seeds_wanted, with_one_more
 from jaxrl_tab.stats.measures import (
     Measure,
     diverged_runs,
     drawn,
-    final_return,
     fixed,
     hyperparameters,
     is_prediction,
     named,
-    optimum,
     possible,
     score,
-    sound_runs,
     standstill,
-    unfinished,
 )
+
+
+class Settings:
+    """All settings of a method in a sweep, and what is worked out of them: once, when it is first asked for.
+
+    Whoever needs several of these numbers makes one such object and hands it on.
+
+    Attributes:
+        ds: the sweep.
+        by: the measure by which its settings are compared.
+        prediction: whether the measure is an error, the lower the better.
+    """
+
+    def __init__(self, ds: xr.Dataset, by: Measure = score) -> None:
+        self.ds, self.by, self.prediction = ds, by, is_prediction(ds)
+
+    @classmethod
+    def of(cls, ds: "Sweep", by: Measure = score) -> "Settings":
+        """The settings of a sweep; or those given, of which something may have been worked out already."""
+        return ds if isinstance(ds, Settings) else cls(ds, by)
+
+    @cached_property
+    def score(self) -> xr.DataArray:
+        """The measure, [*hyperparameters, seed]."""
+        return self.by(self.ds)
+
+    @cached_property
+    def merit(self) -> xr.DataArray:
+        """The score, turned so that higher is better; NaN where it is not finite: [*hyperparameters, seed]."""
+        return self._higher_is_better.where(np.isfinite(self.score))
+
+    @cached_property
+    def _higher_is_better(self) -> xr.DataArray:
+        return -self.score if self.prediction else self.score
+
+    @cached_property
+    def lost(self) -> xr.DataArray:
+        """How many runs diverged or have no finite score, [*hyperparameters]."""
+        return (self.merit.isnull() | diverged_runs(self.ds)).sum("seed")
+
+    @cached_property
+    def best(self) -> dict[str, Any]:
+        """The best setting, fit for `ds.sel`: see the function of this name."""
+        mean = self.merit.mean("seed").where(self.lost == self.lost.min()).fillna(-np.inf)
+        place = dict(zip(mean.dims, np.unravel_index(np.argmax(mean.values), mean.shape), strict=True))
+        return {name: self.ds[name].values[place[name]].item() for name in hyperparameters(self.ds)}
+
+    @cached_property
+    def at_best(self) -> xr.Dataset:
+        """The runs of the best setting."""
+        return self.ds.sel(self.best)
+
+    @cached_property
+    def chosen(self) -> dict[str, Any]:
+        """All hyperparameters of the best setting, swept or not."""
+        return fixed(self.ds) | named(self.ds, self.best)
+
+    @cached_property
+    def seeds_wanted(self) -> xr.DataArray:
+        """How many seeds it takes until the mean's interval can be trusted, [*hyperparameters]."""
+        return seeds_wanted(self._higher_is_better)
+
+    @cached_property
+    def interval(self) -> Interval:
+        """The mean score with its 95% interval, [*hyperparameters]."""
+        return self.interval_at(0.95)
+
+    def interval_at(self, confidence: float) -> Interval:
+        """The mean score with its interval, [*hyperparameters]: see `score_interval`."""
+        good = self._higher_is_better
+        mean, low, high, n = mean_interval(good, confidence=confidence)
+        if (few := self.seeds_wanted > n).any():
+            stuck = least_of(good.min("seed"), standstill(self.ds))
+            low = low.where(~few, np.fmin(low, with_one_more(good, stuck, "seed", confidence)[1]))
+        if self.prediction:
+            mean, low, high = -mean, -high, -low
+        return possible(Interval(mean, low, high, n), self.score, self.ds)
+
+    def tied_at(self, confidence: float) -> xr.DataArray:
+        """Which settings cannot be told apart from the best one, bool [*hyperparameters]: see `tied`."""
+        check_fraction("confidence", confidence)
+        winner = self.merit.sel(self.best)
+        winner = winner.drop_vars(hyperparameters(self.ds) + drawn(self.ds), errors="ignore")
+        settings = self.merit.sizes["seed"] and self.merit.size // self.merit.sizes["seed"]
+        level = 1 - (1 - confidence) / max(1, settings - 1)
+        difference = paired_difference(winner, self.merit, confidence=level).interval
+        lost = self.lost
+        return ~(difference.low > 0).transpose(*lost.dims) & (lost == lost.min())
+
+
+Sweep = xr.Dataset | Settings
 
 
 def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
@@ -77,32 +163,21 @@ def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
         if value not in ds[name].values.tolist():
             tried = ", ".join(map(repr, ds[name].values.tolist()))
             raise InputError(f"{name} was not swept at {value!r}; there are {tried}")
-    ds = ds.sel(given)
-    merit, lost = _merit(ds, by)
-    mean = merit.mean("seed").where(lost == lost.min()).fillna(-np.inf)
-    place = np.unravel_index(np.argmax(mean.values), mean.shape)
-    found = {str(name): ds[name].values[i].item() for name, i in zip(mean.dims, place, strict=True)}
+    found = Settings(ds.sel(given), by).best
     return {name: given.get(name, found.get(name)) for name in names}
 
 
-def ranked(datasets: Mapping[str, xr.Dataset]) -> list[str]:
+def ranked(datasets: Mapping[str, Sweep]) -> list[str]:
     """The names of the methods, that whose best setting is the best of all first: by the rule of `best`."""
 
+    methods = {name: Settings.of(ds) for name, ds in datasets.items()}
+
     def rank(name: str) -> tuple[int, float]:
-        merit, lost = (part.sel(best(datasets[name])) for part in _merit(datasets[name]))
+        settings = methods[name]
+        merit, lost = (part.sel(settings.best) for part in (settings.merit, settings.lost))
         return int(lost), -float(merit.mean().fillna(-np.inf))
 
-    return sorted(datasets, key=rank)
-
-
-def _merit(ds: xr.Dataset, by: Measure = score) -> tuple[xr.DataArray, xr.DataArray]:
-    """What settings are compared by, [*hyperparameters, seed], and how many runs are lost, [*hyperparameters].
-
-    The first is turned so that higher is better; NaN where there is no finite number.
-    """
-    merit = -by(ds) if is_prediction(ds) else by(ds)
-    merit = merit.where(np.isfinite(merit))
-    return merit, (merit.isnull() | diverged_runs(ds)).sum("seed")
+    return sorted(methods, key=rank)
 
 
 def tied(ds: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> xr.DataArray:
@@ -117,13 +192,7 @@ def tied(ds: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> xr.Da
         ds, by: as in `best`.
         confidence: that the setting with the best true mean is among them.
     """
-    check_fraction("confidence", confidence)
-    merit, lost = _merit(ds, by)
-    winner = merit.sel(best(ds, by)).drop_vars(hyperparameters(ds) + drawn(ds), errors="ignore")
-    settings = merit.sizes["seed"] and merit.size // merit.sizes["seed"]
-    level = 1 - (1 - confidence) / max(1, settings - 1)
-    difference = paired_difference(winner, merit, confidence=level).interval
-    return ~(difference.low > 0).transpose(*lost.dims) & (lost == lost.min())
+    return Settings(ds, by).tied_at(confidence)
 
 
 def at_edge(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, str]:
@@ -179,18 +248,10 @@ def score_interval(ds: xr.Dataset, confidence: float = 0.95, by: Measure = score
         confidence: the coverage aimed at, between 0 and 1.
         by: gives the scores; or another measure of returns, or errors.
     """
-    x = by(ds)
-    good = -x if is_prediction(ds) else x
-    mean, low, high, n = mean_interval(good, confidence=confidence)
-    if (few := seeds_wanted(good) > n).any():
-        stuck = least_of(good.min("seed"), standstill(ds))
-        low = low.where(~few, np.fmin(low, with_one_more(good, stuck, "seed", confidence)[1]))
-    if is_prediction(ds):
-        mean, low, high = -mean, -high, -low
-    return possible(Interval(mean, low, high, n), x, ds)
+    return Settings(ds, by).interval_at(confidence)
 
 
-def differences(datasets: Mapping[str, xr.Dataset], confidence: float = 0.95) -> dict[str, Difference]:
+def differences(datasets: Mapping[str, Sweep], confidence: float = 0.95) -> dict[str, Difference]:
     """How the best setting of each method differs from that of the best method, seed by seed: x - best.
 
     The settings, and the method to compare with, were chosen for being good on these very seeds. So p-values
@@ -212,15 +273,15 @@ def differences(datasets: Mapping[str, xr.Dataset], confidence: float = 0.95) ->
         `standstill` has it; for the first itself there is none, it is left out. Empty where there is but one
         method, or where their seeds are not the same.
     """
-    prediction = is_prediction(*datasets.values())
-    seeds = [ds.seed.values for ds in datasets.values()]
-    if len(datasets) < 2 or any(not np.array_equal(seeds[0], other) for other in seeds[1:]):
+    methods = {name: Settings.of(ds) for name, ds in datasets.items()}
+    prediction = all(settings.prediction for settings in methods.values())
+    seeds = [settings.ds.seed.values for settings in methods.values()]
+    if len(methods) < 2 or any(not np.array_equal(seeds[0], other) for other in seeds[1:]):
         return {}
-    merits = {name: _merit(ds)[0] for name, ds in datasets.items()}
-    pairs = pairs_to_correct([merit.size // merit.sizes["seed"] for merit in merits.values()])
-    at = {name: merits[name].sel(best(ds)).reset_coords(drop=True) for name, ds in datasets.items()}
-    first, *others = ranked(datasets)
-    worst = min(float(standstill(ds).min()) for ds in datasets.values())
+    pairs = pairs_to_correct([own.merit.size // own.merit.sizes["seed"] for own in methods.values()])
+    at = {name: own.merit.sel(own.best).reset_coords(drop=True) for name, own in methods.items()}
+    first, *others = ranked(methods)
+    worst = min(float(standstill(settings.ds).min()) for settings in methods.values())
     found = {}
     for name in others:
         (mean, low, high, n), p, reduction = paired_difference(
@@ -253,7 +314,7 @@ class Selection(NamedTuple):
     bias: Interval
 
 
-def selection(ds: xr.Dataset, fresh: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> Selection:
+def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> Selection:
     """Selection without bias: the setting that is best in `ds`, and how good it is on the seeds of `fresh`.
 
     Args:
@@ -266,7 +327,8 @@ def selection(ds: xr.Dataset, fresh: xr.Dataset, by: Measure = score, confidence
         InputError: `fresh` has no such setting, or shares a seed with `ds`: one of the same number under the
             same root. (What was run with `sweep.Part.fresh` has a root of its own.)
     """
-    setting = best(ds, by)
+    settings = Settings.of(ds, by)
+    ds, setting = settings.ds, settings.best
     same_root = all(ds.attrs.get(key, 0) == fresh.attrs.get(key, 0) for key in ("root_seed", "fresh_seeds"))
     if same_root and (again := np.intersect1d(ds.seed, fresh.seed)).size:
         raise InputError(
@@ -284,98 +346,7 @@ def selection(ds: xr.Dataset, fresh: xr.Dataset, by: Measure = score, confidence
             and not (isinstance(got, float) and typed(got) == value)  # as on an axis beside schedules
         ):
             raise InputError(f"the fresh runs must have {name} = {value}, not {got}")
-    promised = Interval(*(part.sel(setting) for part in score_interval(ds, confidence, by)))
-    found = score_interval(at, confidence, by)
+    promised = Interval(*(part.sel(setting) for part in settings.interval_at(confidence)))
+    found = score_interval(at, confidence, settings.by)
     off = (promised.estimate - found.estimate, promised.estimate - found.high, promised.estimate - found.low)
     return Selection(setting, promised, found, Interval(*off, found.n))
-
-
-def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
-    """A table with a row for each method and combination of hyperparameters: what `summary.csv` holds.
-
-    All intervals are of 95%, each for itself.
-
-    Args:
-        datasets: a sweep for each method, by its name.
-
-    Returns:
-        A frame with the columns `method`; every hyperparameter of any method, swept or not (empty where a
-        method has no such); `episodes`, episodes finished in the whole run, mean over seeds; and
-
-        - `last_tenth_return` with `last_tenth_low` and `last_tenth_high`: the mean `score` of all seeds, and
-          its interval by `score_interval`;
-        - `last_tenth_median` and `last_tenth_iqm`, each with `_low` and `_high`: median and interquartile
-          mean of the score, and their intervals, which hold also where the mean's cannot be trusted;
-        - `seeds`: how many seeds there are in these; `unfinished`: how many of them finished no episode in
-          the last tenth, and so count with the rewards that they collected there; `diverged`: how many
-          diverged, and so count as the worst run of the sweep;
-        - `seeds_wanted`: how many seeds it takes until the interval of the mean can be trusted (see the
-          function of this name). More than `seeds`: it rests on few bad runs;
-        - `best`: whether this is the best setting of its method (`best`); `tied`: whether it cannot be told
-          apart from that (`tied`);
-        - `difference` with `difference_low` and `difference_high`, and `p`, in the rows of the best settings
-          of all methods but the first: how this differs from the best setting of the best method, seed by
-          seed, corrected for the choice (`differences`). Empty elsewhere, and where the seeds are not the same;
-        - `steps_per_second` of the method's sweep;
-        - where it was recorded, `greedy_value`, the exact value of the greedy policy at the end, median over
-          seeds; `optimum`, v* from the start, of prediction v_pi.
-
-        Of prediction the score is the error, and its columns are `v_error`, `v_error_low`, `v_error_high`,
-        `v_error_median`, ... and `v_error_iqm`, ...; `final_v_error` is that at the end, mean over seeds.
-        `last_tenth_return`, `_low` and `_high` are then what the policy that acts earned in those runs that
-        finished an episode there.
-    """
-    records, names, columns = [], {}, {}
-    compared = differences(datasets)
-    for method, ds in datasets.items():
-        swept, constant = hyperparameters(ds), fixed(ds)
-        names |= dict.fromkeys([*swept, *drawn(ds), *constant])
-        x, prediction = score(ds), is_prediction(ds)
-        known = lambda _, x=x: x
-        results: dict[str, Any] = {"episodes": ds.episodes.sum("row").mean("seed")}
-        if prediction:
-            late = mean_interval(final_return(ds))
-            results |= dict(
-                zip(("last_tenth_return", "last_tenth_low", "last_tenth_high"), late[:3], strict=True)
-            )
-        kind = "v_error" if prediction else "last_tenth"
-        found = {
-            "v_error" if prediction else "last_tenth_return": score_interval(ds, by=known),
-            f"{kind}_median": median_interval(x),
-            f"{kind}_iqm": iqm_interval(x.where(np.isfinite(x))),
-        }
-        for name, (estimate, low, high, _) in found.items():
-            name = name.removesuffix("_return")
-            results |= {name if name != "last_tenth" else "last_tenth_return": estimate}
-            results |= {f"{name}_low": low, f"{name}_high": high}
-        results |= {
-            "seeds": x.notnull().sum("seed"),
-            "unfinished": xr.zeros_like(x, int).sum("seed") if prediction else unfinished(ds).sum("seed"),
-            **({"diverged": ds.diverged.sum("seed")} if "diverged" in ds else {}),
-            "seeds_wanted": seeds_wanted(x, higher_is_better=not prediction),
-            "best": _is_at(x, best(ds, known)),
-            "tied": tied(ds, known),
-        }
-        difference = compared.get(method)
-        here = results["best"].where(difference is not None, False)
-        parts = (*difference.interval[:3], difference.p) if difference else [xr.DataArray(np.nan)] * 4
-        for name, part in zip(("difference", "difference_low", "difference_high", "p"), parts, strict=True):
-            results[name] = xr.where(here, part, np.nan)
-        results["steps_per_second"] = ds.attrs.get("steps_per_second", np.nan)
-        if "greedy_value" in ds:
-            results["greedy_value"] = sound_runs(ds.greedy_value.isel(row=-1), ds).median("seed")
-        if prediction:
-            results["final_v_error"] = mean_interval(sound_runs(ds.v_error.isel(row=-1), ds)).estimate
-        columns |= dict.fromkeys(results)
-        results["optimum"] = optimum(ds)
-        table = xr.Dataset(results).expand_dims(method=[method])
-        frame = table.to_dataframe(dim_order=["method", *swept]).reset_index()
-        records += [constant | record for record in frame.to_dict("records")]
-    return pd.DataFrame(records, columns=["method", *names, *columns, "optimum"])
-
-
-def _is_at(x: xr.DataArray, setting: Mapping[str, Any]) -> xr.DataArray:
-    """True at one setting, bool [*hyperparameters]."""
-    at = xr.zeros_like(x.isel(seed=0, drop=True), bool)
-    at.loc[dict(setting)] = True
-    return at

@@ -215,5 +215,5 @@ def _check_joins(address: str) -> None:
     if any("InvalidAuthToken" in line for line in lines):
         reason = "it wants its token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN unless it is in ~/.ray/auth_token"
     raise RunError(
-        f"no way into the Ray cluster at {address}: {reason or f'no answer in {_PATIENCE} seconds'}"
+        f"cannot connect to the Ray cluster at {address}: {reason or f'no answer in {_PATIENCE} seconds'}"
     )

@@ -1,0 +1,119 @@
+"""What methods and environments declare about themselves, with what holds where they declare nothing.
+
+A declaration is an attribute of the class, such as `learns = "states"`; nobody needs a base class for it. All
+code asks `of_method` and `of_environment`, so that what can be declared, and its default, stands here alone.
+"""
+
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+from jaxrl_tab.core.checks import check_choice
+
+
+class Learns(StrEnum):
+    """What a method learns: in control action values Q [S, A], in prediction state values V [S]."""
+
+    ACTIONS = "actions"
+    STATES = "states"
+
+    @property
+    def initial(self) -> str:
+        """The field of a method that holds the first value of all entries."""
+        return "v0" if self is Learns.STATES else "q0"
+
+
+class LearnsFrom(StrEnum):
+    """What experience an `update` learns rightly from, besides that of the method itself."""
+
+    ITSELF = "itself"
+    TRANSITIONS = "transitions"
+    TRANSITIONS_OF_B = "transitions of b"
+    EPISODES_OF_B = "episodes of b"
+
+    @property
+    def needs_behaviour(self) -> bool:
+        """Whether the method must be told the policy b that acted."""
+        return self in (LearnsFrom.TRANSITIONS_OF_B, LearnsFrom.EPISODES_OF_B)
+
+    @property
+    def in_episodes(self) -> bool:
+        """Whether the transitions must come in the order of their episodes."""
+        return self is LearnsFrom.EPISODES_OF_B
+
+
+class OfMethod(NamedTuple):
+    """What a method declares.
+
+    Attributes:
+        learns: "actions" in control, "states" in prediction. A method of prediction also has the policy `pi`, and
+            `measurer(env)` and `exact_value(env)` for its values, as `prediction.Prediction` has them.
+        learns_from: what experience of somebody else `update` learns rightly from (see `offline`):
+            "transitions", any of them in any order; "transitions of b", where the method is told the policy b
+            that acted, as a table in its field `behaviour`; "episodes of b", in order; or only from "itself".
+            The class that defines `update` declares it.
+        acts_after_update: whether `update` draws A' as its last act, as `policy(key, new state, S')`, and
+            learns nothing from it. The driver then draws A' itself, together with the first actions of
+            episodes, which makes a step a quarter faster and changes no decision. The class that defines
+            `update` declares it.
+        multiplies_returns: whether returns are multiplied by ratios of importance sampling. What is learned may
+            then be greater than any return, and is no sign that the method diverges.
+        exploring_starts: whether episodes start in any state with any action.
+        behaviour: the policy that acts, where the method was given one.
+    """
+
+    learns: Learns = Learns.ACTIONS
+    learns_from: LearnsFrom = LearnsFrom.ITSELF
+    acts_after_update: bool = False
+    multiplies_returns: bool = False
+    exploring_starts: bool = False
+    behaviour: Any = None
+
+
+class OfEnvironment(NamedTuple):
+    """What an environment declares beyond `types.Environment`, whose docstring explains the first three.
+
+    Attributes:
+        instance: draws the problem of one run; None where all runs have the same one.
+        mean_optimal_value: the mean over problems of v* from the start; None where it is not known.
+        available: which actions a state has; None where each has all.
+        panels: the tables in which people see the states, as `envs.base.Panel`; none where they are a list.
+        action_names: a short name of each action, for pictures; their numbers where there are none.
+        wind: how strong the wind is in each column of a grid, [columns]; None where there is none.
+    """
+
+    instance: Callable[..., Any] | None = None
+    mean_optimal_value: Callable[[float], float] | None = None
+    available: Callable[..., Any] | None = None
+    panels: Callable[[], tuple[Any, ...]] = tuple
+    action_names: tuple[str, ...] = ()
+    wind: Any = None
+
+
+def of_method(method: Any) -> OfMethod:
+    """What a method declares, or its class (of which no properties are known, such as `multiplies_returns`).
+
+    Raises:
+        InputError: what it learns, or learns from, is none of the texts that there are for it.
+    """
+    cls, values = method if isinstance(method, type) else type(method), _declared(OfMethod, method)
+    # A subclass with an `update` of its own inherits nothing that was said of another one.
+    by_update = vars(next(c for c in cls.__mro__ if "update" in vars(c)))
+    for name in ("learns_from", "acts_after_update"):
+        values[name] = by_update.get(name, OfMethod._field_defaults[name])
+    for name, kind in (("learns", Learns), ("learns_from", LearnsFrom)):
+        check_choice(cls.__name__, name, values[name], [*kind])
+        values[name] = kind(values[name])
+    return OfMethod(**values)
+
+
+def of_environment(env: Any) -> OfEnvironment:
+    """What an environment declares."""
+    values = _declared(OfEnvironment, env)
+    values["action_names"] = values["action_names"] or tuple(map(str, range(env.num_actions)))
+    return OfEnvironment(**values)
+
+
+def _declared(kind: Any, obj: Any) -> dict[str, Any]:
+    """The fields of `kind` as `obj` has them as attributes, or else by default."""
+    return {name: getattr(obj, name, default) for name, default in kind._field_defaults.items()}

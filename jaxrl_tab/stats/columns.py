@@ -1,0 +1,416 @@
+"""The one table of settings, from which `summary.csv`, the screen, the report and the pictures choose.
+
+A statistic is one entry in `COLUMNS`. It is worked out once for each method, when the rows are first asked for.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.types import Environment
+from jaxrl_tab.stats.along import Datasets, Interval
+from jaxrl_tab.stats.bootstrap import iqm_interval
+from jaxrl_tab.stats.comparisons import Difference
+from jaxrl_tab.stats.intervals import mean_interval, median_interval, tolerance_interval
+from jaxrl_tab.stats.measures import (
+    drawn,
+    final_return,
+    fixed,
+    hyperparameters,
+    named,
+    optimum,
+    possible,
+    soft_optimum,
+    sound_runs,
+    unfinished,
+)
+from jaxrl_tab.stats.settings import Settings, at_edge, differences
+
+Text = str | tuple[str, str]  # the same for control and for prediction, or one for each
+
+
+def text(of: Text, prediction: bool) -> str:
+    """The text for control, or that for prediction."""
+    return of if isinstance(of, str) else of[prediction]
+
+
+class Method(Settings):
+    """The settings of one method among those that it is compared with.
+
+    Attributes:
+        name: of the method.
+        among: it and the others.
+    """
+
+    def __init__(self, ds: xr.Dataset, name: str, among: "Methods") -> None:
+        super().__init__(ds)
+        self.name, self.among = name, among
+
+    @cached_property
+    def unfinished(self) -> xr.DataArray:
+        """How many runs finished no episode in the last tenth, [*hyperparameters]; of prediction 0."""
+        return xr.zeros_like(self.lost) if self.prediction else unfinished(self.ds).sum("seed")
+
+    @cached_property
+    def is_best(self) -> xr.DataArray:
+        """True at the best setting, bool [*hyperparameters]."""
+        at = xr.zeros_like(self.lost, bool)
+        at.loc[self.best] = True
+        return at
+
+    def only_at_best(self, x: xr.DataArray | float) -> xr.DataArray:
+        """`x` at the best setting, NaN at the others, [*hyperparameters]."""
+        return xr.where(self.is_best, x, np.nan)
+
+    @cached_property
+    def edges(self) -> dict[str, str]:
+        """The hyperparameters whose best value is the "largest" or the "smallest" that was tried."""
+        return at_edge(self.ds, self.best)
+
+    @cached_property
+    def exploration(self) -> dict[str, Any]:
+        """How the best setting explores, and its discount rate: the hyperparameters of `soft`."""
+        names = ("behaviour" if self.chosen.get("behaviour") else "epsilon", "gamma")
+        return {name: self.chosen[name] for name in names if name in self.chosen}
+
+    @property
+    def soft(self) -> float:
+        """What the best policy earns that explores as the best setting does; NaN where that is not known."""
+        return np.nan if self.prediction else self.among.soft_optimum(self.exploration)
+
+    @property
+    def difference(self) -> Difference:
+        """How the best setting differs from that of the best method; NaN for that method itself."""
+        nowhere = Difference(Interval(*[xr.DataArray(np.nan)] * 4), *[xr.DataArray(np.nan)] * 2)
+        return self.among.differences.get(self.name, nowhere)
+
+    @property
+    def episodes_within_steps(self) -> xr.DataArray | None:
+        """Episodes of the runs that did not diverge, mean; None where episodes were the budget, the same for all."""
+        within = "num_steps" in self.ds.attrs
+        return sound_runs(self.ds.episodes.sum("row"), self.ds).mean("seed") if within else None
+
+    def at_the_end(self, name: str) -> xr.DataArray | None:
+        """What was recorded in the last row, NaN for runs that diverged; None where it was not recorded."""
+        return sound_runs(self.ds[name].isel(row=-1), self.ds) if name in self.ds else None
+
+
+@dataclass(frozen=True)
+class Column:
+    """A statistic of every setting of a method: its one entry.
+
+    Attributes:
+        name: its name in a `Row`.
+        value: works it out, [*hyperparameters] or less; an `Interval` where it has one; None where the method
+            has no such number.
+        in_summary: its name in `summary.csv`, by default `name`; "" if it is not there. An interval has two
+            columns more, which end in `_low` and `_high`.
+        screen, report: its heading on the screen, and in the tables of the report; "" if it is not there.
+        tables: which tables of the report have it: of the chosen settings, of all settings, or both.
+        written: how people read it: with as many decimals as the score has, of an interval also without its
+            middle ("range"); with six significant digits ("exact"); as a count; or with one decimal.
+        scale: the screen shows so many times the number.
+        help: what it means, for who reads the report; a sentence that follows the heading.
+    """
+
+    name: str
+    value: "Callable[[Method], Interval | xr.DataArray | float | None]"
+    _: KW_ONLY
+    in_summary: Text | None = None
+    screen: Text = ""
+    report: Text = ""
+    tables: Literal["chosen", "all", "both"] = "both"
+    written: Literal["score", "range", "exact", "count", "tenths"] = "score"
+    scale: float = 1
+    help: str = ""
+
+    def tells(self, rows: "Sequence[Row]") -> bool:
+        """Whether it has anything to tell of these rows: a number, or a count that is not 0."""
+        numbers = [row[self.name] for row in rows if self.name in row.numbers]
+        return any(numbers) if self.written == "count" else bool(numbers)
+
+
+# In the order in which people see them.
+COLUMNS = [
+    Column(
+        "episodes", lambda own: own.ds.episodes.sum("row").mean("seed"), screen="episodes", written="tenths"
+    ),
+    Column(
+        "late_return",
+        lambda own: mean_interval(final_return(own.ds)) if own.prediction else None,
+        in_summary="last_tenth_return",
+    ),
+    Column(
+        "score",
+        lambda own: own.interval,
+        in_summary=("last_tenth_return", "v_error"),
+        screen=("mean return,\nlast tenth", "RMS error,\nwhole run"),
+    ),
+    Column(
+        "median", lambda own: median_interval(own.score), in_summary=("last_tenth_median", "v_error_median")
+    ),
+    Column(
+        "iqm",
+        lambda own: iqm_interval(own.score.where(np.isfinite(own.score))),
+        in_summary=("last_tenth_iqm", "v_error_iqm"),
+    ),
+    Column(
+        "runs",
+        lambda own: possible(tolerance_interval(own.score), own.score, own.ds),
+        in_summary="",
+        report="9 of 10 runs",
+        written="range",
+    ),
+    Column("seeds", lambda own: own.score.notnull().sum("seed"), written="count"),
+    Column(
+        "unfinished",
+        lambda own: own.unfinished,
+        screen="unfinished\nruns",
+        report="unfinished",
+        written="count",
+        help="how many runs finished no episode in the last tenth.",
+    ),
+    Column(
+        "diverged",
+        lambda own: own.ds.diverged.sum("seed") if "diverged" in own.ds else None,
+        report="diverged",
+        written="count",
+        help="a run whose numbers became infinite, or grew beyond any possible return, mostly because the "
+        "step size is too large. It scores as the worst run of its method, of prediction infinitely badly, "
+        "and is left out of the pictures.",
+    ),
+    Column("seeds_wanted", lambda own: own.seeds_wanted, written="count"),
+    Column("best", lambda own: own.is_best),
+    Column("tied", lambda own: own.tied_at(0.95)),
+    Column("difference", lambda own: Interval(*map(own.only_at_best, own.difference.interval))),
+    Column("p", lambda own: own.only_at_best(own.difference.p)),
+    Column(
+        "final_v_error",
+        lambda own: None if (x := own.at_the_end("v_error")) is None else mean_interval(x).estimate,
+        screen="RMS error\nat the end",
+        report="error at the end",
+    ),
+    Column(
+        "steps_per_second",
+        lambda own: own.ds.attrs.get("steps_per_second", np.nan),
+        screen="million\nsteps/s",
+        written="tenths",
+        scale=1e-6,
+    ),
+    Column(
+        "greedy_value",
+        lambda own: None if (x := own.at_the_end("greedy_value")) is None else x.median("seed"),
+        screen="worth of the\ngreedy policy",
+        report="worth of the greedy policy",
+        written="exact",
+        help="what the learned policy would earn without exploring, exact, at the end of a run; median over "
+        "seeds. −∞: it goes round for ever.",
+    ),
+    Column(
+        "episodes_within_steps",
+        lambda own: own.episodes_within_steps,
+        in_summary="",
+        report="episodes",
+        tables="all",
+        written="tenths",
+    ),
+    Column(
+        "soft",
+        lambda own: None if np.isnan(own.soft) else own.only_at_best(own.soft),
+        in_summary="",
+        report="best ε-soft",
+        tables="chosen",
+        written="exact",
+    ),
+    Column(
+        "optimum",
+        lambda own: optimum(own.ds),
+        screen=("exact\noptimum", "value of\nthe policy"),
+        report=("exact optimum", "exact value"),
+        written="exact",
+    ),
+]
+# The last columns of `summary.csv`, in this order, which programs that read it may rely on.
+LAST = ("steps_per_second", "greedy_value", "final_v_error", "optimum")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setting of a method in numbers: `row[name]` for each column of this name, NaN where there is none.
+
+    Attributes:
+        own: the settings of its method.
+        place: its values on the axes of the sweep, fit for `ds.sel`.
+        setting: all its hyperparameters, swept, drawn and fixed.
+        numbers: a number for each column, by its name; of an interval estimate, low and high.
+    """
+
+    own: Method
+    place: dict[str, Any]
+    setting: dict[str, Any]
+    numbers: dict[str, Any]
+
+    def __getitem__(self, column: str) -> Any:
+        return self.numbers.get(column, np.nan)
+
+    @property
+    def method(self) -> str:
+        return self.own.name
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the mean rests on few bad runs."""
+        return self["seeds_wanted"] > self["seeds"]
+
+
+class Methods(Mapping[str, xr.Dataset]):
+    """The sweeps of methods in one environment, by their names; and all that is worked out of them, each once.
+
+    It stands wherever datasets are asked for. Who needs one makes it with `of`, which takes one that is there.
+
+    Attributes:
+        settings: the settings of each method, by its name.
+        env: the environment; None where it is not known, and then no best policy that explores is either.
+    """
+
+    def __init__(self, datasets: Datasets, env: Environment | None = None) -> None:
+        self.settings = {name: Method(ds, name, self) for name, ds in datasets.items()}
+        self.env, self._soft = env, {}
+
+    @classmethod
+    def of(cls, datasets: Datasets, env: Environment | None = None) -> "Methods":
+        return datasets if isinstance(datasets, cls) else cls(datasets, env)
+
+    def __getitem__(self, name: str) -> xr.Dataset:
+        return self.settings[name].ds
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.settings)
+
+    def __len__(self) -> int:
+        return len(self.settings)
+
+    @property
+    def prediction(self) -> bool:
+        return all(own.prediction for own in self.settings.values())
+
+    @cached_property
+    def differences(self) -> dict[str, Difference]:
+        """How the best settings differ from that of the best method: see the function of this name."""
+        return differences(self.settings)
+
+    def soft_optimum(self, setting: Mapping[str, Any]) -> float:
+        """What the best policy earns that explores as `setting` does; NaN where that is not known."""
+        key = repr(setting)  # probabilities of a behaviour are lists, which cannot be keys
+        if key not in self._soft:
+            self._soft[key] = np.nan if self.env is None else soft_optimum(self.env, setting)
+        return self._soft[key]
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """A row for every setting of every method, in the order of the axes."""
+        return [row for own in self.settings.values() for row in _rows(own)]
+
+    @property
+    def hyperparameters(self) -> list[str]:
+        """All that any method has: swept, drawn or fixed."""
+        parts = ((*hyperparameters(ds), *drawn(ds), *fixed(ds)) for ds in self.values())
+        return list(dict.fromkeys(name for part in parts for name in part))
+
+    @cached_property
+    def summary(self) -> pd.DataFrame:
+        """The frame of the function `summary`."""
+        records, statistics = [], {}
+        for row in self.rows:
+            told = _summarised(row)
+            records.append({"method": row.method} | row.setting | row.place | told)
+            statistics |= dict.fromkeys(told)
+        last = [name for name in LAST if name in statistics]
+        others = [name for name in statistics if name not in last]
+        return pd.DataFrame(records, columns=["method", *self.hyperparameters, *others, *last])
+
+
+def _rows(own: Method) -> Iterator[Row]:
+    names, numbers = hyperparameters(own.ds), {}
+    for column in COLUMNS:
+        if (value := column.value(own)) is not None:
+            parts = value[:3] if isinstance(value, Interval) else [value]
+            every = [xr.DataArray(part).broadcast_like(own.lost).transpose(*names) for part in parts]
+            flat = [part.values.ravel().tolist() for part in every]
+            numbers[column.name] = list(zip(*flat, strict=True)) if len(flat) > 1 else flat[0]
+    for i, values in enumerate(product(*(own.ds[name].values.tolist() for name in names))):
+        place = dict(zip(names, values, strict=True))
+        setting = named(own.ds, place) | fixed(own.ds)
+        yield Row(own, place, setting, {name: x[i] for name, x in numbers.items()})
+
+
+def _summarised(row: Row) -> dict[str, Any]:
+    """What `summary.csv` tells of a setting, by the names there."""
+    told = {}
+    for column in COLUMNS:
+        name = column.name if column.in_summary is None else text(column.in_summary, row.own.prediction)
+        if name and column.name in row.numbers:
+            stem, x = name.removesuffix("_return"), row[column.name]
+            parts = x if isinstance(x, tuple) else (x,)
+            told |= dict(zip((name, f"{stem}_low", f"{stem}_high"), parts, strict=False))
+    return told
+
+
+def by_environment(datasets: Datasets, envs: Mapping[str, Environment]) -> dict[str, Methods]:
+    """The methods of each environment, from datasets by their names "ENV/METHOD".
+
+    Raises:
+        InputError: an environment is missing.
+    """
+    own: dict[str, dict[str, xr.Dataset]] = {}
+    for name, ds in datasets.items():
+        label, _, method = name.partition("/")
+        if label not in envs:
+            raise InputError(f"there is no environment {label!r}; there are {', '.join(envs)}")
+        own.setdefault(label, {})[method or name] = ds
+    return {label: Methods(parts, envs[label]) for label, parts in own.items()}
+
+
+def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
+    """A table with a row for each method and combination of hyperparameters: what `summary.csv` holds.
+
+    All intervals are of 95%, each for itself.
+
+    Args:
+        datasets: a sweep for each method, by its name.
+
+    Returns:
+        A frame with the columns `method`; every hyperparameter of any method, swept or not (empty where a
+        method has no such); `episodes`, episodes finished in the whole run, mean over seeds; and
+
+        - `last_tenth_return` with `last_tenth_low` and `last_tenth_high`: the mean `score` of all seeds, and
+          its interval by `score_interval`;
+        - `last_tenth_median` and `last_tenth_iqm`, each with `_low` and `_high`: median and interquartile
+          mean of the score, and their intervals, which hold also where the mean's cannot be trusted;
+        - `seeds`: how many seeds there are in these; `unfinished`: how many of them finished no episode in
+          the last tenth, and so count with the rewards that they collected there; `diverged`: how many
+          diverged, and so count as the worst run of the sweep;
+        - `seeds_wanted`: how many seeds it takes until the interval of the mean can be trusted (see the
+          function of this name). More than `seeds`: it rests on few bad runs;
+        - `best`: whether this is the best setting of its method (`best`); `tied`: whether it cannot be told
+          apart from that (`tied`);
+        - `difference` with `difference_low` and `difference_high`, and `p`, in the rows of the best settings
+          of all methods but the first: how this differs from the best setting of the best method, seed by
+          seed, corrected for the choice (`differences`). Empty elsewhere, and where the seeds are not the same;
+        - `steps_per_second` of the method's sweep;
+        - where it was recorded, `greedy_value`, the exact value of the greedy policy at the end, median over
+          seeds; `optimum`, v* from the start, of prediction v_pi.
+
+        Of prediction the score is the error, and its columns are `v_error`, `v_error_low`, `v_error_high`,
+        `v_error_median`, ... and `v_error_iqm`, ...; `final_v_error` is that at the end, mean over seeds.
+        `last_tenth_return`, `_low` and `_high` are then what the policy that acts earned in those runs that
+        finished an episode there.
+    """
+    return Methods.of(datasets).summary

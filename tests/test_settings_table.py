@@ -1,0 +1,116 @@
+"""The table of settings: a statistic is one entry, and what is worked out is worked out once."""
+
+import re
+from collections import Counter
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+from made_up import ALPHAS, make_result
+
+import jaxrl_tab as rl
+from jaxrl_tab import plot, report
+from jaxrl_tab.cli import screen
+from jaxrl_tab.experiment import files
+from jaxrl_tab.stats import columns, settings
+from jaxrl_tab.stats.columns import COLUMNS, Column
+
+METHODS = {"sarsa": -17.0, "q-learning": -16.0, "expected-sarsa": -18.0}
+
+
+@pytest.fixture
+def outcome(windy):
+    q = rl.planning.value_iteration(windy)[1]
+    datasets = {
+        f"windy/{name}": make_result(windy, q, best=best).to_xarray() for name, best in METHODS.items()
+    }
+    return files.Outcome(datasets, {}, {"windy": windy})
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """A folder for an experiment's files, in which pictures are made, but not rendered."""
+    monkeypatch.setattr(files, "_about", lambda *_: {})
+    monkeypatch.setattr(plot, "save", lambda figure, file: file.touch())
+    monkeypatch.setattr(report, "embedded", lambda *_: "data:image/png,")
+    return SimpleNamespace(path=tmp_path, keep_files=list)
+
+
+def show(outcome, store=None):
+    if store:
+        files.write_files(store, outcome, {"sessions": [{"command": "jaxrl-tab sweep"}]})
+    screen.show_outcome(outcome, None, SimpleNamespace(json=False, quiet=False))
+
+
+@pytest.fixture
+def fewest():
+    """One more statistic, for the time of the test."""
+    column = Column(
+        "fewest",
+        lambda own: own.ds.episodes.sum("row").min("seed"),
+        in_summary="fewest_episodes",
+        screen="fewest\nepisodes",
+        report="fewest episodes",
+        written="count",
+        help="how many episodes the slowest run finished.",
+    )
+    COLUMNS.append(column)
+    yield
+    COLUMNS.remove(column)
+
+
+def test_a_statistic_is_one_entry(outcome, kept, fewest, capsys):
+    """It is found in summary.csv, on the screen and in the report.
+
+    Broken once: the tables of the report know their columns by heart; so does the screen -> fails.
+    """
+    show(outcome, kept)
+    by_hand = [n for ds in outcome.datasets.values() for n in ds.episodes.values.sum(-1).min(-1).tolist()]
+    assert len(by_hand) == len(METHODS) * len(ALPHAS)
+    assert len(set(by_hand)) > len(ALPHAS)
+
+    table = pd.read_csv(kept.path / "summary.csv")
+    assert table.fewest_episodes.tolist() == by_hand
+    assert table.columns[-2:].tolist() == ["steps_per_second", "optimum"]  # where programs look for them
+
+    out = capsys.readouterr().out
+    assert "fewest" in out
+    lines = [line.split("│") for line in out.splitlines() if re.match("│ [a-z]", line)]
+    assert [int(line[-2]) for line in lines] == by_hand
+
+    page = (kept.path / "report.html").read_text(encoding="utf-8")
+    assert page.count(">fewest episodes</th>") == 2  # of the chosen settings, and of all
+    best_first = table.sort_values("last_tenth_return", ascending=False)
+    last_cells = re.findall(r"(\d+)</td></tr>", page.split("</table>")[1])
+    assert [*map(int, last_cells)] == best_first.fewest_episodes.tolist()
+    assert "<b>Fewest episodes</b>: how many episodes the slowest run finished." in page
+
+
+def test_what_is_worked_out_is_handed_on(outcome, kept, monkeypatch, capsys):
+    """The best setting, its interval and the rest once for each method; by CSV, pictures, report and screen.
+
+    Broken once: `save_all` makes its `Methods` anew -> fails.
+    """
+    counts = Counter()
+
+    def count(module, name):
+        original = getattr(module, name)
+
+        def counted(*given, **options):
+            counts[name] += 1
+            return original(*given, **options)
+
+        monkeypatch.setattr(module, name, counted)
+
+    best = settings.Settings.__dict__["best"]
+    count(best, "func")
+    for name in ("iqm_interval", "median_interval", "tolerance_interval", "soft_optimum", "differences"):
+        count(columns, name)
+    for name in ("seeds_wanted", "mean_interval", "is_prediction"):
+        count(settings, name)
+    show(outcome, kept)
+    show(outcome)
+    assert capsys.readouterr().out.count("With ε = 0.1 and γ = 1") == 2
+    once = ("func", "iqm_interval", "median_interval", "tolerance_interval", "seeds_wanted", "mean_interval")
+    assert {name: counts[name] for name in once} == dict.fromkeys(once, len(METHODS))
+    assert counts["soft_optimum"] == counts["differences"] == 1  # all explore alike
