@@ -1,55 +1,135 @@
-"""Imports jaxrl_tab so that every call is checked against its annotations, by jaxtyping and beartype.
+"""Has every call within jaxrl_tab checked against its annotations, by jaxtyping and beartype.
 
-A value that an annotation excludes is right only where the function refuses it by itself, with an InputError
-(or a RunError): then that error is raised, as it is without this. Everything else is a wrong annotation, or a
-wrong call, and an error.
+Many tests give bad values on purpose. An annotation that excludes a value is right where the function refuses it
+by itself, with an InputError or a RunError: then that error is raised, as it is without this. Everything else
+is a wrong annotation, or a wrong call, and an error.
 """
 
+import ast
+import dataclasses
 import functools
 import inspect
+import sys
 from collections.abc import Callable
-from typing import Any, Self
+from pathlib import Path
+from typing import Any, Self, get_type_hints
 
+import jax
 import jaxtyping
-from beartype import BeartypeConf, beartype
-
-beartyped = beartype(conf=BeartypeConf(is_pep484_tower=True))  # a whole number is a float, as for type checkers
-_jaxtyped = jaxtyping.jaxtyped
-
-
-def jaxtyped(function: Any = jaxtyping.jaxtyped, *, typechecker: Any = None) -> Any:
-    """In the place of `jaxtyping.jaxtyped`, which the import hook writes above every function and class."""
-    if function is _jaxtyped:
-        return functools.partial(jaxtyped, typechecker=typechecker)
-    if inspect.isfunction(function):  # beartype knows what Self is only where it has the class
-        hints = function.__annotations__
-        hints.update({name: Any for name, hint in hints.items() if hint is Self})
-    checked = _jaxtyped(function, typechecker=typechecker)
-    if isinstance(function, type) or not inspect.isfunction(function) or inspect.isgeneratorfunction(function):
-        return checked
-    return _refusing(function, checked)
+import numpy as np
+from beartype import BeartypeConf, FrozenDict, beartype
+from beartype.door import die_if_unbearable
+from beartype.roar import BeartypeCallHintParamViolation
 
 
-def _refusing(function: Callable, checked: Callable) -> Callable:
-    @functools.wraps(checked)
+class WrongArgument(BeartypeCallHintParamViolation):
+    """An argument is not what its annotation says.
+
+    Attributes:
+        called: whether the function was called nevertheless, to see whether it refuses the argument itself.
+    """
+
+    called = False
+
+
+@functools.cache
+def _rules(number: Any) -> BeartypeConf:
+    """What beartype is told; `number` is what a float may be."""
+    from jaxrl_tab.core.types import Algorithm
+
+    return BeartypeConf(
+        # Python cannot say whether a class, without an instance, has the properties that a protocol wants.
+        hint_overrides=FrozenDict({float: number, type[Algorithm]: type}),
+        is_random=False,  # in which items of a container are looked at
+        violation_param_type=WrongArgument,
+    )
+
+
+def checked(definition: Any) -> Any:
+    """The function, or the dataclass, with its calls checked. The import hook decorates all of them with it."""
+    if inspect.isclass(definition):
+        if "__dataclass_fields__" in vars(definition):
+            definition.__init__ = _and_fields(definition)
+        return definition
+
+    @functools.cache
+    def strict() -> Callable:  # made in the first call: then all that the annotations name exists
+        definition.__annotations__ = _hints(definition)
+        return beartype(conf=_rules(float | int))(definition)
+
+    @functools.wraps(definition)
     def call(*args: Any, **kwargs: Any) -> Any:
-        try:
-            return checked(*args, **kwargs)
-        except jaxtyping.TypeCheckError as violation:
-            from jaxrl_tab.core.checks import InputError, RunError
-
+        with jaxtyping.jaxtyped("context"):  # in which the name of a dimension stands for one size
             try:
-                function(*args, **kwargs)
-            except (InputError, RunError):
-                raise
-            except Exception:
-                raise violation from None
-            raise violation
+                return strict()(*args, **kwargs)
+            except WrongArgument as violation:
+                if violation.called:
+                    raise
+                violation.called = True
+                return _refusal(violation, definition, args, kwargs)
 
     return call
 
 
+def _refusal(violation: WrongArgument, function: Callable, args: Any, kwargs: Any) -> Any:
+    from jaxrl_tab.core.checks import InputError, RunError
+
+    try:
+        function(*args, **kwargs)
+    except (InputError, RunError):
+        raise
+    except Exception:
+        raise violation from None
+    raise violation
+
+
+def _and_fields(cls: Any) -> Callable:
+    """Its `__init__`, which then checks what the fields hold: some take more than that, and convert it."""
+    init = cls.__init__
+
+    @functools.cache
+    def fields() -> dict[str, Any]:
+        hints = _hints(cls)
+        return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
+
+    @functools.wraps(init)
+    def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
+        init(self, *args, **kwargs)
+        if type(self) is cls:
+            with jaxtyping.jaxtyped("context"):
+                for name, hint in fields().items():
+                    # A leaf that is a number may be one of each run of a batch.
+                    die_if_unbearable(
+                        getattr(self, name), hint, conf=_rules(float | int | np.ndarray | jax.Array)
+                    )
+
+    return __init__
+
+
+def _hints(definition: Any) -> dict[str, Any]:
+    """What its annotations mean, name by name; also those that a module imports only `if TYPE_CHECKING:`."""
+    module = sys.modules[definition.__module__]
+    hints = get_type_hints(
+        definition, vars(module) | _imported_for_types(definition.__module__), include_extras=True
+    )
+    if Self in hints.values():
+        cls = functools.reduce(getattr, definition.__qualname__.split(".")[:-1], module)
+        hints = {name: cls if hint is Self else hint for name, hint in hints.items()}
+    return hints
+
+
+@functools.cache
+def _imported_for_types(module: str) -> dict[str, Any]:
+    names: dict[str, Any] = {}
+    variables = vars(sys.modules[module])
+    for node in ast.parse(Path(variables["__file__"]).read_text()).body:
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            exec(compile(ast.Module(node.body, []), module, "exec"), dict(variables), names)
+    return names
+
+
 def check() -> None:
     """From now on modules of jaxrl_tab are checked as they are imported."""
-    jaxtyping.jaxtyped = jaxtyped
-    jaxtyping.install_import_hook("jaxrl_tab", "annotations.beartyped")
+    own = jaxtyping.jaxtyped
+    jaxtyping.jaxtyped = lambda *args, typechecker=None: own(*args) if args else typechecker
+    jaxtyping.install_import_hook("jaxrl_tab", "annotations.checked")

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
 from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
@@ -33,6 +33,7 @@ from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import (
     Algorithm,
+    Available,
     Environment,
     Task,
     Transition,
@@ -95,7 +96,7 @@ class Prediction:
         """The method of control that learns V."""
         raise NotImplementedError
 
-    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+    def restricted_to(self, available: Available, **more: Any) -> Self:
         """The method where states have these actions only, as `TDControl.restricted_to`."""
         return dataclasses.replace(self, pi=_among(self.pi, available), **more)
 
@@ -204,7 +205,7 @@ class OffPolicyPrediction(Prediction):
             any_action = EpsilonGreedy(1.0)
             check_coverage(type(self).__name__, any_action if self.pi is None else self.pi, self.behaviour)
 
-    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+    def restricted_to(self, available: Available, **more: Any) -> Self:
         return super().restricted_to(available, behaviour=_among(self.behaviour, available), **more)
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
@@ -307,7 +308,7 @@ def _as_table(obj: Any, name: str) -> None:
         raise error.renamed(who, name) from None
 
 
-def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:
+def _among(table: Table | None, available: Available) -> Table:
     return policies.uniform(available) if table is None else restricted(table, available)
 
 

@@ -20,6 +20,9 @@ from jaxtyping import Array
 
 T = TypeVar("T")
 
+Marks: TypeAlias = np.ndarray | np.bool_
+"""Where something is so. What NumPy finds of one number has no axes, and is a scalar."""
+
 
 class InputError(ValueError):
     """Something that the user gave is wrong; the message is one line that says what would be right.
@@ -202,7 +205,7 @@ def is_distribution(prob: np.ndarray) -> Any:
     return (prob >= 0).all(-1) & (abs(prob.sum(-1) - 1) < TOLERANCE)
 
 
-def first(wrong: np.ndarray) -> Any:
+def first(wrong: Marks) -> Any:
     """The index of the first True, as a tuple of int, or None: what a message about an array names."""
     return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
 
@@ -334,7 +337,7 @@ def in_words(limits: Mapping[str, float]) -> str:
     return " and ".join(f"{words} {limits[name]}" for name, (words, _) in LIMITS.items() if name in limits)
 
 
-def within(limits: Mapping[str, float], number: np.ndarray) -> np.ndarray:
+def within(limits: Mapping[str, float], number: np.ndarray) -> Marks:
     """Where numbers are finite and within the limits, bool of their shape."""
     return np.logical_and.reduce(
         [np.isfinite(number), *(LIMITS[name][1](number, limit) for name, limit in limits.items())]

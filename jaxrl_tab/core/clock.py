@@ -22,7 +22,7 @@ class Schedule(Protocol):
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]: ...
 
 
-Rate: TypeAlias = "float | Float[Array, ''] | Schedule"
+Rate: TypeAlias = float | Float[Array, ""] | Schedule
 
 
 class Clock(NamedTuple):

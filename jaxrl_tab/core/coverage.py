@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxrl_tab.core import clock
-from jaxrl_tab.core.checks import InputError, concrete, first
+from jaxrl_tab.core.checks import InputError, Marks, concrete, first
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Policy, Softmax, Table
 
 
@@ -52,7 +52,7 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
     raise InputError(problem, who=what, field="behaviour")
 
 
-def _left_out(policy: Policy) -> np.ndarray | None:
+def _left_out(policy: Policy) -> Marks | None:
     """Where a policy has, or for some Q can have, probability 0: bool [S, A], or [] where it says nothing
 
     about single entries. None where the numbers given do not decide it.
@@ -73,7 +73,7 @@ def _left_out(policy: Policy) -> np.ndarray | None:
     return None
 
 
-def _there(policy: EpsilonGreedy) -> np.ndarray | None:
+def _there(policy: EpsilonGreedy) -> Marks | None:
     """The actions that there are, bool [S, A], or [] where there are all; None where that is traced."""
     there = np.array(True) if policy.available is None else concrete(policy.available)
     return None if there is None else there > 0

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from jaxrl_tab.core.checks import InputError, assign, concrete, first, numbers, shown, whole
 from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.pytree import pytree
-from jaxrl_tab.core.types import Transition
+from jaxrl_tab.core.types import Available, Transition
 
 NAME = "Experience"
 WHOLE, REAL = ("iu", "whole numbers"), ("iuf", "numbers")  # kinds of dtypes
@@ -182,7 +182,7 @@ class Experience:
                 "behaviour policy never does; it is not the policy that acted"
             )
 
-    def check_available(self, available: Bool[Any, "S A"]) -> None:
+    def check_available(self, available: Available) -> None:
         """Raises InputError where an action was taken that its state does not have; traced ones pass."""
         there, s, a = (concrete(x) for x in (available, self.s, self.a))
         if there is None or s is None or a is None:

@@ -126,8 +126,8 @@ def stream(key: Key[Array, ""]) -> Stream:
     return word0, word1
 
 
-def word(stream: Stream, step: Int[Array, ""], decision: int) -> UInt32[Array, ""]:
-    """The word of a decision in a step, uint32 []. Decisions are numbered by whoever makes them."""
+def word(stream: Stream, step: Int[Array, "*k"], decision: int) -> UInt32[Array, "*k"]:
+    """The word of a decision in each step, uint32 of their shape. Decisions are numbered by whoever makes them."""
     step = step.astype(jnp.uint32)
     return jnp.where(step & 1 == 1, *reversed(_call(stream, step >> 1, decision)))
 

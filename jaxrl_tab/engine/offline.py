@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.algorithms.td import TDControl
@@ -29,6 +29,7 @@ from jaxrl_tab.core.policies import Policy, Table, as_table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import (
     Algorithm,
+    Available,
     Environment,
     Task,
     Transition,
@@ -277,7 +278,7 @@ class _Logged:
     def exploring_starts(self) -> bool:
         return of_method(self.method).exploring_starts
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         return self  # its method was, before it began
 
     def init(self, num_states: int, num_actions: int) -> _LoggedState:

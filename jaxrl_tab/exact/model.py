@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxrl_tab.core import memory, policies
 from jaxrl_tab.core.checks import InputError, check_pytree, first, foreign, is_distribution
-from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
+from jaxrl_tab.core.types import Available, Environment, FiniteEnvironment, available_actions, stand_ins
 
 BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
 
@@ -34,7 +34,7 @@ class Model(NamedTuple):
     reward: Float[Any, "S A K"]
     terminal: Bool[Any, "S A K"]
     start: Float[Any, " S"]
-    available: Bool[Any, "S A"] | None = None
+    available: Available | None = None
 
 
 def check_finite(env: Environment) -> None:
