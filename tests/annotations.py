@@ -55,7 +55,7 @@ def checked(definition: Any) -> Any:
     @functools.cache
     def strict() -> Callable:  # made in the first call: then all that the annotations name exists
         definition.__annotations__ = _hints(definition)
-        return beartype(conf=_rules(float | int))(definition)
+        return beartype(conf=_rules(float | int | np.number))(definition)
 
     @functools.wraps(definition)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -100,7 +100,9 @@ def _and_fields(cls: Any) -> Callable:
                 for name, hint in fields().items():
                     # A leaf that is a number may be one of each run of a batch.
                     die_if_unbearable(
-                        getattr(self, name), hint, conf=_rules(float | int | np.ndarray | jax.Array)
+                        getattr(self, name),
+                        hint,
+                        conf=_rules(float | int | np.number | np.ndarray | jax.Array),
                     )
 
     return __init__

@@ -58,7 +58,11 @@ def test_lanes_in_turn_and_side_by_side_give_the_same(name, windy, monkeypatch):
 
 def test_entries_and_rows_are_plain_indexing_with_any_lanes():
     rand = np.random.default_rng(1)
-    table, s, a = jnp.asarray(rand.normal(size=(4, 5, 3))), rand.integers(0, 5, (4, 16)), rand.integers(0, 3, (4, 16))
+    table, s, a = (
+        jnp.asarray(rand.normal(size=(4, 5, 3))),
+        rand.integers(0, 5, (4, 16)),
+        rand.integers(0, 3, (4, 16)),
+    )
     row, entry = (lambda t, s, a: tables.row(t, s)), tables.entry
     for read, want in ((row, lambda t: t[s]), (entry, lambda t: t[s, a])):
         got = jax.vmap(jax.vmap(read, (None, 0, 0)), (None, 0, 0))(table[0], s, a)  # one table for all lanes

@@ -60,11 +60,11 @@ class ValueState(NamedTuple):
     target: Float[Array, "S A"] | None
 
     @property
-    def q(self) -> Float[Array, "S 1"]:
+    def q(self) -> Float[Any, "... S 1"]:
         return self.learner.q
 
     @property
-    def v(self) -> Float[Array, " S"]:
+    def v(self) -> Float[Any, "... S"]:
         """V, float [S]; of a batch of learners [..., S]."""
         return self.learner.q[..., 0]
 

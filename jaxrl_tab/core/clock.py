@@ -3,6 +3,7 @@
 from typing import Literal, NamedTuple, Protocol, TypeAlias, get_args, runtime_checkable
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.core import tables
@@ -45,7 +46,7 @@ def start(num_states: int, num_actions: int, by_visit: bool) -> Clock:
     return Clock(jnp.int32(0), jnp.int32(0), visits)
 
 
-def goes_by_visit(rate: Rate) -> bool:
+def goes_by_visit(rate: Rate | np.ndarray) -> bool:
     """Whether `rate` needs the table of visits."""
     return isinstance(rate, Schedule) and rate.clock == "visit"
 

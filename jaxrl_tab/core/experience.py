@@ -5,7 +5,8 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int, Num
+from numpy.typing import ArrayLike
 
 from jaxrl_tab.core.checks import InputError, assign, concrete, first, numbers, shown, whole
 from jaxrl_tab.core.policies import Table
@@ -41,7 +42,7 @@ class Experience:
 
     s: Int[Any, " N"]
     a: Int[Any, " N"]
-    r: Float[Any, " N"]
+    r: Num[Any, " N"]
     s_next: Int[Any, " N"]
     terminal: Bool[Any, " N"]
     last: Bool[Any, " N"] | Any = None
@@ -83,7 +84,7 @@ class Experience:
 
     @classmethod
     def from_episodes(
-        cls, episodes: Sequence[tuple[Any, Any, Any]], terminal: bool | Bool[Any, " E"] = True
+        cls, episodes: Sequence[tuple[Any, Any, Any]], terminal: bool | ArrayLike = True
     ) -> "Experience":
         """The experience of E episodes S_0, A_0, R_1, S_1, A_1, R_2, ..., S_T.
 
@@ -124,7 +125,7 @@ class Experience:
 
     @classmethod
     def from_padded(
-        cls, s: Any, a: Any, r: Any, lengths: Int[Any, " E"], terminal: bool | Bool[Any, " E"] = True
+        cls, s: Any, a: Any, r: Any, lengths: Any, terminal: bool | ArrayLike = True
     ) -> "Experience":
         """The experience of E episodes in arrays as long as the longest of them.
 

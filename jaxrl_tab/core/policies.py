@@ -337,8 +337,8 @@ class Table:
         check_among("Table: probabilities", self.probabilities, available)
         return self
 
-    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
-        return tables.row(jnp.asarray(self.probabilities, float), s)
+    def probs(self, q: Float[Array, " _"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return tables.row(jnp.asarray(self.probabilities, float), s)  # where v is learned, `q` is v(s) alone
 
 
 def as_table(name: str, policy: Any, shape: tuple[int, ...] | None = None) -> Table:
