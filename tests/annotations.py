@@ -111,9 +111,11 @@ def _and_fields(cls: Any) -> Callable:
 def _hints(definition: Any) -> dict[str, Any]:
     """What its annotations mean, name by name; also those that a module imports only `if TYPE_CHECKING:`."""
     module = sys.modules[definition.__module__]
-    hints = get_type_hints(
-        definition, vars(module) | _imported_for_types(definition.__module__), include_extras=True
-    )
+    try:
+        hints = get_type_hints(definition, vars(module), include_extras=True)
+    except NameError:
+        names = vars(module) | _imported_for_types(definition.__module__)
+        hints = get_type_hints(definition, names, include_extras=True)
     if Self in hints.values():
         cls = functools.reduce(getattr, definition.__qualname__.split(".")[:-1], module)
         hints = {name: cls if hint is Self else hint for name, hint in hints.items()}
