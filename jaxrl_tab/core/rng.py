@@ -19,7 +19,7 @@ import jax
 import jax.extend as jex
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Int, Key, UInt32
+from jaxtyping import Array, Bool, Int, Key, PRNGKeyArray, UInt32
 
 from jaxrl_tab.core.checks import InputError, shown
 
@@ -116,7 +116,7 @@ def check_key(key: Any) -> None:
         )
 
 
-def stream(key: Key[Array, ""]) -> Stream:
+def stream(key: PRNGKeyArray) -> Stream:
     """The two words that name a run's random stream, from a JAX key of any kind.
 
     (Threefry has two ways to draw several words; it is always the newer one, whatever JAX is set to.)

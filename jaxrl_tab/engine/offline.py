@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.algorithms.td import TDControl
@@ -46,7 +46,7 @@ L = TypeVar("L")
 
 # --- learning from it --------------------------------------------------------------------------------
 def learn(
-    key: Key[Array, ""],
+    key: PRNGKeyArray,
     algorithm: Algorithm[L],
     experience: Experience,
     num_states: int,
@@ -87,7 +87,7 @@ def learn(
 
 
 def replay(
-    key: Key[Array, ""],
+    key: PRNGKeyArray,
     algorithm: Algorithm[L],
     experience: Experience,
     num_states: int,
@@ -200,7 +200,7 @@ def _replay(key, algorithm, experience, task, num_updates):
 
 # --- logging a run -----------------------------------------------------------------------------------
 def collect(
-    key: Key[Array, ""], behaviour: Algorithm | Table | Float[Any, "S A"], env: Environment, num_steps: int
+    key: PRNGKeyArray, behaviour: Algorithm | Table | Float[Any, "S A"], env: Environment, num_steps: int
 ) -> Experience:
     """Logs what a method or a fixed policy does in an environment.
 

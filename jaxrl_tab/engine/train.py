@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import policies, rng, schedules, tables
@@ -114,7 +114,7 @@ Measured: TypeAlias = Callable[[Any], dict[str, Any]]
 
 
 def train(
-    key: Key[Array, ""],
+    key: PRNGKeyArray,
     algorithm: Algorithm[L],
     env: Environment,
     *,
@@ -167,7 +167,7 @@ def train(
 # Compiled by itself where nobody else does, so that a second call is quick; inlined where somebody does.
 @partial(jax.jit, static_argnums=4, inline=True)
 def unchecked(
-    key: Key[Array, ""],
+    key: PRNGKeyArray,
     algorithm: Any,
     env: Any,
     full: Any,
