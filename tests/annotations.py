@@ -124,11 +124,15 @@ def _hints(definition: Any) -> dict[str, Any]:
 
 @functools.cache
 def _imported_for_types(module: str) -> dict[str, Any]:
-    names: dict[str, Any] = {}
     variables = vars(sys.modules[module])
-    for node in ast.parse(Path(variables["__file__"]).read_text()).body:
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            exec(compile(ast.Module(node.body, []), module, "exec"), dict(variables), names)
+    names: dict[str, Any] = {}
+    for block in ast.parse(Path(variables["__file__"]).read_text()).body:
+        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING":
+            for statement in block.body:
+                try:
+                    exec(ast.unparse(statement), dict(variables), names)
+                except ImportError as error:  # a name that its module, too, has for types alone
+                    names |= _imported_for_types(str(error.name))
     return names
 
 

@@ -2,6 +2,7 @@
 
 import gymnasium
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import sampling
@@ -96,7 +97,7 @@ def test_a_state_that_ends_and_goes_on_gets_two_numbers():
     v, _ = planning.value_iteration(env)
     assert env.is_terminal.tolist() == [False, False, True]
     assert v == pytest.approx([6, 14, 0])  # v0 = (1 + 3 + (8 + v0) + v0) / 4
-    prob, outcome = env.outcomes(0, 0)
+    prob, outcome = env.outcomes(jnp.int32(0), jnp.int32(0))
     listed = {
         (s, r): p
         for p, s, r in zip(prob.tolist(), outcome.s_next.tolist(), outcome.reward.tolist(), strict=True)

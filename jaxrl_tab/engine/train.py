@@ -115,8 +115,8 @@ Measured: TypeAlias = Callable[[Any], dict[str, Any]]
 
 def train(
     key: PRNGKeyArray,
-    algorithm: Algorithm[L],
-    env: Environment,
+    algorithm: Algorithm[L] | Environment,
+    env: Environment | Algorithm[L],
     *,
     num_steps: int | None = None,
     num_episodes: int | None = None,
@@ -149,7 +149,8 @@ def train(
         InputError: a number is out of range, or `exact` is asked of an environment without `outcomes`.
     """
     if isinstance(algorithm, Environment):
-        algorithm, env = cast(Any, env), algorithm
+        algorithm, env = env, algorithm
+    algorithm, env = cast(Algorithm[L], algorithm), cast(Environment, env)
     budget = Budget(num_steps, num_episodes, log_every, bool(exact), record)
     rng.check_key(key)
     check_pytree("algorithm", algorithm, METHODS)
