@@ -26,7 +26,7 @@ class WrongArgument(BeartypeCallHintParamViolation):
     """An argument is not what its annotation says.
 
     Attributes:
-        called: whether the function was called nevertheless, to see whether it refuses the argument itself.
+        called: whether the function has been called nevertheless, to see whether it refuses the argument itself.
     """
 
     called = False
@@ -63,24 +63,31 @@ def checked(definition: Any) -> Any:
             try:
                 return strict()(*args, **kwargs)
             except WrongArgument as violation:
-                if violation.called:
-                    raise
-                violation.called = True
-                return _refusal(violation, definition, args, kwargs)
+                raise _refusal(violation, lambda: definition(*args, **kwargs))
 
-    return call
+    @functools.wraps(definition)
+    def generate(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return (yield from strict()(*args, **kwargs))
+        except WrongArgument as violation:
+            raise _refusal(violation, lambda: next(definition(*args, **kwargs)))
+
+    return generate if inspect.isgeneratorfunction(definition) else call
 
 
-def _refusal(violation: WrongArgument, function: Callable, args: Any, kwargs: Any) -> Any:
+def _refusal(violation: WrongArgument, called: Callable) -> Exception:
+    """The error of the function that was called with a wrong argument: its own, where it refuses that."""
     from jaxrl_tab.core.checks import InputError, RunError
 
-    try:
-        function(*args, **kwargs)
-    except (InputError, RunError):
-        raise
-    except Exception:
-        raise violation from None
-    raise violation
+    if not violation.called:
+        violation.called = True
+        try:
+            called()
+        except (InputError, RunError) as error:
+            return error
+        except Exception:
+            pass
+    return violation
 
 
 def _and_fields(cls: Any) -> Callable:
