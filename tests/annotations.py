@@ -12,7 +12,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Self, get_type_hints
+from typing import Any, NoReturn, Self, get_type_hints
 
 import jax
 import jaxtyping
@@ -63,31 +63,31 @@ def checked(definition: Any) -> Any:
             try:
                 return strict()(*args, **kwargs)
             except WrongArgument as violation:
-                raise _refusal(violation, lambda: definition(*args, **kwargs))
+                _refuse(violation, lambda: definition(*args, **kwargs))
 
     @functools.wraps(definition)
     def generate(*args: Any, **kwargs: Any) -> Any:
         try:
             return (yield from strict()(*args, **kwargs))
         except WrongArgument as violation:
-            raise _refusal(violation, lambda: next(definition(*args, **kwargs)))
+            _refuse(violation, lambda: next(definition(*args, **kwargs)))
 
     return generate if inspect.isgeneratorfunction(definition) else call
 
 
-def _refusal(violation: WrongArgument, called: Callable) -> Exception:
-    """The error of the function that was called with a wrong argument: its own, where it refuses that."""
+def _refuse(violation: WrongArgument, call: Callable[[], Any]) -> NoReturn:
+    """Raises the error of a function that was called with a wrong argument: its own, where it refuses that."""
     from jaxrl_tab.core.checks import InputError, RunError
 
     if not violation.called:
         violation.called = True
         try:
-            called()
-        except (InputError, RunError) as error:
-            return error
+            call()
+        except (InputError, RunError):
+            raise
         except Exception:
-            pass
-    return violation
+            raise violation from None
+    raise violation
 
 
 def _and_fields(cls: Any) -> Callable:

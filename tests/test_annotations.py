@@ -66,7 +66,7 @@ def test_fields_hold_what_they_say():
 
 
 def test_what_a_function_refuses_it_refuses_in_its_own_words():
-    """Broken once: `_refusal` raises the violation alone -> fails."""
+    """Broken once: `_refuse` raises the violation alone -> fails."""
     with pytest.raises(rl.InputError, match="key"):
         rl.train("no key", rl.Sarsa(), rl.WindyGridworld(), num_steps=1)
     with pytest.raises(rl.InputError, match="num_steps"):
