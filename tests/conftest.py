@@ -37,4 +37,4 @@ def windy():
 @pytest.fixture
 def step_by_step(monkeypatch):
     """Episodes without chunks of steps: a third to compile, and the same runs (test_record)."""
-    monkeypatch.setattr(sys.modules["jaxrl_tab.engine.train"], "CHUNKS", ())
+    monkeypatch.setattr(sys.modules["jaxrl_tab.engine.loop"], "CHUNKS", ())

@@ -313,7 +313,7 @@ def test_an_end_that_looks_like_a_state_is_apart(monkeypatch):
     np.testing.assert_allclose(p[::2, 0, ::2], np.full((7, 7), 1 / 7))
     np.testing.assert_array_equal(p[::2, 1, 1::2], np.eye(7))
     np.testing.assert_array_equal(r[::2, 1, 1::2], np.eye(7))
-    monkeypatch.setattr("jaxrl_tab.interop.gymnax.LANES", 1)
+    monkeypatch.setattr("jaxrl_tab.interop.gymnax_states.LANES", 1)
     for x, y in zip(dense(from_gymnax(Quit())), (p, r), strict=True):
         np.testing.assert_array_equal(x, y)
 
@@ -417,7 +417,7 @@ def test_what_is_wrong_is_said(given, parameters, message):
 
 
 def test_too_many_states(monkeypatch):
-    monkeypatch.setattr("jaxrl_tab.interop.gymnax.MAX_STATES", 100)
+    monkeypatch.setattr("jaxrl_tab.interop.gymnax_states.MAX_STATES", 100)
     with pytest.raises(rl.InputError, match="FourRooms-misc has more than 100 states, too many for a table"):
         make("gymnax:FourRooms-misc")
 

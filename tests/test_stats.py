@@ -9,7 +9,7 @@ from scipy import stats as oracle
 
 import jaxrl_tab as rl
 from jaxrl_tab import stats
-from jaxrl_tab.engine.train import Log
+from jaxrl_tab.engine.log import Log
 from jaxrl_tab.stats import along
 
 

@@ -95,7 +95,7 @@ class ManyTargets:
         behaviour = uniform if self.behaviour is None else restricted(self.behaviour, available)
         return dataclasses.replace(self, behaviour=behaviour, q0=policies.among(self.q0, available))
 
-    def about(self, target: Float[Array, "S A"]) -> ExpectedSarsa:
+    def about(self, target: Float[Array | np.ndarray, "S A"]) -> ExpectedSarsa:
         """The method that learns about one of the policies alone."""
         return ExpectedSarsa(
             alpha=self.alpha, gamma=self.gamma, q0=self.q0, target=Table(target), behaviour=self.selection

@@ -32,7 +32,6 @@ from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import (
-    Algorithm,
     Available,
     Environment,
     Task,
@@ -71,7 +70,7 @@ class ValueState(NamedTuple):
 
 @pytree
 class Prediction:
-    """What all share. A method says what kind of control it is."""
+    """What all share. A method names its method of control, and passes on the hyperparameters that both have."""
 
     pi: Any = field(
         default=None,
@@ -84,17 +83,20 @@ class Prediction:
 
     learns: ClassVar[Learns] = Learns.STATES
     acts_after_update: ClassVar[bool] = True
+    method: ClassVar[type]  # the method of control that learns V
 
     def __post_init__(self):
         _as_table(self, "pi")
         try:
             self.control()
-        except InputError as error:  # said of a class of which nobody spoke
+        except InputError as error:  # it speaks of the method of control, whose class nobody named
             raise error.renamed(type(self).__name__) from None
 
-    def control(self) -> Algorithm:
-        """The method of control that learns V."""
-        raise NotImplementedError
+    def control(self, **policies: Table) -> Any:
+        """The method of control that learns V, with the hyperparameters that both have, and these policies."""
+        names = {field.name for field in dataclasses.fields(self.method)}
+        shared = {name: x for name, x in vars(self).items() if name in names - {"behaviour"}}
+        return self.method(q0=self.v0, **shared, **policies)
 
     def restricted_to(self, available: Available, **more: Any) -> Self:
         """The method where states have these actions only, as `TDControl.restricted_to`."""
@@ -132,8 +134,7 @@ class Prediction:
 class TD(Prediction):
     """TD(0): V(S) <- V(S) + alpha [R + gamma V(S') - V(S)] (book, equation 6.2)."""
 
-    def control(self) -> Sarsa:
-        return Sarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0)
+    method: ClassVar[type] = Sarsa
 
 
 @pytree
@@ -142,8 +143,7 @@ class NStepTD(Prediction):
 
     n: int = static(default=4, at_least=1, help="How many rewards it looks ahead.")
 
-    def control(self) -> Algorithm:
-        return NStepSarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0, n=self.n)
+    method: ClassVar[type] = NStepSarsa
 
 
 @pytree
@@ -161,15 +161,7 @@ class TDLambda(Prediction):
         "accumulating traces.",
     )
 
-    def control(self) -> Algorithm:
-        return SarsaLambda(
-            alpha=self.alpha,
-            gamma=self.gamma,
-            q0=self.v0,
-            lam=self.lam,
-            trace=self.trace,
-            offline=self.offline,
-        )
+    method: ClassVar[type] = SarsaLambda
 
 
 @pytree
@@ -181,8 +173,7 @@ class MonteCarloPrediction(Prediction):
     )
     first_visit: bool = static(default=False, help=_FIRST_VISIT)
 
-    def control(self) -> Algorithm:
-        return MonteCarlo(alpha=self.alpha, gamma=self.gamma, q0=self.v0, first_visit=self.first_visit)
+    method: ClassVar[type] = MonteCarlo
 
 
 # --- off-policy --------------------------------------------------------------------------------------
@@ -240,6 +231,23 @@ class OffPolicyTD(OffPolicyPrediction, TD):
 
 
 @pytree
+class _OfStates(OffPolicyMonteCarlo):
+    """Off-policy Monte Carlo with one entry a state, of which the ratio of its own action is a part."""
+
+    of_states: ClassVar[bool] = True
+
+    @property
+    def all_policies(self) -> tuple[Policy, ...]:
+        return ()  # tables, which do not go by visits, and have as many actions as the task
+
+    def rest(self, state, t: Transition) -> Float[Array, ""]:
+        return t.discount * tables.entry(state.q, t.s_next, self.column(t.a))
+
+    def column(self, a: Int[Array, ""]) -> Int[Array, ""]:
+        return jnp.zeros_like(a)
+
+
+@pytree
 class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
     """Monte Carlo with importance sampling (book, section 5.5): the mean of returns G of b, weighted.
 
@@ -256,43 +264,17 @@ class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
+    method: ClassVar[type] = _OfStates
 
     @property
     def multiplies_returns(self) -> bool:
         return self.weighting != "weighted"
 
-    def control(self, acting: Any = None, target: Any = None) -> Algorithm:
-        return _OfStates(
-            alpha=self.alpha,
-            gamma=self.gamma,
-            q0=self.v0,
-            behaviour=None if acting is None else Table(acting),
-            target=None if target is None else Table(target),
-            weighting=self.weighting,
-            first_visit=self.first_visit,
-        )
-
     def update(self, key, state: ValueState, t: Transition):
-        learner, _ = self.control(state.acting, state.target).update(key, state.learner, t)
+        control = self.control(behaviour=Table(state.acting), target=Table(state.target))
+        learner, _ = control.update(key, state.learner, t)
         state = state._replace(learner=learner)
         return state, self.policy(key, state, t.s_next)
-
-
-@pytree
-class _OfStates(OffPolicyMonteCarlo):
-    """Off-policy Monte Carlo with one entry a state, of which the ratio of its own action is a part."""
-
-    of_states: ClassVar[bool] = True
-
-    @property
-    def all_policies(self) -> tuple[Policy, ...]:
-        return ()  # tables, which do not go by visits, and have as many actions as the task
-
-    def rest(self, state, t: Transition) -> Float[Array, ""]:
-        return t.discount * tables.entry(state.q, t.s_next, self.column(t.a))
-
-    def column(self, a: Int[Array, ""]) -> Int[Array, ""]:
-        return jnp.zeros_like(a)
 
 
 def _as_table(obj: Any, name: str) -> None:

@@ -58,8 +58,8 @@ class TDControl:
     )
 
     def __post_init__(self):
-        given = concrete(self.epsilon)
-        if self.behaviour is not None and given is not None and np.any(given != TDControl.epsilon):
+        epsilon = concrete(self.epsilon)
+        if self.behaviour is not None and epsilon is not None and np.any(epsilon != TDControl.epsilon):
             raise InputError("give epsilon or behaviour, not both", who=type(self).__name__, field="epsilon")
 
     @property

@@ -221,6 +221,13 @@ def repeated(values: Iterable[Any]) -> list[Any]:
     return again
 
 
+def is_list(value: Any) -> bool:
+    """Whether `value` is a list, a tuple or an array with an axis; a text is none."""
+    if isinstance(value, np.ndarray | jax.Array):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
+
+
 def is_whole(value: Any, least: int = 1) -> bool:
     """Whether `value` is a whole number, `least` to 2**31 - 1; True and False are none."""
     return isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) < 2**31

@@ -205,6 +205,11 @@ def is_from_outside(name: str) -> bool:
     return bool(rest and prefix in libraries) or _IN_MODULE.fullmatch(name) is not None
 
 
+def registered_name(registry: Mapping[str, type], cls: type) -> str:
+    """The name of a class in a registry; that of the class itself where it is not there."""
+    return next((name for name, known in registry.items() if known is cls), cls.__name__)
+
+
 def reference(kind: Kind, cls: type) -> Reference:
     """The reference to a class: by its name in the registry, its module, or its file."""
     if cls.__module__.partition(".")[0] == PACKAGE:

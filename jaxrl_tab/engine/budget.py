@@ -9,6 +9,7 @@ from jaxtyping import Array
 from jaxrl_tab.core.checks import InputError, is_whole, shown
 
 Record: TypeAlias = Callable[[Any], dict[str, Array]]
+NO_RECORD = "record must be a function from the state of the learner to a dict of arrays"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +24,8 @@ class Budget:
         record: a function from the state of the learner to a dict of arrays, recorded there as well.
 
     Raises:
-        InputError: neither or both of the lengths are given, or a number is not whole or below 1.
+        InputError: neither or both of the lengths are given, a number is not whole or below 1, or `record` is
+            no function.
     """
 
     num_steps: int | None = None
@@ -33,6 +35,8 @@ class Budget:
     record: Record | None = None
 
     def __post_init__(self):
+        if not callable(self.record) and self.record is not None:
+            raise InputError(NO_RECORD)
         if (self.num_steps is None) == (self.num_episodes is None):
             raise InputError("give either num_steps or num_episodes")
         for name in ("num_steps", "num_episodes", "log_every"):

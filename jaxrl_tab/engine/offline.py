@@ -148,10 +148,10 @@ def _checked(algorithm: Any, experience: Any, num_states: int, num_actions: int,
     experience.check(num_states, num_actions, behaviour)
     if available is None:
         return algorithm
-    there = numbers("learn", "available", available)
-    check_available("learn: available", there, num_states, num_actions)
-    experience.check_available(there)
-    return restricted(algorithm, there.astype(bool))
+    is_available = numbers("learn", "available", available)
+    check_available("learn: available", is_available, num_states, num_actions)
+    experience.check_available(is_available)
+    return restricted(algorithm, is_available.astype(bool))
 
 
 def _longest_episode(experience: Experience) -> int:
@@ -164,12 +164,17 @@ def _longest_episode(experience: Experience) -> int:
 UPDATE, DRAW = 0, 1  # decisions, as `rng` numbers them
 
 
+def _beginning(algorithm: Any, experience: Experience, task: Task) -> tuple[Any, Transition, int]:
+    """The learner before it learns, the transitions that it learns from, and how many there are."""
+    learner = init_learner(algorithm, task)
+    transitions = experience.transitions(algorithm.gamma, learner.q.dtype)
+    return learner, transitions, len(transitions.s)
+
+
 # How often is no constant of the programs, so another number needs no new one.
 @partial(jax.jit, static_argnums=3, inline=True)
 def _learn(key, algorithm, experience, task, passes):
-    learner = init_learner(algorithm, task)
-    transitions = experience.transitions(algorithm.gamma, learner.q.dtype)
-    stream, size = rng.stream(key), len(transitions.s)
+    stream, (learner, transitions, size) = rng.stream(key), _beginning(algorithm, experience, task)
 
     def update(learner, numbered):
         i, t = numbered
@@ -184,9 +189,7 @@ def _learn(key, algorithm, experience, task, passes):
 
 @partial(jax.jit, static_argnums=3, inline=True)
 def _replay(key, algorithm, experience, task, num_updates):
-    learner = init_learner(algorithm, task)
-    transitions = experience.transitions(algorithm.gamma, learner.q.dtype)
-    stream, size = rng.stream(key), len(transitions.s)
+    stream, (learner, transitions, size) = rng.stream(key), _beginning(algorithm, experience, task)
 
     def update(i, learner):
         update_key, draw_key = (rng.as_key(rng.word(stream, i, decision)) for decision in (UPDATE, DRAW))

@@ -8,7 +8,7 @@ the code behind anybody else's may change without a trace in the name.
 A program is code, and it is run. So it is read only where nobody else can have put it: the file and its folder
 are the user's own, and no link, and only the user may write them. And only as it was written: it begins with
 the SHA-256 of its name and its content. (That finds all damage. Nothing helps against somebody who can write as
-the user.) Where any of it is not so a line says it, and the program is made again.
+the user.) Otherwise one line of the log says what is wrong, and the program is compiled again.
 
 Off until `keep` is called, which the command line does.
 """
@@ -47,7 +47,7 @@ def keep(folder: Path | None = None) -> None:
 
     By default that is where the user's `JAX_COMPILATION_CACHE_DIR` says, or else the user's cache folder
     (`XDG_CACHE_HOME`), and JAX is told to keep there what else it compiles. `JAX_ENABLE_COMPILATION_CACHE=0`
-    turns both off. A folder that cannot be used is said in a line.
+    turns both off. Where the folder cannot be used, one line of the log says why.
     """
     global _folder
     if not jax.config.jax_enable_compilation_cache:  # pyright: ignore[reportAttributeAccessIssue]
@@ -74,9 +74,9 @@ def kept(name: Any, make: Callable[[str], T], pack: Callable[[T], Any], unpack: 
     if file is None or not _is_usable(file.parent):
         return make("program")
     try:
-        found = unpack(pickle.loads(_read(file)))
+        program = unpack(pickle.loads(_read(file)))
         os.utime(file)
-        return found
+        return program
     except FileNotFoundError:
         pass
     except Exception as error:  # jaxlib's have no common type
@@ -161,7 +161,7 @@ def _code_and_machine() -> bytes:
 
 @cache
 def _is_usable(folder: Path) -> bool:
-    """Whether programs can be kept in `folder`, which is made; said once where they cannot."""
+    """Whether programs can be kept in `folder`, which is created; where they cannot, the log says so once."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _check_own(folder.lstat(), stat.S_ISDIR)
@@ -196,7 +196,7 @@ def _read(file: Path) -> bytes:
 
 
 def _write(file: Path, data: bytes) -> None:
-    """Puts `data` under its name at once and whole; then makes room."""
+    """Writes `data` under its name, so that nobody ever sees a part of it; then makes room."""
     descriptor, unfinished = tempfile.mkstemp(dir=file.parent, prefix=f"{file.name}.")
     try:
         with open(descriptor, "wb") as opened:
@@ -232,5 +232,5 @@ def _checksum(file: Path, data: bytes) -> bytes:
 
 @cache
 def _warn(line: str) -> None:
-    """Says it once."""
+    """Logs the line, the first time only."""
     logging.getLogger(__name__).warning("%s", line)

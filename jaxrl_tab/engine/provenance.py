@@ -50,8 +50,8 @@ _ABOVE = {
 
 def settings() -> dict[str, Any]:
     """The settings of JAX that change numbers, as they are in this thread: name -> plain value."""
-    found = jax.config.values
-    values = {name: found[name] for name in SETTINGS if name in found}
+    current = jax.config.values
+    values = {name: current[name] for name in SETTINGS if name in current}
     return {name: x.value if isinstance(x, enum.Enum) else x for name, x in values.items()}
 
 
@@ -105,7 +105,7 @@ def digest(surroundings: Mapping[str, Any]) -> str:
 
 
 def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """What of `now` was otherwise, a line for each. `was` may be what an earlier version recorded."""
+    """What of `now` was different before, a line for each. `was` may be what an earlier version recorded."""
     return [_change(name, was.get(name), value) for name, value in now.items() if was.get(name) != value]
 
 
@@ -124,20 +124,20 @@ def _change(name: str, before: Any, after: Any) -> str:
 @cache
 def sources() -> str:
     """The digest of this package's sources, as they were when it was first asked for."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for file in sorted(PACKAGE.rglob("*.py")):
         data = file.read_bytes()
-        found.update(f"{file.relative_to(PACKAGE).as_posix()} {len(data)}\n".encode() + data)
-    return found.hexdigest()[:16]
+        digest.update(f"{file.relative_to(PACKAGE).as_posix()} {len(data)}\n".encode() + data)
+    return digest.hexdigest()[:16]
 
 
 @cache
 def cpu(line: str) -> str:
     """What Linux tells of the CPU in a line of this name, a regular expression; nothing where it does not."""
     with contextlib.suppress(OSError):
-        told = Path("/proc/cpuinfo").read_text()
-        if found := re.search(rf"^(?:{line})[ \t]*:(.*)", told, re.MULTILINE):
-            return found[1].strip()
+        lines = Path("/proc/cpuinfo").read_text()
+        if match := re.search(rf"^(?:{line})[ \t]*:(.*)", lines, re.MULTILINE):
+            return match[1].strip()
     return ""
 
 
@@ -161,7 +161,7 @@ def git_commit() -> str | None:
     describe = [*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:  # in somebody else's repository, as in an environment below it, these files are not git's
         for command in ([*git, "ls-files", "--error-unmatch", "__init__.py"], describe):
-            said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+            answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
-    return said
+    return answer

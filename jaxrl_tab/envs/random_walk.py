@@ -28,6 +28,8 @@ class RandomWalk(FixedStart):
     )
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
+    num_actions = 1
+
     def __post_init__(self):
         if self.states % 2 == 0:
             wanted = "odd, so that there is a middle to start in"
@@ -36,10 +38,6 @@ class RandomWalk(FixedStart):
     @property
     def num_states(self) -> int:
         return self.states + 2
-
-    @property
-    def num_actions(self) -> int:
-        return 1
 
     @property
     def start_state(self) -> int:

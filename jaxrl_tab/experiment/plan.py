@@ -7,7 +7,7 @@ import jax
 
 from jaxrl_tab.core import memory
 from jaxrl_tab.engine import room
-from jaxrl_tab.engine.sweep import Part, leaves_as_arrays
+from jaxrl_tab.engine.part import Part, leaves_as_arrays
 
 
 class PartPlan(NamedTuple):

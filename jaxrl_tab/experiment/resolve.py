@@ -34,7 +34,7 @@ class Selection:
 
     Attributes:
         by: "score": the mean return of the last tenth, of prediction the error (see `stats.score`).
-        fresh_seeds: how many seeds it is then run on. They have a root of their own (see `sweep.Part`), so no
+        fresh_seeds: how many seeds it is then run on. They have a root of their own (see `part.Part`), so no
             other sweep has them, be it ever so large.
     """
 

@@ -26,10 +26,11 @@ from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
 from jaxrl_tab.engine import batch, room
+from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.engine.sweep import Computed, Part, leaves_as_arrays, result
-from jaxrl_tab.engine.train import Log
+from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import Outcome, chosen, write_files

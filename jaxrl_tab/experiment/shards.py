@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxrl_tab.core import names
 from jaxrl_tab.engine import room
-from jaxrl_tab.engine.sweep import Part, compute
+from jaxrl_tab.engine.part import Part, compute
 from jaxrl_tab.experiment.spec import Experiment
 
 SHARD_STEPS = 2**27  # of the runs in a shard, about: a few seconds on two cores
@@ -95,7 +95,7 @@ def forget_parts() -> None:
 
 
 def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
+    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `part.Part`."""
     one = [part.configs[config]]
     return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
 

@@ -40,7 +40,8 @@ from jaxrl_tab.core.checks import InputError, as_path, nearest, one_line, shown,
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.sweep import Part, prepare
+from jaxrl_tab.engine.part import Part
+from jaxrl_tab.engine.sweep import prepare
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.instances import made
 from jaxrl_tab.experiment.places import Source, at, located, split_statements

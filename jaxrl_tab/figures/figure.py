@@ -103,6 +103,6 @@ class Figure:
     small: Mapping[str, Any] = field(default_factory=dict)
 
 
-def swept(env: Environment, method: type[Algorithm] | str, grid: Mapping[str, Any], **given: Any) -> "Run":
+def swept(env: Environment, method: type[Algorithm] | str, grid: Mapping[str, Any], **budget: Any) -> "Run":
     """A sweep, as what an experiment is made of: arguments as those of `sweep`."""
-    return lambda progress: sweep(env, method, grid, **given, progress=progress).to_xarray()
+    return lambda progress: sweep(env, method, grid, **budget, progress=progress).to_xarray()

@@ -23,7 +23,7 @@ MOST_MARKS = 24  # kinds of marks in a picture; beyond them nobody can tell whic
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 
-def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
+def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None:
     """Episodes finished against time steps, mean and 95% interval over seeds (book, example 6.5).
 
     The slope is the pace: one episode in so many steps. Where episodes were the budget, the mean and its
@@ -32,12 +32,12 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
     Args:
         ax: where to draw.
         datasets: a sweep for each method.
-        given: hyperparameters to hold, such as `alpha=0.5`; otherwise each method's best (`stats.best`).
+        setting: hyperparameters to hold, such as `alpha=0.5`; otherwise each method's best (`stats.best`).
 
     Raises:
         InputError: no method swept the hyperparameter, or one that did not at this value.
     """
-    for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
+    for (label, ds), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
         by_steps = "num_steps" in ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
         mean, low, high = (_from_origin(x.clip(min=0)) for x in stats.progress_interval(ds, spread)[:3])
@@ -52,7 +52,7 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
     legend(ax, loc="upper left")
 
 
-def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **given: Any) -> None:
+def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **setting: Any) -> None:
     """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
 
     Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
@@ -62,7 +62,7 @@ def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **giv
     """
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
     if stats.is_prediction(*datasets.values()):
-        for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
+        for (label, ds), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
             x = (ds.steps if by_steps else ds.episodes).mean("seed").cumsum("row")
             line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
             mean_curve(ax, x, ds.v_error, label, **line)
@@ -72,7 +72,7 @@ def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **giv
         legend(ax)
         return
     shown, end = [], 0
-    for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
+    for (label, ds), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
         points, interval, enough = _readable_curve(ds)
         curve = stats.episode_curve(stats.merge_rows(ds.isel(seed=0), points))
         x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].values
@@ -97,7 +97,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     some runs finished no episode in the last tenth, and so count with what they collected there. A method
     that did not sweep the parameter is drawn at the one value that it had. Schedules and policies, and
     numbers beside them, stand side by side in the order in which they come. Where the parameter was drawn at
-    random there is a point for each draw, in which what was drawn with it is another, too.
+    random there is a point for each draw; what was drawn together with it differs from point to point, too.
 
     Args:
         soft: as in `learning_curves`.
@@ -131,9 +131,8 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
             continue
         label, x, parts = series[name]
         x, (*interval, _, late) = place(x), (part.values for part in parts)
-        mean, low, high = (
-            np.where(np.isfinite(part), part, np.nan) for part in interval
-        )  # it may have diverged
+        # It may have diverged, and what is infinite would be an endless bar.
+        mean, low, high = (np.where(np.isfinite(part), part, np.nan) for part in interval)
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
         ax.errorbar(
@@ -175,6 +174,7 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
             ax.xaxis.set_minor_locator(NullLocator())
         return lambda x: x.astype(float)
     names = list(dict.fromkeys(text_of(v) for x in tried for v in x.tolist()))
+    # Longer names would run into one another.
     tilt = {"rotation": 20, "ha": "right"} if sum(map(len, names)) > 30 else {}
     ax.set_xticks(range(len(names)), [literal(shortened(name)) for name in names], **tilt)
     ax.set_xlim(-0.5, len(names) - 0.5)
@@ -217,14 +217,14 @@ def _readable_curve(ds: xr.Dataset, points: int = MOST_POINTS) -> tuple[int, sta
     return _readable_curve(ds, points // 2)
 
 
-def at_setting(datasets: Datasets, given: Mapping[str, Any]) -> Iterable[tuple[str, xr.Dataset]]:
+def at_setting(datasets: Datasets, held: Mapping[str, Any]) -> Iterable[tuple[str, xr.Dataset]]:
     """(label, dataset at one combination of hyperparameters) for each method."""
-    for name in given:
+    for name in held:
         if not any(name in stats.hyperparameters(ds) for ds in datasets.values()):
             raise InputError(f"no method swept {name!r}")
     for name, own in Methods.of(datasets).settings.items():
-        held = {key: value for key, value in given.items() if key in stats.hyperparameters(own.ds)}
-        setting = stats.best(own.ds, **held) if held else own.best
+        own_held = {key: value for key, value in held.items() if key in stats.hyperparameters(own.ds)}
+        setting = stats.best(own.ds, **own_held) if own_held else own.best
         yield label_of(name, stats.named(own.ds, setting)), own.ds.sel(setting)
 
 
@@ -266,6 +266,7 @@ def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float)
     if high < 0 and low / high > 5:
         bottom, top = low * 1.2, high / 1.35
         ticks = np.outer(10.0 ** np.arange(-6, 12), [1, 2, 5]).ravel()
+        # All values are beyond the threshold, so this is a logarithmic axis of negative numbers.
         ax.set_yscale("symlog", linthresh=-top)
         ax.set_yticks([-t for t in ticks if -top <= t <= -bottom])
         ax.yaxis.set_major_formatter(lambda y, _: significant(y))

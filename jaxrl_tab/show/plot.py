@@ -233,8 +233,8 @@ def value_tables(datasets: Datasets, env: Environment) -> Figure:
     if (exact := _exact_table(datasets, env)) is not None:
         learned["Exact"] = exact
         model = planning.exact_model(env)
-        there = exact[0][planning.reachable(model) & ~planning.terminal_states(model)]
-        limits = there.min(), there.max()
+        visited = exact[0][planning.reachable(model) & ~planning.terminal_states(model)]
+        limits = visited.min(), visited.max()
     figure, grid = panels_canvas(env, len(learned))
     for row, (title, (v, best)) in zip(grid, learned.items(), strict=True):
         panels(row, env, v, best, title, limits)

@@ -117,10 +117,10 @@ SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
 
 def title_of(name: str) -> str:
     """The name of an environment or a method as people write it; a name that a user gave stays as it is."""
-    known, *own = name.split(",")  # "random-walk,states=5" of an experiment
-    if known in ENVS or known in METHODS:
-        known = TITLES.get(known, known.replace("-", " ").capitalize())
-    return ",".join([known, *own])
+    plain, *parameters = name.split(",")  # "random-walk,states=5" of an experiment
+    if plain in ENVS or plain in METHODS:
+        plain = TITLES.get(plain, plain.replace("-", " ").capitalize())
+    return ",".join([plain, *parameters])
 
 
 def symbol(name: str) -> str:

@@ -51,7 +51,7 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
         datasets: a dataset of `SweepResult.to_xarray`, or several by their names, as in `load`.
         per: what a row of the table is.
             "row": a row of the log of one run. Columns: steps, episodes, returns, lengths and rewards, all
-            sums over the row (see `train.Log`), and what was recorded, if it is a number.
+            sums over the row (see `log.Log`), and what was recorded, if it is a number.
             "seed": one run. The same sums over the run; `diverged`; its score (see `stats.score`), as
             `last_tenth_return`, or of prediction as `v_error`; for control `unfinished`, whether it finished
             no episode in the last tenth, so that its score is what it collected there; and `final_NAME`, what

@@ -325,7 +325,7 @@ def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: flo
 
     Raises:
         InputError: `fresh` has no such setting, or shares a seed with `ds`: one of the same number under the
-            same root. (What was run with `sweep.Part.fresh` has a root of its own.)
+            same root. (What was run with `part.Part.fresh` has a root of its own.)
     """
     settings = Settings.of(ds, by)
     ds, setting = settings.ds, settings.best
