@@ -293,7 +293,7 @@ SWITCHES = [
 def test_switches_are_true_or_false(cls, name):
     """Of every environment and method that has one; a string would be as good as True."""
     for wrong in ("yes", 3, None):
-        with pytest.raises(rl.InputError, match=rf"{name} must be True or False, not {wrong!r}$"):
+        with pytest.raises(rl.InputError, match=rf"{name} must be true or false, not {wrong!r}$"):
             cls(**{name: wrong})
     for right in (np.True_, np.False_):
         given = getattr(cls(**{name: right}), name)

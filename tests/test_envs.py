@@ -556,7 +556,7 @@ def reward_with(index, value, rewards=R):
             windy(moves=["king"]),
             "windy-gridworld: moves ['king'] is unknown; choose one of four, king, king+stay",
         ),
-        (windy(stochastic="yes"), "windy-gridworld: stochastic must be True or False, not 'yes'"),
+        (windy(stochastic="yes"), "windy-gridworld: stochastic must be true or false, not 'yes'"),
         (windy(shape=7), "windy-gridworld: shape must be (rows, columns), at least 1 x 1, not 7"),
         (windy(shape=(0, 10)), "windy-gridworld: shape must be (rows, columns), at least 1 x 1, not (0, 10)"),
         (

@@ -97,7 +97,7 @@ def test_importing_the_package_is_cheap_and_starts_nothing():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     modules, devices = done.stdout.splitlines()
-    heavy = {"scipy", "xarray", "pandas", "matplotlib", "optax", "rich", "tyro", "h5py", "numba"}
+    heavy = {"scipy", "xarray", "pandas", "matplotlib", "optax", "rich", "h5py", "numba"}
     assert not (heavy | {"gymnax", "gymnasium", "flax"}) & set(modules.split())
     assert devices == "3"
 

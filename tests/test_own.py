@@ -19,7 +19,7 @@ import quick
 import jaxrl_tab as rl
 from jaxrl_tab import cli, plot
 from jaxrl_tab.algorithms.prediction import METHOD
-from jaxrl_tab.core import names
+from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.envs import ENVIRONMENT
@@ -158,7 +158,7 @@ def test_the_same_file_is_one_module_and_a_changed_one_another(here):
     [
         ("none.py:Coin", "there is no file none.py"),
         ("mine.py:Con", "there is no 'Con' in mine.py; did you mean 'Coin'?"),
-        ("mine.py", "mine.py is a file: name the class in it as well, as in 'mine.py:MyClass'"),
+        ("mine.py", "mine.py is a file: name what is in it as well, as in 'mine.py:NAME'"),
         (
             "mine.py:Hasty",
             "mine.py:Hasty is not an environment: it has no num_states, num_actions, max_steps, ",
@@ -359,7 +359,7 @@ def test_classes_and_instances(here):
         {
             "name": f"{here}/mine.py:Coin",
             "label": "Coin",
-            "sha256": names.read(Path("mine.py")).sha256,
+            "sha256": modules.read(Path("mine.py")).sha256,
             "heads": 0.25,
             "max_steps": 100,
         }
@@ -425,7 +425,7 @@ def test_what_cannot_be_saved_is_refused_where_there_is_a_folder(here, monkeypat
     notebook = type(sys)("__main__")
     exec(OWN, vars(notebook))
     monkeypatch.setitem(sys.modules, "__main__", notebook)
-    advice = "put it into a file of its own, and name it 'file.py:Class'; or run it without a folder"
+    advice = "put it into a file of its own, and name it 'file.py:NAME'; or run it without a folder"
     for environment, method, message in (
         ("random-walk", Inner, "Inner is made inside a function: "),
         (notebook.Coin(), "sarsa", "Coin is made in a notebook or at a prompt: "),
@@ -471,7 +471,7 @@ def test_a_copy_or_a_file_that_was_changed_stops_resume(here):
     )
     os.remove("mine.py")
     Path("run/sources/mine.py").write_text(OWN.replace("-jnp.ones", "jnp.ones"))
-    refused(lambda: rl.resume("run"), "the copy of mine.py:Coin in run/sources is missing or was altered")
+    refused(lambda: rl.resume("run"), "the copy of mine.py in run/sources is missing or was altered")
     Path("run/sources/mine.py").write_text(OWN)
     for damaged in ("run/resolved.json", "run/experiment.toml", "run/sources/sources.json"):
         before = Path(damaged).read_text()

@@ -108,7 +108,7 @@ def test_what_is_worked_out_is_handed_on(outcome, kept, monkeypatch, capsys):
     count(best, "func")
     for name in ("iqm_interval", "median_interval", "tolerance_interval", "soft_optimum", "differences"):
         count(columns, name)
-    for name in ("seeds_wanted", "mean_interval", "is_prediction"):
+    for name in ("seeds_wanted", "mean_interval", "has_errors"):
         count(settings, name)
     show(outcome, kept)
     show(outcome)

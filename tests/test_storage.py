@@ -183,6 +183,23 @@ def test_a_new_folder_is_none_that_has_no_name_of_its_own(there):
         pass
 
 
+def test_a_new_folder_may_keep_what_was_finished_and_say_where(tmp_path):
+    """Broken once: without a look at whether there is anything -> fails."""
+    with pytest.raises(KeyboardInterrupt), storage.new_folder(tmp_path / "empty", keep=True):
+        raise KeyboardInterrupt
+
+    def stopped():
+        with storage.new_folder(tmp_path / "run", keep=True) as new:
+            (new / "file").write_text("x")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as stop:
+        stopped()
+    (kept,) = tmp_path.iterdir()
+    assert stop.value.__notes__ == [f"what was finished is in {kept}"]
+    assert (kept / "file").read_text() == "x"
+
+
 def test_a_new_folder_is_there_with_all_its_files_or_not_at_all(tmp_path):
     path = tmp_path / "a" / "run"
 

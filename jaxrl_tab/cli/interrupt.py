@@ -65,6 +65,6 @@ def _next(signals: socket.socket) -> bool:
     return False
 
 
-def _quit(said: str) -> None:
-    print(f"\njaxrl-tab: {said}", file=sys.stderr, flush=True)
+def _quit(what: str) -> None:
+    print(f"\njaxrl-tab: {what}", file=sys.stderr, flush=True)
     os._exit(CODE)

@@ -179,11 +179,11 @@ def _cells(column: "Column", x: Any, digits: Any) -> list[str]:
 
 def _soft_optima(methods: "Methods") -> dict[str, float]:
     """What the best policy earns that explores as the best settings do: "ε = 0.1" -> value."""
-    found = {}
+    optima = {}
     for own in methods.settings.values():
         name = " and ".join(f"{symbol(key)} = {words(value)}" for key, value in own.exploration.items())
-        found[name] = own.soft
-    return {name: value for name, value in found.items() if not np.isnan(value)}
+        optima[name] = own.soft
+    return {name: value for name, value in optima.items() if not np.isnan(value)}
 
 
 def _interval(low: float, high: float, digits: Any) -> str:

@@ -6,6 +6,7 @@ Its modules, from the ground up:
     checks      what is asked of values that people give, and how a message names them
     pytree      frozen dataclasses that are JAX pytrees, whose fields say what they take
     describe    the parameters of a class and what they are, for help and lists
+    modules     files of somebody's own, loaded by their checksum, with the files that they import
     names       what the name of an environment or a method stands for, somebody's own included
     declared    what methods and environments declare about themselves
     types       the vocabulary: what an environment answers, what a method learns from

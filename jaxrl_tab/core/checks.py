@@ -52,7 +52,7 @@ class InputError(ValueError):
     def __str__(self) -> str:
         return self.problem if self.who is None else f"{self.who}: {self.problem}"
 
-    def renamed(self, who: str, field: str | None = None) -> Self:
+    def renamed(self, who: str | None, field: str | None = None) -> Self:
         """The same said by another; of what is inside its `field`, where that is given."""
         error = copy.copy(self)
         error.who = who
@@ -90,7 +90,7 @@ def assign(obj: Any, **values: Any) -> None:
         object.__setattr__(obj, field, value)
 
 
-def numbers(name: str, what: str, value: Any) -> Any:
+def numbers(name: str | None, what: str, value: Any) -> Any:
     """`value` as a NumPy array; a tracer, which has no value to check yet, as it is.
 
     Raises InputError unless it is numbers in a rectangular array.
@@ -150,7 +150,7 @@ def nearest(name: Any, names: Iterable[str]) -> str:
     return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
 
 
-def check_choice(name: str, what: str, value: Any, choices: Iterable[str]) -> None:
+def check_choice(name: str | None, what: str, value: Any, choices: Iterable[str]) -> None:
     """Raises InputError unless `value` is one of the texts in `choices`; the message names the nearest."""
     if not isinstance(value, str) or value not in choices:
         problem = f"{what} {shown(value)} is unknown; {nearest(value, choices)}"
@@ -165,10 +165,10 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
         InputError: a parameter is unknown, with the nearest right one, or missing; or `cls` refuses a value.
     """
     fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
-    known = [f.name for f in fields]
+    names = [f.name for f in fields]
     for parameter in parameters:
-        if parameter not in known:
-            wanted = nearest(parameter, known)
+        if parameter not in names:
+            wanted = nearest(parameter, names)
             problem = f"{name} has no parameter {shown(parameter)}; {wanted}"
             raise InputError(problem, field=parameter, wanted=wanted)
     is_ours = cls.__module__.partition(".")[0] == __name__.partition(".")[0]
@@ -186,15 +186,15 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
         raise InputError(f"{name} refuses its parameters: {type(error).__name__}: {reason(error)}") from error
 
 
-def as_path(what: str, given: Any) -> Path:
-    """`given` as a path. Raises InputError unless it is one that the system can be asked for."""
+def as_path(what: str, value: Any) -> Path:
+    """`value` as a path. Raises InputError unless it is one that the system can be asked for."""
     try:
-        known = isinstance(given, str | os.PathLike) and b"\0" not in os.fsencode(given)
+        can_be_one = isinstance(value, str | os.PathLike) and b"\0" not in os.fsencode(value)
     except UnicodeEncodeError:
-        known = False
-    if not known:
-        raise InputError(f"{what} must be named by a text, or a Path, not {shown(given)}")
-    return Path(given)
+        can_be_one = False
+    if not can_be_one:
+        raise InputError(f"{what} must be named by a text, or a Path, not {shown(value)}")
+    return Path(value)
 
 
 TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds written as 0.333 do not
@@ -301,7 +301,7 @@ class Kind(NamedTuple):
         otherwise: what it may also be.
     """
 
-    check: Callable[[str, dataclasses.Field, Any], Any]
+    check: Callable[[str | None, dataclasses.Field, Any], Any]
     noun: str = ""
     otherwise: str = ""
 
@@ -314,21 +314,32 @@ def check_fields(obj: Any) -> None:
             object.__setattr__(obj, field.name, kept)
 
 
-def checked(who: str, field: dataclasses.Field, value: Any) -> Any:
+def checked(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     """`value` as a field of the class `who` keeps it. A field of a plain annotation takes anything."""
     rule = field.metadata
     if rule.get("static") and get_origin(field.type) is Literal:
         check_choice(who, field.name, value, get_args(field.type))
     elif "limits" in rule or (rule.get("static") and field.type is bool):
-        kind = KINDS.get(field.type)
-        return value if kind is None else kind.check(who, field, value)
+        is_left_out = value is None and field.type not in KINDS
+        kind = _kind(field)
+        return value if kind is None or is_left_out else kind.check(who, field, value)
     return value
+
+
+def _kind(field: dataclasses.Field) -> Kind | None:
+    return KINDS.get(field.type) or KINDS.get(but_none(field.type))
+
+
+def but_none(annotation: Any) -> Any:
+    """`X` of the annotation `X | None`; any other annotation as it is."""
+    others = [x for x in get_args(annotation) if x is not type(None)]
+    return others[0] if len(others) == 1 and type(None) in get_args(annotation) else annotation
 
 
 def explained(field: dataclasses.Field) -> str:
     """The help of a field, with what it takes."""
     limits, takes = in_words(field.metadata.get("limits", {})), ""
-    if limits and (kind := KINDS.get(field.type)):
+    if limits and (kind := _kind(field)):
         takes = f"{kind.noun} {limits}{kind.otherwise}"
     if get_origin(field.type) is Literal:
         *others, last = (f'"{choice}"' for choice in get_args(field.type))
@@ -351,7 +362,17 @@ def within(limits: Mapping[str, float], number: np.ndarray) -> Marks:
     )
 
 
-def check_number(who: str, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
+RATE = {"at_least": 0, "at_most": 1}
+FRACTION = {"greater_than": 0, "less_than": 1}
+
+
+def check_within(name: str, value: Any, limits: Mapping[str, float]) -> None:
+    """Raises InputError unless `value` is one finite number within limits as a field has them, such as `RATE`."""
+    if not isinstance(value, int | float | np.number) or not within(limits, np.asarray(value)):
+        raise unfit(None, name, in_words(limits), value)
+
+
+def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
     """`value`, unless it is neither a number, nor an array of them, nor a tracer.
 
     All must be within the limits, and still be it in the precision in which JAX computes.
@@ -382,17 +403,17 @@ def check_number(who: str, field: dataclasses.Field, value: Any, kinds: str = "a
     return value
 
 
-def _whole(who: str, field: dataclasses.Field, value: Any) -> int:
+def _whole(who: str | None, field: dataclasses.Field, value: Any) -> int:
     return whole(who, field.name, value, field.metadata["limits"]["at_least"])
 
 
-def _switch(who: str, field: dataclasses.Field, value: Any) -> bool:
+def _switch(who: str | None, field: dataclasses.Field, value: Any) -> bool:
     if not isinstance(value, bool | np.bool_):
-        raise unfit(who, field.name, "True or False", value)
+        raise unfit(who, field.name, "true or false", value)
     return bool(value)
 
 
-def _numbers(who: str, field: dataclasses.Field, value: Any) -> Any:
+def _numbers(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     array = numbers(who, field.name, value)
     if not isinstance(array, np.ndarray):
         return array

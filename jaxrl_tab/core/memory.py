@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.checks import unfit
 
 UNITS = {"B": 1} | {f"{k}B": 1000**i for i, k in enumerate("kMGT", 1)}
 BLOCK = 2**24  # bytes of results that are looked at at a time, after they are computed
@@ -83,12 +83,16 @@ class Results:
         return np.ndarray(shape, dtype, buffer=mapped)
 
 
-def blocks(count: int, each: int) -> Iterator[slice]:
-    """Slices of `count` things of `each` bytes, to look at one after another: no larger than a block."""
-    most = max(1, BLOCK // max(1, each))
-    for first in range(0, count, most):
-        yield slice(first, min(first + most, count))
+def blocks(count: int, each: int, most: int = BLOCK) -> Iterator[slice]:
+    """Slices of `count` things of `each` bytes, to look at one after another: alike, of about `most` or less."""
+    number = max(1, min(count, -(-count * each // most)))
+    size, larger = divmod(count, number)
+    first = 0
+    for i in range(number):
+        last = first + size + (i < larger)
+        yield slice(first, last)
         let_go()
+        first = last
 
 
 def let_go() -> None:
@@ -134,5 +138,5 @@ def parse(text: str) -> int:
     units = {unit.lower(): factor for unit, factor in UNITS.items()}
     count = int(float(found[1]) * units.get(found[2].lower(), 0)) if found else 0
     if count < 1:
-        raise InputError(f"must be a number with a unit ({', '.join(UNITS)}), such as 4GB, not {shown(text)}")
+        raise unfit(None, "memory", f"a number with a unit ({', '.join(UNITS)}), such as 4GB", text)
     return count

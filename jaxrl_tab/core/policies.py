@@ -145,7 +145,7 @@ class Policy(Protocol):
         ...
 
 
-def _check_policy(who: str, field: dataclasses.Field, value: Any) -> Any:
+def _check_policy(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     """`value` where it is a policy, or None; text as `parse` reads it."""
     if isinstance(value, str):
         try:

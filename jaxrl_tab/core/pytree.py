@@ -46,17 +46,16 @@ def static(default: Any = dataclasses.MISSING, **more: Any) -> Any:
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field, static, dataclasses.field))
-def pytree(cls: type[T]) -> type[T]:
-    """Makes `cls` a frozen dataclass and a JAX pytree: its fields are leaves, but for the `static` ones.
+def checked_dataclass(cls: type[T], *, eq: bool = True) -> type[T]:
+    """Makes `cls` a frozen dataclass, of which each field is checked by what it says that it takes.
 
-    What each field takes is checked first; what involves several fields `__post_init__` may check. JAX
-    rebuilds an instance without calling `__init__`, so both see only what a person wrote (`concrete` tells a
-    number from a tracer). The docstring gets a section on all fields that say what they are.
+    What involves several fields `__post_init__` may check afterwards. The docstring gets a section on all
+    fields that say what they are; what it says of a field itself is the help of that field.
     """
-    said, inherited = vars(cls).get("__doc__"), getattr(cls, "__dataclass_fields__", {})
-    documented = _attributes(said or "")
+    doc, inherited = vars(cls).get("__doc__"), getattr(cls, "__dataclass_fields__", {})
+    documented = _attributes(doc or "")
     _check_first(cls)
-    cls = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    cls = dataclasses.dataclass(frozen=True, eq=eq)(cls)
     fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
     for f in fields:
         if f.name in inspect.get_annotations(cls):
@@ -65,8 +64,20 @@ def pytree(cls: type[T]) -> type[T]:
             # Limits are kept where none are given: MonteCarlo has another default and help for alpha.
             own = {key: x for key, x in f.metadata.items() if x or key not in before}
             f.metadata = MappingProxyType(before | help | own)
-    told = {f.name: explained(f) for f in fields if f.name not in documented and "help" in f.metadata}
-    cls.__doc__ = _with_attributes(said, told) if told else cls.__doc__
+    undocumented = {f.name: explained(f) for f in fields if f.name not in documented and "help" in f.metadata}
+    cls.__doc__ = _with_attributes(doc, undocumented) if undocumented else cls.__doc__
+    return cls
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field, static, dataclasses.field))
+def pytree(cls: type[T]) -> type[T]:
+    """Makes `cls` a `checked_dataclass` and a JAX pytree: its fields are leaves, but for the `static` ones.
+
+    JAX rebuilds an instance without calling `__init__`, so only what a person wrote is checked (`concrete`
+    tells a number from a tracer).
+    """
+    cls = checked_dataclass(cls, eq=False)
+    fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
     leaves = [f.name for f in fields if not f.metadata.get("static")]
     statics = [f.name for f in fields if f.metadata.get("static")]
 

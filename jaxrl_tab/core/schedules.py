@@ -311,7 +311,7 @@ def _numbers(cls: type[Family]) -> dict[str, Any]:
 
 
 # --- what a method takes ------------------------------------------------------------------------------
-def _check_rate(who: str, field: dataclasses.Field, value: Any) -> Any:
+def _check_rate(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     """`value` where it is a schedule, a tracer, or numbers within the limits of the field; text as it is read."""
     if isinstance(value, Schedule) and not isinstance(value, type):
         return value

@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from jaxrl_tab.core.checks import InputError, is_whole, shown
+from jaxrl_tab.core.pytree import checked_dataclass, field
 
 DRAW = "draw"  # the axis of trials; each of its values is a dict of what is drawn together
 MOST = 1e100  # so large an end may be; and so small, where its logarithm is taken
@@ -69,16 +70,14 @@ class _Between:
         return float(f"{x:.{DIGITS}g}")
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class LinearGrid(_Between, Grid):
     """So many points from `low` to `high` with equal differences; whole numbers where all of them are."""
 
-    points: int
+    points: int = field(at_least=2)
 
     def __post_init__(self):
         super().__post_init__()
-        if not is_whole(self.points, 2):
-            raise InputError(f"points must be a whole number of at least 2, not {shown(self.points)}")
         check_settings(self.points, f"{self.points} points")
 
     def values(self) -> list[Any]:
@@ -90,7 +89,7 @@ class LinearGrid(_Between, Grid):
         return [float(x) for x in values]
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class LogGrid(LinearGrid):
     """So many points from `low` to `high`, both above 0, with equal ratios."""
 
@@ -112,18 +111,12 @@ class LogUniform(Uniform):
     logarithmic: ClassVar[bool] = True
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class Integers(_Between, Random):
     """A whole number from `low` to `high`, both included."""
 
-    def __post_init__(self):
-        for name in ("low", "high"):
-            value = getattr(self, name)
-            if not is_whole(value, -(2**31)):
-                raise InputError(
-                    f"the {name} end of whole numbers must be a whole number, not {shown(value)}"
-                )
-        super().__post_init__()
+    low: int = field(at_least=-(2**31))
+    high: int = field(at_least=-(2**31))
 
     def value(self, u: float) -> int:
         return int(self.low + math.floor(u * (self.high - self.low + 1)))

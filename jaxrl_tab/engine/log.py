@@ -1,8 +1,22 @@
 """What is recorded of a run, row by row."""
 
-from typing import NamedTuple
+import contextlib
+import re
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, NamedTuple, Self
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
+
+from jaxrl_tab.core.checks import InputError, reason, shown
+from jaxrl_tab.core.types import Environment, init_learner
+from jaxrl_tab.engine.axes import DRAW
+from jaxrl_tab.engine.budget import NO_RECORDER, Record
+
+_NAMES = {"q", "diverged", "optimum", "environment", "method", DRAW, "seed", "row", "state", "action"}
+_OWN = "recorded."  # before the names of what is recorded, where they stand beside the fields
 
 
 class Log(NamedTuple):
@@ -32,3 +46,58 @@ class Log(NamedTuple):
     q_error: Float[Array, "*rows"] | None = None
     v_error: Float[Array, "*rows"] | None = None
     recorded: dict[str, Array] | None = None
+
+    def named(self) -> dict[str, Any]:
+        """All that is there, by names of which no two are the same: `Log.of` makes the Log of it again."""
+        named = {name: x for name, x in self._asdict().items() if x is not None and name != "recorded"}
+        return named | {_OWN + name: x for name, x in (self.recorded or {}).items()}
+
+    @classmethod
+    def of(cls, named: Mapping[str, Any]) -> Self:
+        own = {name.removeprefix(_OWN): x for name, x in named.items() if name.startswith(_OWN)}
+        return cls(**{name: x for name, x in named.items() if name in cls._fields}, recorded=own or None)
+
+
+def recorded(record: Record, algorithm: Any, learner: Any) -> dict[str, Array]:
+    """What `record` says of the learner, as arrays.
+
+    Raises:
+        InputError: it raises something, or gives anything but arrays of numbers, each with a name of its own.
+    """
+    try:
+        arrays = record(learner)
+    except Exception as error:
+        name = getattr(record, "__name__", "it")
+        raise InputError(f"record: {name} raised {type(error).__name__}: {reason(error)}") from error
+    if not isinstance(arrays, dict):
+        raise InputError(NO_RECORDER)
+    arrays = {name: _as_array(name, x) for name, x in arrays.items()}
+    hyperparameters = {f.name for f in fields(algorithm)} if is_dataclass(algorithm) else set()
+    axes = {f"{name}_{i}" for name, x in arrays.items() for i in range(x.ndim)}
+    if taken := sorted({*Log._fields, *_NAMES, *hyperparameters, *axes} & set(arrays)):
+        raise InputError(f"record: {taken[0]!r} is already a name in the results; choose another one")
+    return arrays
+
+
+def recorded_shapes(
+    record: Record | None, algorithm: Any, env: Environment
+) -> dict[str, jax.ShapeDtypeStruct]:
+    """The shapes of what `record` says of a learner; nothing is computed. Raises InputError as `recorded`."""
+    if record is None:
+        return {}
+    return jax.eval_shape(lambda: recorded(record, algorithm, init_learner(algorithm, env)))
+
+
+def _as_array(name: Any, x: Any) -> Array:
+    """What is recorded under a name, as it can stand in a file."""
+    if not isinstance(name, str) or not re.fullmatch(r"\w([\w .+-]*[\w.+-])?", name):
+        raise InputError(
+            f"record: a name has letters, digits, '_', '-' and '.', such as 'q_start', not {shown(name)}"
+        )
+    with contextlib.suppress(TypeError, ValueError):
+        x = jnp.asarray(x)
+    is_array = isinstance(x, jax.Array)
+    if not is_array or not x.size or not re.fullmatch(r"bool|u?int(8|16|32|64)|float(32|64)", str(x.dtype)):
+        of = f"{x.dtype}{list(x.shape)}" if is_array else shown(x)
+        raise InputError(f"record: {name} must be a number or an array of numbers, not {of}")
+    return x

@@ -17,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -86,12 +87,17 @@ def installed() -> dict[str, Any]:
     return {name: metadata.version(name) for name in names} | {"digest of jaxrl_tab's sources": sources()}
 
 
-def surroundings() -> dict[str, Any]:
-    """All that numbers depend on beside the experiment: name -> plain value. It starts JAX's backend."""
+def surroundings(libraries: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
+    """All that numbers depend on beside the experiment: name -> plain value. It starts JAX's backend.
+
+    Args:
+        libraries: the versions of those from which its environments come.
+    """
     device = jax.local_devices()[0]
     flags = [x for x in os.environ.get("XLA_FLAGS", "").split() if not x.startswith(_DEVICE_COUNT)]
     return {
         **installed(),
+        **libraries,
         **settings(),
         "XLA_FLAGS": " ".join(flags),
         "device": f"{device.platform} {device.device_kind}",

@@ -166,7 +166,8 @@ def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> 
 
     if not file.exists():
         xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    large = [name for name, x in ds.items() if x.nbytes > memory.BLOCK and name != "diverged"]
+    # xarray writes what is true or false in a way of its own.
+    large = [name for name, x in ds.items() if x.nbytes > memory.BLOCK and x.dtype != bool]
     rest = ds.drop_vars(large)
     encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in rest.items() if x.ndim}
     rest.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxrl_tab.algorithms.prediction import METHOD, METHODS
-from jaxrl_tab.core import names
+from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import (
     InputError,
     build,
@@ -134,7 +134,7 @@ def prepare(
     Raises:
         InputError: something given is wrong.
     """
-    names.check_not_importing()
+    modules.check_not_importing()
     for name, value, least in (("num_seeds", num_seeds, 1), ("seed", seed, 0), ("first_seed", first_seed, 0)):
         whole(None, name, value, least)
     if not isinstance(env, Environment):

@@ -11,16 +11,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
-from jaxrl_tab.core.checks import InputError, check_held, check_pytree, concrete
+from jaxrl_tab.core.checks import check_held, check_pytree, concrete
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, restricted
 from jaxrl_tab.engine import loop
-from jaxrl_tab.engine.budget import NO_RECORD, Budget, Record
-from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.budget import Budget, Record
+from jaxrl_tab.engine.log import Log, recorded
 from jaxrl_tab.engine.loop import Measured
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.exact import planning
@@ -138,19 +138,9 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
             exact_algorithm, exact_env = _restored(full, (algorithm, env))
             exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
         measures.append(_exact_measurer(exact_algorithm, exact_env))
-    if record:
-        measures.append(lambda learner: {"recorded": _recorded(record, learner)})
+    if record is not None:
+        measures.append(lambda learner: {"recorded": recorded(record, algorithm, learner)})
     return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
-
-
-def _recorded(record: Record, learner: Any) -> dict[str, Array]:
-    """What `record` says of the learner, as arrays. Raises InputError unless each has a name of its own."""
-    recorded = record(learner)
-    if not isinstance(recorded, dict):
-        raise InputError(NO_RECORD)
-    if taken := sorted({*Log._fields, "q", "seed", "row"} & set(recorded)):
-        raise InputError(f"record: {taken[0]!r} is already a name in the results; choose another one")
-    return jax.tree.map(jnp.asarray, recorded)
 
 
 def _exact_measurer(algorithm: Any, env: Environment) -> Measured:

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from jaxrl_tab.core.checks import InputError, first, shown
+from jaxrl_tab.core.checks import RATE, InputError, check_within, first, shown
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.policies import Table, as_table, check_among
@@ -114,7 +114,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     and likewise for Cov(rho, X) and Var rho; per decision there is no rho' beside X'. So a chain with the
     weights pi rho p carries them from step to step, times 1, gamma and gamma^2.
     """
-    planning.check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     planning.check_finite(env)
     pi, b = _probabilities(target, behaviour, (env.num_states, env.num_actions))
     model = planning.exact_model(env)

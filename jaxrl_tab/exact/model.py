@@ -1,7 +1,9 @@
 """The model of an environment: every outcome of every action in every state, and what leads where."""
 
+import functools
+import hashlib
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,10 @@ from jaxrl_tab.core import memory, policies
 from jaxrl_tab.core.checks import InputError, check_pytree, first, foreign, is_distribution
 from jaxrl_tab.core.types import Available, Environment, FiniteEnvironment, available_actions, stand_ins
 
+T = TypeVar("T")
+
 BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
+KEPT_BYTES = 2**27  # of the last models, and what was solved in them, that `once_for_an_environment` keeps
 
 
 class Model(NamedTuple):
@@ -64,8 +69,46 @@ def enumerate_model(env: Any) -> Model:
     )
 
 
+_kept: dict[Any, Any] = {}
+
+
+def once_for_an_environment(work: Callable[..., T]) -> Callable[..., T]:
+    """`work(env, *numbers)`, which is done once for an environment: the last results are kept, `KEPT_BYTES` of them.
+
+    They are found again by value, not by identity: by the class of `env`, what is static in it, and a checksum of
+    its arrays. So an environment that is made twice is worked out once, and one whose arrays were written to anew.
+    The results are pytrees of arrays, which nobody may write to.
+    """
+
+    @functools.wraps(work)
+    def remembered(env: Any, *numbers: Any) -> T:
+        try:
+            key = work, _value(env), tuple((type(x), x) for x in numbers)
+            found = _kept.get(key)
+        except (TypeError, ValueError):  # a key of JAX in it is no array, and not everything can be compared
+            return work(env, *numbers)
+        if found is None:
+            _kept[key] = found = work(env, *numbers)
+            while memory.size(list(_kept.values())) > KEPT_BYTES:
+                _kept.pop(next(iter(_kept)), None)
+        return found
+
+    return remembered
+
+
+def _value(env: Any) -> tuple:
+    """The value of a pytree, as a key."""
+    leaves, structure = jax.tree.flatten(env)
+    arrays = [np.ascontiguousarray(x) for x in leaves]
+    digests = [hashlib.sha256(x.view(np.uint8).data).digest() for x in arrays]
+    about = zip(map(type, leaves), (x.dtype for x in arrays), map(np.shape, leaves), digests, strict=True)
+    return structure, tuple(about)
+
+
 def exact_model(env: Environment) -> Model:
-    """The Model of a finite environment in float64 NumPy arrays, checked.
+    """The Model of a finite environment in float64 NumPy arrays that cannot be written to, checked.
+
+    It is worked out once: see `once_for_an_environment`.
 
     Raises:
         InputError: `env` can only be sampled, is a batch of environments, or breaks the rules of one; the
@@ -73,10 +116,16 @@ def exact_model(env: Environment) -> Model:
     """
     check_finite(env)
     check_pytree(name_of(env), env)
+    # As views, for a live program that closes over an array makes JAX 0.10 remember its value in 32 bits.
+    return jax.tree.map(np.ndarray.view, _checked_model(env))
+
+
+@once_for_an_environment
+def _checked_model(env: Any) -> Model:
     _check_size(env)
     # In 64 bits from the first operation on, or 1/3 would be a float32 third.
     with jax.enable_x64(), jax.numpy_dtype_promotion("standard"):
-        # A copy, for a live program that closes over an array makes JAX 0.10 remember its value in 32 bits.
+        # A copy, for the reason given above.
         env = jax.tree.map(lambda x: x.copy() if isinstance(x, np.ndarray) else x, env)
         model = jax.tree.map(np.asarray, _enumerate_jit(env))
     _check_model(name_of(env), model)

@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import InputError, as_array, first, shown
+from jaxrl_tab.core.checks import RATE, InputError, as_array, check_within, first, shown
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (
@@ -39,6 +39,7 @@ from jaxrl_tab.exact.model import (
     exact_model,
     from_state_to_state,
     name_of,
+    once_for_an_environment,
     reachable,
     spread,
     terminal_states,
@@ -108,7 +109,7 @@ def expectation_backup(
     Raises:
         InputError: a table has the wrong shape, or `policy_probs` is no policy.
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     v = (_checked_policy(model, policy_probs) * checked_values(model, "q", q)).sum(1)
     return backup(model, v, gamma)
@@ -120,7 +121,7 @@ def optimality_backup(env: Environment, q: ArrayLike, gamma: float = 1.0) -> Flo
     The right-hand side of the Bellman optimality equation for q* (book, equation 3.20). Args and errors: as
     `expectation_backup`.
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     return backup(model, largest(checked_values(model, "q", q)), gamma)
 
@@ -133,7 +134,7 @@ def evaluation_backup(
     The right-hand side of the Bellman expectation equation for v_pi (book, equation 4.5). Args and errors: as
     `expectation_backup`, but for `v`, the values, [S].
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     probs = _checked_policy(model, policy_probs)
     return (probs * backup(model, checked_values(model, "v", v), gamma)).sum(1)
@@ -163,7 +164,7 @@ def epsilon_greedy_policy(q: ArrayLike, epsilon: float) -> Float[np.ndarray, "..
 
     Args and errors: as `greedy_policy`; and `epsilon` must be in [0, 1].
     """
-    check_rate("epsilon", epsilon)
+    check_within("epsilon", epsilon, RATE)
     return greedy_to(_checked_table(q), epsilon)
 
 
@@ -180,7 +181,7 @@ def evaluate(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) -> F
         InputError: `policy_probs` is no policy; or gamma is 1 and from some state the policy never ends while
             rewards go on, so that its value is not finite. (Where no reward ever comes again it is 0.)
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     v, _, caught = policy_values(model, _checked_policy(model, policy_probs), gamma)
     if caught.any():
@@ -199,7 +200,7 @@ def policy_value(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) 
 
     Args and errors: as `evaluate`.
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     return float(from_start(model, policy_values(model, _checked_policy(model, policy_probs), gamma).v))
 
@@ -230,9 +231,8 @@ def value_iteration(
         InputError: gamma is 1 and from some state that can be reached no policy ever ends while rewards go
             on, or a round trip earns more than it costs; or `max_sweeps` were not enough.
     """
-    check_rate("gamma", gamma)
-    if not (isinstance(tol, int | float | np.number) and tol > 0):
-        raise InputError(f"tol must be greater than 0, not {shown(tol)}")
+    check_within("gamma", gamma, RATE)
+    check_within("tol", tol, {"greater_than": 0})
     model, found, out = _solved(env, 0.0, gamma)
     v, terms = found.v, (found.probs * backup(with_sizes(model), abs(found.v), gamma)).sum(1)
     rounding = ROUNDING * np.finfo(v.dtype).eps * terms
@@ -280,10 +280,10 @@ def epsilon_soft(
     Raises:
         InputError: epsilon is not in [0, 1], or as `value_iteration`.
     """
-    check_rate("epsilon", epsilon)
-    check_rate("gamma", gamma)
+    check_within("epsilon", epsilon, RATE)
+    check_within("gamma", gamma, RATE)
     _, found, out = _solved(env, epsilon, gamma)
-    return found.probs, _unless(out, found.v), _unless(out, found.q)
+    return found.probs.copy(), _unless(out, found.v), _unless(out, found.q)
 
 
 def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
@@ -312,6 +312,7 @@ def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = 
     return float(most[:, begin].max() + change * more)
 
 
+@once_for_an_environment
 def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "Round", Bool[np.ndarray, " S"]]:
     """The model, the last round of policy iteration in it, and which states were left out of both.
 
@@ -371,12 +372,6 @@ def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
         each = f"{shape[0]} states" + "".join(f" and {n} actions" for n in shape[1:])
         raise InputError(f"{name} must have one value for each of the {each}, not {array.shape}")
     return array if name == "v" else available_only(model, array)
-
-
-def check_rate(name: str, value: float) -> None:
-    """Raises InputError unless `value` is a number in [0, 1]."""
-    if not (isinstance(value, int | float | np.number) and 0 <= value <= 1):
-        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
 
 
 def _checked_table(q: Any) -> Float[np.ndarray, "... S A"]:

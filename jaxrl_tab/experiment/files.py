@@ -15,6 +15,7 @@ from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.results import save
+from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp
 from jaxrl_tab.experiment.storage import DATA, FRESH_DATA, GIVEN, SELECTION, SUMMARY, Store
@@ -54,6 +55,17 @@ class Outcome:
 
         return by_environment(self.fresh, self.envs)
 
+    @property
+    def chosen(self) -> dict[str, int]:
+        """For each part the number of the configuration with the best score."""
+        found = {}
+        for label, methods in self.methods.items():
+            for name, own in methods.settings.items():
+                place = [own.ds[axis].values.tolist().index(value) for axis, value in own.best.items()]
+                sizes = [own.ds.sizes[axis] for axis in own.best]
+                found[f"{label}/{name}"] = int(np.ravel_multi_index(place, sizes)) if place else 0
+        return found
+
     @cached_property
     def summary(self) -> "pd.DataFrame":
         """`stats.summary` of all environments; their names are a column where there are several."""
@@ -78,9 +90,9 @@ class Outcome:
         from jaxrl_tab import stats
 
         rows = []
-        for name, fresh in self.fresh.items():
+        for name in self.fresh:
             environment, _, method = name.partition("/")
-            own = self.methods[environment].settings[method]
+            own, fresh = (x[environment].settings[method] for x in (self.methods, self.fresh_methods))
             setting, chosen, again, _ = stats.selection(own, fresh)
             row = {"environment": environment, "method": method, **stats.named(own.ds, setting)}
             for kind, found in (("chosen", chosen), ("fresh", again)):
@@ -91,16 +103,6 @@ class Outcome:
         names = dict.fromkeys(name for row in rows for name in row)
         scores = [name for name in names if name.startswith(("chosen_", "fresh_"))]
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
-
-
-def chosen(ds: "xr.Dataset", by: str) -> int:
-    """The number of the configuration that did best, by a function of `stats`."""
-    from jaxrl_tab import stats
-
-    best = stats.best(ds, getattr(stats, by))
-    axes = [str(dim) for dim in ds.diverged.dims if dim != "seed"]
-    place = [ds[axis].values.tolist().index(best[axis]) for axis in axes]
-    return int(np.ravel_multi_index(place, [ds.sizes[axis] for axis in axes])) if axes else 0
 
 
 def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:
@@ -171,7 +173,8 @@ def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
         "finished": timestamp(),
         **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
         **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
-        "versions": {name: now[name] for name in provenance.installed()} | {"python": one.get("python")},
+        "versions": {x: now[x] for x in (*provenance.installed(), *ENVIRONMENT.libraries) if x in now}
+        | {"python": one.get("python")},
         "XLA flags": now["XLA_FLAGS"],
         "computed on": f"{one.get('processor')}, {one.get('devices')} devices, {one.get('platform')}",
         **({"git commit": one["git_commit"]} if one.get("git_commit") else {}),

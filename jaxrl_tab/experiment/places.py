@@ -85,7 +85,7 @@ def split_statements(source: Source) -> list[_Statement]:
     Raises:
         InputError: brackets are in one another, or a key has parts, beyond `DEEPEST`.
     """
-    found, line, first, depth, parts = [], 1, 1, 0, 0
+    statements, line, first, depth, parts = [], 1, 1, 0, 0
     for piece in _PIECE.finditer(source.text):
         text = piece[0]
         depth += (text in ("[", "{")) - (text in ("]", "}"))
@@ -95,11 +95,11 @@ def split_statements(source: Source) -> list[_Statement]:
             raise InputError(f"{source}, line {line}: more than {DEEPEST} {what}")
         line += text.count("\n")
         if text == "\n" and depth <= 0:
-            found.append(_Statement(first, piece.end()))
+            statements.append(_Statement(first, piece.end()))
             first, depth = line, 0
-    if not found or found[-1].end < len(source.text):
-        found.append(_Statement(first, len(source.text)))
-    return found
+    if not statements or statements[-1].end < len(source.text):
+        statements.append(_Statement(first, len(source.text)))
+    return statements
 
 
 def _line(source: Source, path: Sequence[str | int]) -> int | None:

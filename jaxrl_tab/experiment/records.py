@@ -4,6 +4,7 @@ import contextlib
 import datetime
 import platform
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ import jax
 
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.engine import provenance
+from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, Store
 
@@ -31,8 +33,8 @@ class Origin(NamedTuple):
     mixed: bool
 
     @staticmethod
-    def of(store: Store, records: Mapping[str, Any], mixed: bool) -> "Origin":
-        now = provenance.surroundings()
+    def of(store: Store, records: Mapping[str, Any], mixed: bool, libraries: Mapping[str, str]) -> "Origin":
+        now = provenance.surroundings(libraries)
         name = provenance.digest(now)
         others = origins_of(store) - {name}
         if not others:
@@ -49,6 +51,18 @@ class Origin(NamedTuple):
                 f"go on with what it was, or begin a new folder with {path / GIVEN}, or allow it with --mixed "
                 "(mixed=True): the report then says so"
             )
+
+
+def library_versions(data: Any) -> dict[str, str]:
+    """The versions of the libraries from which environments in the data of an experiment come."""
+    tables = data.get("environment", []) if isinstance(data, Mapping) else []
+    names = [str(table.get("name")) for table in tables if isinstance(table, Mapping)]
+    found = {}
+    for library in sorted({name.partition(":")[0] for name in names} & ENVIRONMENT.libraries.keys()):
+        found[library] = "not installed"
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[library] = metadata.version(library)
+    return found
 
 
 def origins_of(store: Store) -> set[str | None]:
@@ -76,20 +90,22 @@ def settings_of(store: Store, records: Mapping[str, Any]) -> contextlib.Abstract
     return provenance.using({name: was[name] for name in provenance.settings() if name in was})
 
 
-def is_session(found: Any) -> bool:
+def is_session(data: Any) -> bool:
     """Whether data are the record of a session, with what is looked at later."""
     return (
-        isinstance(found, dict)
-        and isinstance(found.get("command"), str)
-        and isinstance(found.get("started"), str)
+        isinstance(data, dict)
+        and isinstance(data.get("command"), str)
+        and isinstance(data.get("started"), str)
     )
 
 
 @contextlib.contextmanager
-def session(store: Store, records: dict[str, Any], command: str) -> Iterator[None]:
+def session(
+    store: Store, records: dict[str, Any], command: str, libraries: Mapping[str, str]
+) -> Iterator[None]:
     """Keeps records of this process, which computes."""
     file = store.path / PROVENANCE
-    session = {"command": command, "started": timestamp(), "ended": None, **_machine()}
+    session = {"command": command, "started": timestamp(), "ended": None, **_machine(libraries)}
     records["sessions"].append(session)
     storage.write_json(file, records)
     try:
@@ -100,12 +116,12 @@ def session(store: Store, records: dict[str, Any], command: str) -> Iterator[Non
             storage.write_json(file, records)
 
 
-def _machine() -> dict[str, Any]:
+def _machine(libraries: Mapping[str, str]) -> dict[str, Any]:
     """What numbers depend on, and more about this process."""
     devices = jax.devices()
     processor = provenance.cpu("model name") or platform.processor() or platform.machine()
     return {
-        "surroundings": provenance.surroundings(),
+        "surroundings": provenance.surroundings(libraries),
         "python": platform.python_version(),
         "processor": devices[0].device_kind if devices[0].platform != "cpu" else processor,
         "devices": len(devices),

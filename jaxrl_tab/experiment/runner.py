@@ -25,7 +25,7 @@ import numpy as np
 from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import batch, room
+from jaxrl_tab.engine import batch, provenance, room
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
 from jaxrl_tab.engine.results import is_diverged
@@ -33,10 +33,10 @@ from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import Outcome, chosen, write_files
+from jaxrl_tab.experiment.files import Outcome, write_files
 from jaxrl_tab.experiment.progress import Meter
-from jaxrl_tab.experiment.records import Origin, is_session, session, settings_of
-from jaxrl_tab.experiment.shards import FRESH, Job, Shard, forget_parts, runs, shard_runs
+from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
+from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
 from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report, reporting
@@ -74,10 +74,10 @@ def run(
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
-            _begin(path, experiment, memory, keep=False)
+            experiment = _begin(path, experiment, memory, keep=False)
             return _go_on(path, experiment, executor, memory, progress, command, keep=False)
     path = _path(folder)
-    _begin(path, experiment, memory)
+    experiment = _begin(path, experiment, memory)
     with storage.lock(path):
         return _go_on(path, experiment, executor, memory, progress, command)
 
@@ -143,28 +143,26 @@ def _go_on(
     store = Store(path, experiment.fingerprint)
     _warn_of_what_was(store)
     records = _records(store)
-    job = Job(json.dumps(experiment.data()), limit, files=experiment.files)
+    libraries = library_versions(experiment.data())
+    job = Job.of(experiment, limit, libraries)
     select = experiment.select
     with settings_of(store, records), reporting(progress) as report:
         meter = Meter(report)
-        origin = Origin.of(store, records, mixed)
+        origin = Origin.of(store, records, mixed, libraries)
         if _missing(store, job):
             origin.check(path)
-        with session(store, records, command):
+        with session(store, records, command, libraries):
             later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
             executor = executor or Local()
             new = _compute(store, job, executor, meter, later, origin)
             datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
             envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-            fresh = {}
+            outcome = Outcome(datasets, {}, envs)
             if select:
-                job = job._replace(
-                    chosen=json.dumps({name: chosen(ds, select["by"]) for name, ds in datasets.items()})
-                )
+                job = job._replace(chosen=json.dumps(outcome.chosen))
                 new |= _compute(store, job, executor, meter, {}, origin)
                 fresh, _ = _collect(store, job, list(later), room)
-                fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
-            outcome = Outcome(datasets, fresh, envs)
+                outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
             if keep and (new or not store.files):
                 if origin.changed and not new:
                     warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
@@ -211,8 +209,7 @@ def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
     """(shape, dtype) of each array of a shard."""
     method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
     q, log = room.gives(part.env, method, part.root, part.budget)
-    of_one = {"q": q, **{name: x for name, x in log._asdict().items() if x is not None}}
-    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in of_one.items()}
+    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in {"q": q, **log.named()}.items()}
     return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
@@ -236,23 +233,23 @@ def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[
                 room -= needed if needed <= room else 0
             results.write(runs(part, shard), arrays)
         assert results is not None
-        log = {key: x for key, x in results.arrays.items() if key != "q"}
-        computed = Computed(results.arrays["q"], Log(**log), batch.Seconds(*seconds.tolist()))
+        log = Log.of(results.arrays)
+        computed = Computed(results.arrays["q"], log, batch.Seconds(*seconds.tolist()))
         datasets[name] = result(part, computed).to_xarray()
     return datasets, room
 
 
-def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> None:
+def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> Experiment:
     """A new folder with the experiment in it, and no shards. Raises InputError where it cannot be run.
 
-    Where the folder is kept, all is computed with the classes that are in the copies there.
+    Where the folder is kept, it gives the experiment with the classes that are in the copies there.
     """
     source = experiment.source
     with storage.new_folder(path) as new:
         if keep:
             sources.write(new, experiment.references)
+        if keep and experiment.files:
             names.forget(experiment.files)
-            forget_parts()
             experiment = Experiment(**experiment.data(), source=source)
         _check_room(experiment.parts(), limit, new)
         storage.write(new / GIVEN, source.text if source else experiment.to_toml())
@@ -260,6 +257,7 @@ def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = T
         records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
         storage.write_json(new / PROVENANCE, records)
         Store.begin(new, experiment.fingerprint)
+    return experiment
 
 
 def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> None:
@@ -291,7 +289,6 @@ def _experiment_in(path: Path) -> Experiment:
     begun_with = manifest and manifest["fingerprint"]
     data = storage.read_json(path / RESOLVED)
     pinned = sources.read(path, data)
-    forget_parts()
     resolved = _understood(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
     given = None
     if storage.is_file(path / GIVEN):
@@ -309,6 +306,8 @@ def _experiment_in(path: Path) -> Experiment:
         experiment = given
         _warn_of_a_new(path / RESOLVED, f"made again, of {GIVEN}")
         storage.write_json(path / RESOLVED, experiment.data())
+    elif changed := _other_libraries(path, data):  # then an environment may be another one, or none
+        raise InputError(f"{'; '.join(changed)}: install what it was, to go on in {path}")
     elif resolved or given:
         raise InputError(
             f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed or damaged since"
@@ -321,6 +320,14 @@ def _experiment_in(path: Path) -> Experiment:
             f"{source} was changed since: {changed}; put it back, or rename it to go on with what it was"
         )
     return experiment
+
+
+def _other_libraries(path: Path, data: Any) -> list[str]:
+    """What has another version among the libraries from which environments come, a line for each."""
+    sessions = (_records_in(path) or {"sessions": []})["sessions"]
+    was = sessions[0].get("surroundings", {}) if sessions else {}
+    now = {library: version for library, version in library_versions(data).items() if library in was}
+    return provenance.differences(was, now)
 
 
 def _understood(read: Callable[[], Experiment]) -> Experiment | None:

@@ -131,8 +131,10 @@ def set_aside(file: Path, folder: Path, then: str, what: str = "is damaged") -> 
 
 
 @contextlib.contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
+def new_folder(path: Path, keep: bool = False) -> Iterator[Path]:
     """Where to write the first files of the folder `path`, which appears when they are all there.
+
+    Where that fails nothing is left of them; or, to `keep` them, the error has a note that says where they are.
 
     Raises:
         InputError: there is something already, or it cannot be made.
@@ -155,8 +157,11 @@ def new_folder(path: Path) -> Iterator[Path]:
                     raise
                 raise InputError(_exists(path)) from None  # somebody was quicker
             _sync(path.parent)
-    except BaseException:
-        shutil.rmtree(unfinished, ignore_errors=True)
+    except BaseException as error:
+        if keep and unfinished.is_dir() and any(unfinished.iterdir()):
+            error.add_note(f"what was finished is in {unfinished}")
+        else:
+            shutil.rmtree(unfinished, ignore_errors=True)
         raise
 
 

@@ -16,6 +16,8 @@ from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal,
 from jaxrl_tab.show.words import label_of, shortened, significant, text_of
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
+from jaxrl_tab.stats.measures import error_interval, has_errors
+from jaxrl_tab.stats.settings import Settings
 
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
 FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has its tick on an axis
@@ -37,11 +39,12 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None
     Raises:
         InputError: no method swept the hyperparameter, or one that did not at this value.
     """
-    for (label, ds), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
-        by_steps = "num_steps" in ds.attrs
+    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+        by_steps = "num_steps" in own.ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
-        mean, low, high = (_from_origin(x.clip(min=0)) for x in stats.progress_interval(ds, spread)[:3])
-        other = _from_origin(stats.episode_curve(ds.isel(seed=0))[exact])
+        interval = own.once(stats.progress_interval, spread)
+        mean, low, high = (_from_origin(x.clip(min=0)) for x in interval[:3])
+        other = _from_origin(stats.episode_curve(own.ds.isel(seed=0))[exact])
         points = (other, mean) if by_steps else (mean, other)
         ax.plot(*points, lw=1.8, ms=4.5, markevery=max(1, len(mean) // 8), label=literal(label), **style)
         band = ax.fill_between if by_steps else ax.fill_betweenx
@@ -61,21 +64,21 @@ def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **set
     error of V is drawn, at the end of every row. Arguments and errors as in `episodes_against_steps`.
     """
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
-    if stats.is_prediction(*datasets.values()):
-        for (label, ds), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
-            x = (ds.steps if by_steps else ds.episodes).mean("seed").cumsum("row")
+    if has_errors(*datasets.values()):
+        for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+            x = (own.ds.steps if by_steps else own.ds.episodes).mean("seed").cumsum("row")
             line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
-            mean_curve(ax, x, ds.v_error, label, **line)
+            interval_curve(ax, x, own.once(error_interval), label, **line)
         tidy(ax, "time steps" if by_steps else "episodes", "RMS error of V over states")
         ax.set_xlim(left=0)
         ax.set_ylim(bottom=0)
         legend(ax)
         return
     shown, end = [], 0
-    for (label, ds), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
-        points, interval, enough = _readable_curve(ds)
-        curve = stats.episode_curve(stats.merge_rows(ds.isel(seed=0), points))
-        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].values
+    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+        points, interval, enough = _readable_curve(own)
+        curve = stats.episode_curve(stats.merge_rows(own.ds.isel(seed=0), points))
+        x = curve["time_steps" if "num_steps" in own.ds.attrs else "episodes"].values
         mean, low, high = (np.where(enough, part, np.nan) for part in interval[:3])
         ax.plot(x, mean, lw=1.7, ms=3.5, label=literal(label), **style)
         ax.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
@@ -107,7 +110,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     """
     if not any(parameter in stats.hyperparameters(ds) + stats.drawn(ds) for ds in datasets.values()):
         raise InputError(f"no method swept {parameter!r}")
-    prediction = stats.is_prediction(*datasets.values())
+    prediction = has_errors(*datasets.values())
     series, drawn = {}, set()
     for name, own in Methods.of(datasets).settings.items():
         ds, chosen = own.ds, dict(own.best)
@@ -200,32 +203,39 @@ def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, *
         color: of the line and of the band.
         line: how the line is drawn, as in `Axes.plot`.
     """
-    interval = stats.mean_interval(values)
+    interval_curve(ax, x, stats.mean_interval(values), label, color, **line)
+
+
+def interval_curve(ax: Axes, x: Any, interval: stats.Interval, label: str, color: str, **line: Any) -> None:
+    """`mean_curve`, of an interval that is there."""
     ax.plot(x, interval.estimate, label=literal(label), color=color, lw=line.pop("lw", 1.8), **line)
     ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
 
 
-def _readable_curve(ds: xr.Dataset, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
+def _readable_curve(own: Settings, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
     """At most how many points, the interval of their mean returns, and where enough seeds are, bool [points].
 
     They are fewer than `points` if that closes gaps in the second half.
     """
-    interval = stats.curve_interval(ds, points)
-    enough = (interval.n >= MOST_SEEDS * ds.sizes["seed"]).values
+    interval = own.once(stats.curve_interval, min(points, own.ds.sizes["row"]))
+    enough = (interval.n >= MOST_SEEDS * own.ds.sizes["seed"]).values
     if enough[len(enough) // 2 :].all() or points <= LEAST_POINTS:
         return points, interval, enough
-    return _readable_curve(ds, points // 2)
+    return _readable_curve(own, points // 2)
 
 
-def at_setting(datasets: Datasets, held: Mapping[str, Any]) -> Iterable[tuple[str, xr.Dataset]]:
-    """(label, dataset at one combination of hyperparameters) for each method."""
+def at_setting(datasets: Datasets, held: Mapping[str, Any]) -> Iterable[tuple[str, Settings]]:
+    """(label, one combination of hyperparameters) for each method: what is `held`, and else its best."""
     for name in held:
         if not any(name in stats.hyperparameters(ds) for ds in datasets.values()):
             raise InputError(f"no method swept {name!r}")
     for name, own in Methods.of(datasets).settings.items():
         own_held = {key: value for key, value in held.items() if key in stats.hyperparameters(own.ds)}
         setting = stats.best(own.ds, **own_held) if own_held else own.best
-        yield label_of(name, stats.named(own.ds, setting)), own.ds.sel(setting)
+        yield (
+            label_of(name, stats.named(own.ds, setting)),
+            Settings(own.ds.sel(setting)) if own_held else own.at_best,
+        )
 
 
 def _from_origin(x: xr.DataArray) -> np.ndarray:

@@ -260,7 +260,7 @@ def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
 
 def median_path(ax: Axes, env: Grid, own: Method) -> None:
     """The greedy path that is the median over seeds in length, at the best setting of a method."""
-    label, ds = label_of(own.name, stats.named(own.ds, own.best)), own.at_best
+    label, ds = label_of(own.name, stats.named(own.ds, own.best)), own.at_best.ds
     moves = _Moves.of(env)
     lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in tables_of_seeds(ds)])
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]

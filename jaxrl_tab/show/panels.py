@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -14,7 +15,7 @@ from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions
 from jaxrl_tab.envs.base import Panel
 from jaxrl_tab.exact import planning
-from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, at_setting, mean_curve
+from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, at_setting, interval_curve
 from jaxrl_tab.show.style import (
     CELL,
     COLORS,
@@ -148,13 +149,18 @@ def state_values(ax: Axes, datasets: Datasets, env: Environment, **setting: Any)
     """
     model = planning.exact_model(env)
     states = np.flatnonzero(planning.reachable(model) & ~planning.terminal_states(model))
-    for (label, ds), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
-        mean_curve(ax, states, ds.q[..., 0].isel(state=states), label, **style)
+    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+        interval_curve(ax, states, own.once(_values_learned, tuple(states.tolist())), label, **style)
     if (exact := uniform_values(datasets, env)) is not None:
         ax.plot(states, exact[states], color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=1)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     tidy(ax, "state", "V")
     legend(ax)
+
+
+def _values_learned(ds: xr.Dataset, states: tuple[int, ...]) -> stats.Interval:
+    """The mean V of these states, and its interval over seeds, [state]."""
+    return stats.mean_interval(ds.q[..., 0].isel(state=list(states)))
 
 
 def uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:

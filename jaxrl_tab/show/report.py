@@ -222,7 +222,7 @@ def _pictures(
     label: str, methods: Methods, env: Environment, stars: Sequence[Row], view: View
 ) -> list[Picture]:
     figures = plot.pictures(methods, env)
-    if isinstance(env, Grid) and not stats.learns_states(*methods.values()):
+    if isinstance(env, Grid) and not stats.is_prediction(*methods.values()):
         figures["values"] = plot.value_tables(methods, env)
     captions = CAPTIONS | (OF_PREDICTION if view.prediction else {})
     ends = ", ".join(

@@ -52,7 +52,8 @@ def along(
     values = x.transpose(*others, *within, dim).values
     strata, shape = (values if within else values[..., None, :]), like.shape or (1,)
     found, counts = np.full((parts, like.size), np.nan), np.zeros(like.size, int)
-    for block in blocks(like.size, int(np.prod(strata.shape[-2:])) * resamples):
+    for some in blocks(like.size, int(np.prod(strata.shape[-2:])) * resamples):
+        block = np.arange(some.start, some.stop)
         at = strata.reshape(*shape, *strata.shape[-2:])[np.unravel_index(block, shape)].astype(float)
         missing = np.isnan(at)
         if missing.any():
@@ -68,9 +69,9 @@ def along(
     return tuple(like.copy(data=part.reshape(like.shape)) for part in (*found, counts))
 
 
-def blocks(count: int, each: int) -> list[np.ndarray]:
-    """The numbers from 0 on, in blocks of no more than `MEMORY` float64 where there are so many for `each`."""
-    return np.array_split(np.arange(count), max(1, min(count, -(-count * each // MEMORY))))
+def blocks(count: int, each: int) -> list[slice]:
+    """`memory.blocks` of about `MEMORY` float64 or less, where there are so many for `each`."""
+    return list(memory.blocks(count, each, MEMORY))
 
 
 def aligned(x: xr.DataArray, y: xr.DataArray, apart: Sequence[str] = ()) -> tuple[xr.DataArray, xr.DataArray]:
@@ -100,19 +101,14 @@ def check_dims(x: xr.DataArray, dims: Sequence[Hashable]) -> None:
         raise InputError(f"the dimensions {name_list(dims)} must be different ones")
 
 
-def check_fraction(name: str, value: float) -> None:
-    if not (isinstance(value, int | float | np.number) and 0 < value < 1):
-        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
-
-
 def by_seeds(of: Callable[..., xr.DataArray]) -> Callable[..., xr.DataArray]:
     """`of(ds, ...)`, which has a number for each seed, worked out for some seeds at a time if there are many."""
 
     @functools.wraps(of)
     def in_blocks(ds: xr.Dataset, *given: Any) -> xr.DataArray:
         seeds = ds.sizes["seed"]
-        blocks = memory.blocks(seeds, 8 * ds.episodes.size // seeds)
-        found = [of(ds.isel(seed=block), *given) for block in blocks]
+        some = memory.blocks(seeds, 8 * ds.episodes.size // seeds)
+        found = [of(ds.isel(seed=block), *given) for block in some]
         return xr.concat(found, "seed").transpose(*found[0].dims) if len(found) > 1 else found[0]
 
     return in_blocks

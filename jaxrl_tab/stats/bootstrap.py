@@ -8,7 +8,8 @@ import numpy as np
 import xarray as xr
 from scipy import special, stats
 
-from jaxrl_tab.stats.along import Interval, along, blocks, check_fraction
+from jaxrl_tab.core.checks import FRACTION, check_within
+from jaxrl_tab.stats.along import Interval, along, blocks
 
 RESAMPLES = 1999  # of every bootstrap: both 2.5% points are an order statistic
 
@@ -58,7 +59,8 @@ def resampled(n: int, of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     if len(blocks(RESAMPLES, n)) == 1:
         return of(_weights(n))
     rng = np.random.default_rng(0)
-    drawn = (rng.multinomial(n, np.full(n, 1 / n), len(block)) / n for block in blocks(RESAMPLES, n))
+    sizes = (block.stop - block.start for block in blocks(RESAMPLES, n))
+    drawn = (rng.multinomial(n, np.full(n, 1 / n), size) / n for size in sizes)
     return np.concatenate([of(weights) for weights in drawn], axis=-1)
 
 
@@ -97,7 +99,7 @@ def iqm_interval(
     """
     if within is not None:
         return bootstrap_interval(x, iqm, dim, within, confidence)
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         # Of each rank, a resample keeps those copies that lie in its middle: the same for all places.
@@ -150,7 +152,7 @@ def bootstrap_interval(
     Raises:
         InputError: `x` lacks a dimension that is named, or `confidence` is not between 0 and 1.
     """
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     def of(*strata: np.ndarray) -> tuple[np.ndarray, ...]:
         rngs = [np.random.default_rng((0, k)) for k in range(len(strata))]
@@ -158,7 +160,7 @@ def bootstrap_interval(
         estimate = statistic(np.concatenate(strata, axis=-1), axis=-1)
         resampled = []
         for block in blocks(RESAMPLES, n * len(estimate)):
-            sizes = [(len(block), values.shape[-1]) for values in strata]
+            sizes = [(block.stop - block.start, values.shape[-1]) for values in strata]
             drawn = [x[:, r.integers(s[1], size=s)] for x, r, s in zip(strata, rngs, sizes, strict=True)]
             with np.errstate(invalid="ignore"):  # infinities
                 resampled.append(statistic(np.concatenate(drawn, axis=-1), axis=-1))

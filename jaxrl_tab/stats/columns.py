@@ -26,7 +26,6 @@ from jaxrl_tab.stats.measures import (
     hyperparameters,
     named,
     optimum,
-    possible,
     soft_optimum,
     sound_runs,
     unfinished,
@@ -163,7 +162,7 @@ COLUMNS = [
     ),
     Column(
         "runs",
-        lambda own: possible(tolerance_interval(own.score), own.score, own.ds),
+        lambda own: own.possible(tolerance_interval(own.score)),
         in_summary="",
         report="9 of 10 runs",
         written="range",

@@ -21,6 +21,7 @@ import xarray as xr
 
 from jaxrl_tab import stats
 from jaxrl_tab.core.checks import InputError, nearest
+from jaxrl_tab.stats.measures import has_errors
 
 __all__ = ["load", "save", "to_pandas"]
 
@@ -122,8 +123,8 @@ def _runs(ds: xr.Dataset) -> xr.Dataset:
     log = _rows(ds)
     sums = {name: log[name].sum("row", skipna=False, dtype=_wide(log[name])) for name in LOG}
     found = xr.Dataset(sums | {"diverged": ds.diverged})
-    found["v_error" if stats.is_prediction(ds) else "last_tenth_return"] = stats.score(ds)
-    if not stats.is_prediction(ds):
+    found["v_error" if has_errors(ds) else "last_tenth_return"] = stats.score(ds)
+    if not has_errors(ds):
         found["unfinished"] = stats.unfinished(ds)
     ends = log.drop_vars(LOG).isel(row=-1, drop=True)
     return found.merge(ends.rename({name: f"final_{name}" for name in ends.data_vars}))

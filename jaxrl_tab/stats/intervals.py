@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 from scipy import stats
 
-from jaxrl_tab.core.checks import InputError, nearest
-from jaxrl_tab.stats.along import Interval, along, check_dims, check_fraction
+from jaxrl_tab.core.checks import FRACTION, InputError, check_within, nearest
+from jaxrl_tab.stats.along import Interval, along, check_dims
 from jaxrl_tab.stats.bootstrap import (
     RESAMPLES,
     bca,
@@ -56,7 +56,7 @@ def mean_interval(
     """
     if method not in BOUNDS:
         raise InputError(f"no method {method!r} of an interval; {nearest(str(method), BOUNDS)}")
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     resamples = 1 if method in ("hall", "t") else RESAMPLES
     return Interval(*along(x, dim, lambda values: mean_and_bounds(values, confidence, method)[:3], resamples))
@@ -200,7 +200,7 @@ def simultaneous_interval(
     """
     over = [over] if isinstance(over, str) else list(over)
     check_dims(x, [*over, dim])
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
     mean, _, _, count = mean_interval(x, dim, method="t")
     ordered = x.astype(float).transpose(*(d for d in x.dims if d not in (*over, dim)), *over, dim)
     *shape, n = ordered.shape
@@ -253,7 +253,7 @@ def median_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 0.95
     Raises:
         InputError: as `mean_interval`.
     """
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         n = values.shape[-1]
@@ -297,8 +297,8 @@ def tolerance_interval(
     Raises:
         InputError: as `mean_interval`; `content` is not between 0 and 1.
     """
-    check_fraction("content", content)
-    check_fraction("confidence", confidence)
+    check_within("content", content, FRACTION)
+    check_within("confidence", confidence, FRACTION)
 
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         n = values.shape[-1]

@@ -47,18 +47,18 @@ def final_return(ds: xr.Dataset) -> xr.DataArray:
     return mean_return(ds, last_tenth(ds))
 
 
-def learns_states(*datasets: xr.Dataset) -> bool:
+def is_prediction(*datasets: xr.Dataset) -> bool:
     """Whether all are of methods of prediction, which learn the values of states.
 
     A file that was written before datasets said what was learned tells it by the error that it holds.
     """
-    by_error = lambda ds: Learns.STATES if "v_error" in ds else Learns.ACTIONS
+    by_error = lambda ds: Learns.STATES if has_errors(ds) else Learns.ACTIONS
     return all(ds.attrs.get("learns", by_error(ds)) == Learns.STATES for ds in datasets)
 
 
-def is_prediction(*datasets: xr.Dataset) -> bool:
-    """Whether all are of methods of prediction whose error was recorded (`exact=True`)."""
-    return learns_states(*datasets) and all("v_error" in ds for ds in datasets)
+def has_errors(*datasets: xr.Dataset) -> bool:
+    """Whether the errors of all are recorded, by which methods of prediction are compared (`exact=True`)."""
+    return all("v_error" in ds for ds in datasets)
 
 
 @by_seeds
@@ -89,7 +89,7 @@ def score(ds: xr.Dataset) -> xr.DataArray:
     (as in the book's figures 7.2 and 12.3), and infinite where the run diverged.
     """
     found, diverged = _own_score(ds), diverged_runs(ds)
-    if is_prediction(ds):
+    if has_errors(ds):
         return found.where(~diverged, np.inf)
     found = found.where(~diverged)
     return found.where(~diverged, found.min().fillna(-np.inf))
@@ -98,7 +98,7 @@ def score(ds: xr.Dataset) -> xr.DataArray:
 @by_seeds
 def _own_score(ds: xr.Dataset) -> xr.DataArray:
     """What a run scores whether it diverged or not, which may be no number then."""
-    if is_prediction(ds):
+    if has_errors(ds):
         return ds.v_error.astype(float).mean("row", skipna=False)
     found, without = final_return(ds), unfinished(ds)
     if not without.any():
@@ -136,7 +136,7 @@ def standstill(ds: xr.Dataset) -> xr.DataArray:
     Returns:
         One number, or [gamma] or [draw] where gamma was swept.
     """
-    if is_prediction(ds) or "num_steps" not in ds.attrs or "rewards" not in ds:
+    if has_errors(ds) or "num_steps" not in ds.attrs or "rewards" not in ds:
         return xr.DataArray(np.inf)
     late = ds.isel(row=last_tenth(ds))
     highest = by_seeds(lambda some: (some.rewards / some.steps).max("row"))(late)
@@ -176,11 +176,11 @@ def curve_interval(ds: xr.Dataset, at_most: int) -> Interval:
     """
     every = -(-ds.sizes["row"] // at_most)
     merged = by_seeds(lambda part: learning_curve(_merged(part, every)))
-    costs = _only_costs(ds)  # of all rows: what they pay is possible in any
+    costs = only_costs(ds)  # of all rows: what they pay is possible in any
 
     def of(part: xr.Dataset) -> Interval:
         curve = merged(part)
-        return _within(mean_interval(curve), curve, part, costs)
+        return within(mean_interval(curve), curve, part, costs)
 
     return _over_rows(ds, of, every)
 
@@ -197,12 +197,17 @@ def progress_interval(ds: xr.Dataset, name: str) -> Interval:
     return _over_rows(ds, of)
 
 
+def error_interval(ds: xr.Dataset) -> Interval:
+    """`mean_interval(ds.v_error)`: how the error of a method of prediction goes down."""
+    return mean_interval(ds.v_error)
+
+
 def _over_rows(ds: xr.Dataset, of: Callable[[xr.Dataset], Interval], every: int = 1) -> Interval:
     """`of(ds)`, worked out for some rows after others if there are many numbers; always `every` together."""
     groups = -(-ds.sizes["row"] // every)
     found = []
     for block in blocks(groups, ds.episodes.size // ds.sizes["row"]):
-        found.append(of(ds.isel(row=slice(block[0] * every, (block[-1] + 1) * every))))
+        found.append(of(ds.isel(row=slice(block.start * every, block.stop * every))))
     return Interval(
         *(xr.concat(parts, "row").transpose(*parts[0].dims) for parts in zip(*found, strict=True))
     )
@@ -352,24 +357,24 @@ def possible(interval: Interval, x: xr.DataArray, ds: xr.Dataset) -> Interval:
     return may be above it by luck, or because the time limit cut a costly episode short. Where no reward is
     above 0, no return is.
     """
-    return _within(interval, x, ds, _only_costs(ds))
+    return within(interval, x, ds, only_costs(ds))
 
 
-def _only_costs(ds: xr.Dataset) -> bool:
+def only_costs(ds: xr.Dataset) -> bool:
     """Whether no row of any run has rewards above 0."""
-    if is_prediction(ds) or "rewards" not in ds:
+    if has_errors(ds) or "rewards" not in ds:
         return False
     return not by_seeds(lambda some: (some.rewards > 0).any("row"))(ds).any()
 
 
-def _within(interval: Interval, x: xr.DataArray, ds: xr.Dataset, only_costs: bool) -> Interval:
-    """`possible`, where it is known whether there are `_only_costs`."""
-    if is_prediction(ds):
+def within(interval: Interval, x: xr.DataArray, ds: xr.Dataset, costs_alone: bool) -> Interval:
+    """`possible`, where it is known whether there are `only_costs`, in all of which `ds` may be a part."""
+    if has_errors(ds):
         return interval._replace(low=interval.low.clip(min=0))
     best_seen = x.max("seed")
     top = optimum(ds).broadcast_like(best_seen)
     top = top.where(best_seen <= top + 1e-6 * abs(top), np.inf)  # float32 has its rounding
-    if only_costs:
+    if costs_alone:
         top = top.clip(max=0)
     high = least_of(interval.high, top.where(top > interval.estimate, interval.estimate))
     return interval._replace(high=interval.high.copy(data=high.transpose(*interval.high.dims).values))

@@ -1,15 +1,15 @@
 """Which setting of a method is best, how good it is, and how methods differ at their best settings."""
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, cached_property
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
 
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.checks import FRACTION, InputError, check_within
 from jaxrl_tab.core.schedules import typed
-from jaxrl_tab.stats.along import Interval, check_fraction, name_list
+from jaxrl_tab.stats.along import Interval, name_list
 from jaxrl_tab.stats.comparisons import Difference, paired_difference
 from jaxrl_tab.stats.intervals import least_of, mean_interval, seeds_wanted, with_one_more
 from jaxrl_tab.stats.measures import (
@@ -17,13 +17,16 @@ from jaxrl_tab.stats.measures import (
     diverged_runs,
     drawn,
     fixed,
+    has_errors,
     hyperparameters,
-    is_prediction,
     named,
-    possible,
+    only_costs,
     score,
     standstill,
+    within,
 )
+
+T = TypeVar("T")
 
 
 class Settings:
@@ -38,7 +41,8 @@ class Settings:
     """
 
     def __init__(self, ds: xr.Dataset, by: Measure = score) -> None:
-        self.ds, self.by, self.prediction = ds, by, is_prediction(ds)
+        self.ds, self.by, self.prediction = ds, by, has_errors(ds)
+        self._once: dict[Any, Any] = {}
 
     @classmethod
     def of(cls, ds: "Sweep", by: Measure = score) -> "Settings":
@@ -72,9 +76,16 @@ class Settings:
         return {name: self.ds[name].values[place[name]].item() for name in hyperparameters(self.ds)}
 
     @cached_property
-    def at_best(self) -> xr.Dataset:
-        """The runs of the best setting."""
-        return self.ds.sel(self.best)
+    def at_best(self) -> "Settings":
+        """The best setting alone."""
+        return Settings(self.ds.sel(self.best), self.by)
+
+    def once(self, of: Callable[..., T], *given: Any) -> T:
+        """`of(ds, *given)`, such as `curve_interval` of so many points: worked out once, however often it is drawn."""
+        key = of, given
+        if key not in self._once:
+            self._once[key] = of(self.ds, *given)
+        return self._once[key]
 
     @cached_property
     def chosen(self) -> dict[str, Any]:
@@ -93,18 +104,30 @@ class Settings:
 
     def interval_at(self, confidence: float) -> Interval:
         """The mean score with its interval, [*hyperparameters]: see `score_interval`."""
+        check_within("confidence", confidence, FRACTION)
+        return self._intervals(confidence)
+
+    @cached_property
+    def _intervals(self) -> Callable[[float], Interval]:
+        return cache(self._interval)
+
+    def _interval(self, confidence: float) -> Interval:
         good = self._higher_is_better
         mean, low, high, n = mean_interval(good, confidence=confidence)
         if (few := self.seeds_wanted > n).any():
-            stuck = least_of(good.min("seed"), standstill(self.ds))
+            stuck = least_of(good.min("seed"), self.once(standstill))
             low = low.where(~few, np.fmin(low, with_one_more(good, stuck, "seed", confidence)[1]))
         if self.prediction:
             mean, low, high = -mean, -high, -low
-        return possible(Interval(mean, low, high, n), self.score, self.ds)
+        return self.possible(Interval(mean, low, high, n))
+
+    def possible(self, interval: Interval) -> Interval:
+        """An interval of the mean score without what no mean can be: see the function of this name."""
+        return within(interval, self.score, self.ds, self.once(only_costs))
 
     def tied_at(self, confidence: float) -> xr.DataArray:
         """Which settings cannot be told apart from the best one, bool [*hyperparameters]: see `tied`."""
-        check_fraction("confidence", confidence)
+        check_within("confidence", confidence, FRACTION)
         winner = self.merit.sel(self.best)
         winner = winner.drop_vars(hyperparameters(self.ds) + drawn(self.ds), errors="ignore")
         settings = self.merit.sizes["seed"] and self.merit.size // self.merit.sizes["seed"]
@@ -281,7 +304,7 @@ def differences(datasets: Mapping[str, Sweep], confidence: float = 0.95) -> dict
     pairs = pairs_to_correct([own.merit.size // own.merit.sizes["seed"] for own in methods.values()])
     at = {name: own.merit.sel(own.best).reset_coords(drop=True) for name, own in methods.items()}
     first, *others = ranked(methods)
-    worst = min(float(standstill(settings.ds).min()) for settings in methods.values())
+    worst = min(float(settings.once(standstill).min()) for settings in methods.values())
     found = {}
     for name in others:
         (mean, low, high, n), p, reduction = paired_difference(
@@ -314,7 +337,7 @@ class Selection(NamedTuple):
     bias: Interval
 
 
-def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> Selection:
+def selection(ds: Sweep, fresh: Sweep, by: Measure = score, confidence: float = 0.95) -> Selection:
     """Selection without bias: the setting that is best in `ds`, and how good it is on the seeds of `fresh`.
 
     Args:
@@ -329,10 +352,12 @@ def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: flo
     """
     settings = Settings.of(ds, by)
     ds, setting = settings.ds, settings.best
+    again = Settings.of(fresh, settings.by)
+    fresh = again.ds
     same_root = all(ds.attrs.get(key, 0) == fresh.attrs.get(key, 0) for key in ("root_seed", "fresh_seeds"))
-    if same_root and (again := np.intersect1d(ds.seed, fresh.seed)).size:
+    if same_root and (both := np.intersect1d(ds.seed, fresh.seed)).size:
         raise InputError(
-            f"seed {again[0]} is among those that the setting was chosen on; report on fresh ones"
+            f"seed {both[0]} is among those that the setting was chosen on; report on fresh ones"
         )
     at = fresh
     for name, value in (setting | named(ds, setting)).items():
@@ -347,6 +372,6 @@ def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: flo
         ):
             raise InputError(f"the fresh runs must have {name} = {value}, not {got}")
     promised = Interval(*(part.sel(setting) for part in settings.interval_at(confidence)))
-    found = score_interval(at, confidence, settings.by)
+    found = (again if at is fresh else Settings(at, settings.by)).interval_at(confidence)
     off = (promised.estimate - found.estimate, promised.estimate - found.high, promised.estimate - found.low)
     return Selection(setting, promised, found, Interval(*off, found.n))

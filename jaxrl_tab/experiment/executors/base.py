@@ -109,14 +109,12 @@ class Job(NamedTuple):
             )
 
 
-def given(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
+def result_of(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
     """What `Executor.run` gives of a task that a worker has finished; raises what it raised."""
     if isinstance(result, Failed):
         if not result.trace:
             raise InputError(result.line)
-        error = RunError(f"shard {task} failed: {result.line}")
-        error.add_note(result.trace)
-        raise error
+        raise RunError(f"shard {task} failed: {result.line}") from RuntimeError(result.trace)
     return task, result
 
 

@@ -11,11 +11,11 @@ import threading
 import warnings
 from collections import deque
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from jaxrl_tab.core.checks import InputError, RunError, reason, whole
-from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, environment, given, need
+from jaxrl_tab.core.checks import InputError, RunError, reason
+from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, environment, need, result_of
 
 _SECONDS = 5  # in which the address of a cluster must answer
 _PATIENCE = 30  # seconds in which it must let us in
@@ -25,7 +25,7 @@ _HELLO, _SETTINGS = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + b"\4" + byt
 _AHEAD = 2  # tasks handed out for each place that there is for one: none stands idle, and few results wait
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class Ray:
     """On a Ray cluster; on the cores of this machine where none is named.
 
@@ -34,11 +34,11 @@ class Ray:
     was joined is said by the logger of this module.
 
     Attributes:
-        address: of the cluster, "HOST:PORT" or "ray://HOST:PORT", or "auto" for one that runs on this
+        address: Of the cluster, "HOST:PORT" or "ray://HOST:PORT", or "auto" for one that runs on this
             machine; by default what RAY_ADDRESS names. Where neither is given one is started here, for this
             process alone, and stopped at the end: it listens on the loopback interface, and has a token.
-        num_cpus: the cores of each task, all of one machine.
-        max_retries: how often a task that was lost is done again.
+        num_cpus: The cores of each task, all of one machine.
+        max_retries: How often a task that was lost is done again.
 
     Raises:
         InputError: the address is none, or Ray is not installed.
@@ -46,13 +46,11 @@ class Ray:
     """
 
     address: str | None = None
-    num_cpus: int = 1
-    max_retries: int = 3
+    num_cpus: int = field(default=1, at_least=1)
+    max_retries: int = field(default=3, at_least=0)
 
     def __post_init__(self) -> None:
         need("ray", "ray")
-        whole("num_cpus", "number of cores", self.num_cpus)
-        whole("max_retries", "number", self.max_retries, least=0)
         if self._address != "local":
             _check_answers(self._address)
             _check_joins(self._address)
@@ -77,7 +75,7 @@ class Ray:
                         under_way[call.remote(job, task)] = task
                     with contextlib.redirect_stdout(sys.stderr):  # Ray tells on it of nodes that go away
                         ready, _ = ray.wait(list(under_way), num_returns=1)
-                    yield given(*self._fetch(under_way, ready.pop()))
+                    yield result_of(*self._fetch(under_way, ready.pop()))
             finally:
                 for reference in under_way:
                     ray.cancel(reference, force=True)
@@ -112,7 +110,7 @@ class Ray:
         with _alone() if own else contextlib.nullcontext():
             import ray  # which looks at variables now
 
-            if there := ray.is_initialized():
+            if was_connected := ray.is_initialized():
                 own = False
             else:
                 self._connect()
@@ -120,7 +118,7 @@ class Ray:
             self._say_what_it_is(own)
             yield
         finally:
-            if not there:
+            if not was_connected:
                 with contextlib.redirect_stdout(sys.stderr):
                     ray.shutdown()
 
@@ -145,12 +143,12 @@ class Ray:
         cores = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
         log = logging.getLogger(__name__)
         if not own:
-            given = self._address.startswith("ray://")  # then this process knows no other
-            address = self._address if given else ray.get_runtime_context().gcs_address
+            by_client = self._address.startswith("ray://")  # then this process knows no other
+            address = self._address if by_client else ray.get_runtime_context().gcs_address
             log.warning("on the Ray cluster at %s: %d nodes, %d cores", address, len(cores), sum(cores))
         if max(cores, default=0) < self.num_cpus:
-            said = "no node of the Ray cluster has %d cores, only %d: waiting for one"
-            log.warning(said, self.num_cpus, max(cores, default=0))
+            warning = "no node of the Ray cluster has %d cores, only %d: waiting for one"
+            log.warning(warning, self.num_cpus, max(cores, default=0))
 
 
 def _call(job: Job, task: int) -> Arrays | Failed:

@@ -5,18 +5,18 @@ import shutil
 import tempfile
 import time
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxrl_tab.core.checks import InputError, RunError, whole
-from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, given, need
+from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, need, result_of
 
 _SECONDS = 1.0  # between looks at the jobs
 _DEFAULTS = {"name": "jaxrl-tab", "timeout_min": 60}
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class Slurm:
     """As an array of SLURM jobs, among which the shards are dealt out.
 
@@ -24,13 +24,13 @@ class Slurm:
     would reach it again: the shards that it had finished are given, and the next one has failed.
 
     Attributes:
-        folder: where the jobs' files go, seen by all machines. They are removed at the end, but for those of
+        folder: Where the jobs' files go, seen by all machines. They are removed at the end, but for those of
             jobs that failed or died too often.
-        parameters: of the jobs, as `submitit.AutoExecutor.update_parameters` has them: timeout_min (60 by
-            default), cpus_per_task, mem_gb, slurm_partition, slurm_account, slurm_array_parallelism ...
-        max_jobs: how many jobs at most: SLURM limits arrays, to 1001 by default, and each job imports and
+        parameters: What SLURM is asked for, as `submitit.AutoExecutor.update_parameters` has it: timeout_min
+            (60 by default), cpus_per_task, mem_gb, slurm_partition, slurm_account, slurm_array_parallelism ...
+        max_jobs: How many jobs at most: SLURM limits arrays, to 1001 by default, and each job imports and
             compiles for some ten seconds before it computes.
-        max_retries: how often a job that died is handed in again.
+        max_retries: How often a job that died is handed in again.
         cluster: "slurm", or "local" for processes of this machine instead of jobs, to try it out.
 
     Raises:
@@ -39,14 +39,12 @@ class Slurm:
 
     folder: str | Path
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    max_jobs: int = 100
-    max_retries: int = 3
+    max_jobs: int = field(default=100, at_least=1)
+    max_retries: int = field(default=3, at_least=0)
     cluster: str = "slurm"
 
     def __post_init__(self) -> None:
         need("submitit", "slurm")
-        whole("max_jobs", "number of jobs", self.max_jobs)
-        whole("max_retries", "number", self.max_retries, least=0)
         with tempfile.TemporaryDirectory() as folder:
             self._executor(folder)
 
@@ -67,7 +65,7 @@ class Slurm:
                     if results is None:
                         under_way[executor.submit(_several, job, share)] = share, deaths + 1
                     while results:
-                        yield given(*results.pop(0))
+                        yield result_of(*results.pop(0))
                 if under_way:
                     time.sleep(_SECONDS)
         except _JobError:
