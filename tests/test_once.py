@@ -16,7 +16,7 @@ from jaxrl_tab.stats import measures, settings
 
 # As `quick.SELECTED`, so that its programs serve.
 COMMAND = "sweep windy-gridworld sarsa q-learning --alpha 0.25 0.5 --seeds 70 --steps 200 --select --out"
-METHODS, SETTINGS = 2, 4
+METHODS = 2
 
 
 @pytest.fixture
