@@ -75,7 +75,7 @@ def test_terminal_states_go_by_the_done_flag():
 
 def test_equal_outcomes_are_added_up():
     """At the top left, two of three slips lead back; Gymnasium lists them one by one."""
-    prob, outcome = from_gymnasium("FrozenLake-v1").outcomes(0, 0)
+    prob, outcome = from_gymnasium("FrozenLake-v1").outcomes(jnp.int32(0), jnp.int32(0))
     listed = sorted((s, p) for p, s in zip(prob.tolist(), outcome.s_next.tolist(), strict=True) if p > 0)
     assert listed == [(0, pytest.approx(2 / 3)), (4, pytest.approx(1 / 3))]
 
