@@ -39,7 +39,7 @@ def _rules(number: Any) -> BeartypeConf:
 
     return BeartypeConf(
         # Python cannot say whether a class, without an instance, has the properties that a protocol wants.
-        hint_overrides=FrozenDict({float: number, type[Algorithm]: type}),
+        hint_overrides=FrozenDict({float: number, complex: complex | number, type[Algorithm]: type}),
         is_random=False,  # in which items of a container are looked at
         violation_param_type=WrongArgument,
     )
@@ -64,6 +64,10 @@ def checked(definition: Any) -> Any:
                 return strict()(*args, **kwargs)
             except WrongArgument as violation:
                 _refuse(violation, lambda: definition(*args, **kwargs))
+            except ValueError as error:
+                if "integer string conversion" not in str(error):
+                    raise
+                return definition(*args, **kwargs)  # a number too long for the message of beartype
 
     @functools.wraps(definition)
     def generate(*args: Any, **kwargs: Any) -> Any:

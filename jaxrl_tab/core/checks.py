@@ -170,7 +170,7 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
         if parameter not in names:
             wanted = nearest(parameter, names)
             problem = f"{name} has no parameter {shown(parameter)}; {wanted}"
-            raise InputError(problem, field=parameter, wanted=wanted)
+            raise InputError(problem, field=str(parameter), wanted=wanted)
     is_ours = cls.__module__.partition(".")[0] == __name__.partition(".")[0]
     try:
         return cls(**parameters)
@@ -375,7 +375,8 @@ def check_within(name: str, value: Any, limits: Mapping[str, float]) -> None:
 def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
     """`value`, unless it is neither a number, nor an array of them, nor a tracer.
 
-    All must be within the limits, and still be it in the precision in which JAX computes.
+    All must be within the limits, and still be it in the precision in which JAX computes. Arrays of other
+    libraries become arrays of NumPy, for JAX takes no others.
     """
     name, limits = field.name, field.metadata["limits"]
     number = np.empty(0, object) if isinstance(value, list | tuple) else as_array(value)
@@ -400,7 +401,7 @@ def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: s
         problem = f"{name} must be {wanted}, and {shown(value)} is not when rounded to {dtype}"
     if problem:
         raise InputError(problem, who=who, field=name, wanted=wanted, value=value)
-    return value
+    return value if isinstance(value, float | int | np.generic | np.ndarray | Array) else number
 
 
 def _whole(who: str | None, field: dataclasses.Field, value: Any) -> int:

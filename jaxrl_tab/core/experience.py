@@ -84,7 +84,7 @@ class Experience:
 
     @classmethod
     def from_episodes(
-        cls, episodes: Sequence[tuple[Any, Any, Any]], terminal: bool | ArrayLike = True
+        cls, episodes: Sequence[tuple[Any, Any, Any]], terminal: ArrayLike = True
     ) -> "Experience":
         """The experience of E episodes S_0, A_0, R_1, S_1, A_1, R_2, ..., S_T.
 
@@ -124,9 +124,7 @@ class Experience:
         return cls(s, a, r, s_next, _terminal_ends(terminal, last), last)
 
     @classmethod
-    def from_padded(
-        cls, s: Any, a: Any, r: Any, lengths: Any, terminal: bool | ArrayLike = True
-    ) -> "Experience":
+    def from_padded(cls, s: Any, a: Any, r: Any, lengths: Any, terminal: ArrayLike = True) -> "Experience":
         """The experience of E episodes in arrays as long as the longest of them.
 
         Args:
