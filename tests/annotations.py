@@ -89,8 +89,8 @@ def _refuse(violation: WrongArgument, call: Callable[[], Any]) -> NoReturn:
             call()
         except (InputError, RunError):
             raise
-        except Exception:
-            raise violation from None
+        except Exception as error:
+            raise violation from error
     raise violation
 
 

@@ -42,7 +42,7 @@ def at(*path: str | int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def blame(names: Collection[str]) -> Iterator[None]:
+def blame(names: Collection[Any]) -> Iterator[None]:
     """What is refused inside is at the field that is wrong, where that is one of `names`."""
     try:
         yield

@@ -261,7 +261,7 @@ def _check_labels(kind: str, tables: Sequence[Mapping[str, Any]], places: Sequen
                 raise InputError(f"the {kind} {label} is named more than once: give each a label of its own")
 
 
-def belongs(key: str) -> str | None:
+def belongs(key: Any) -> str | None:
     """Below what a parameter belongs that was not written in a table."""
     for table, kind in (("method", METHOD), ("environment", ENVIRONMENT)):
         if any(key in keys(cls) for cls in kind.registry.values()):
