@@ -1,4 +1,4 @@
-"""Double Q-learning: two tables, for no maximum is its own judge (book, section 6.7; van Hasselt 2010)."""
+"""Double Q-learning: one table chooses, the other evaluates (book, section 6.7; van Hasselt 2010)."""
 
 from typing import Any, ClassVar, NamedTuple
 

@@ -70,7 +70,10 @@ class ValueState(NamedTuple):
 
 @pytree
 class Prediction:
-    """What all share. A method names its method of control, and passes on the hyperparameters that both have."""
+    """What all methods of prediction share.
+
+    Each names its method of control, and passes on the hyperparameters that both have.
+    """
 
     pi: Any = field(
         default=None,
@@ -89,7 +92,7 @@ class Prediction:
         _as_table(self, "pi")
         try:
             self.control()
-        except InputError as error:  # it speaks of the method of control, whose class nobody named
+        except InputError as error:  # it names the method of control, which the user did not
             raise error.renamed(type(self).__name__) from None
 
     def control(self, **policies: Table) -> Any:
@@ -309,7 +312,8 @@ PREDICTION: dict[str, type] = {
     "off-policy-td": OffPolicyTD,
     "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,
 }
-METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__
+# The methods of control come first, for a ChainMap begins with its last map.
+METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)
 
 
 METHOD = names.Kind(

@@ -3,7 +3,7 @@
 Its modules, from the ground up:
 
     version     the version of the package
-    checks      what is asked of values that people give, and how a message names them
+    checks      checks of the values that users give, and the wording of the messages about them
     pytree      frozen dataclasses that are JAX pytrees, whose fields say what they take
     describe    the parameters of a class and what they are, for help and lists
     modules     files of somebody's own, loaded by their checksum, with the files that they import

@@ -1,4 +1,4 @@
-"""What is asked of values that people give, and how a message names them."""
+"""Checks of the values that users give, and the wording of the messages about them."""
 
 import copy
 import dataclasses
@@ -28,12 +28,12 @@ class InputError(ValueError):
     """Something that the user gave is wrong; the message is one line that says what would be right.
 
     Attributes:
-        problem: the message, but for the name with which it begins.
-        who: what refuses it, a class or an option; None where the message names nothing.
+        problem: the message without the name at its beginning.
+        who: what refuses the value, a class or an option; None where the message names neither.
         field: the field, or parameter, that is wrong; None where it is not one.
         wanted: what the field takes, in words; None where it is not the value alone that is wrong.
         value: what was given instead.
-        path: the keys, and places in lists, that lead there in the tables of an experiment.
+        path: the keys and the positions in lists that lead to the value in the tables of an experiment.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class InputError(ValueError):
         return self.problem if self.who is None else f"{self.who}: {self.problem}"
 
     def renamed(self, who: str | None, field: str | None = None) -> Self:
-        """The same said by another; of what is inside its `field`, where that is given."""
+        """The same error under the name `who`; as an error about a part of its `field`, if one is given."""
         error = copy.copy(self)
         error.who = who
         if field is not None:
@@ -68,7 +68,7 @@ def unfit(who: str | None, field: str, wanted: str, value: Any, hint: str = "") 
 
 
 class RunError(RuntimeError):
-    """What was asked for is right, and could not be finished here; the message is one line that says why."""
+    """A valid request that could not be completed here; the message is one line that says why."""
 
 
 def concrete(x: Any) -> np.ndarray | None:
@@ -182,7 +182,7 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
         except TypeError as missing:
             raise InputError(f"{name}: {missing}") from None
         if is_ours:
-            raise  # a defect
+            raise  # an error in this package, not in the input
         raise InputError(f"{name} refuses its parameters: {type(error).__name__}: {reason(error)}") from error
 
 
@@ -211,9 +211,10 @@ def first(wrong: Marks) -> Any:
 
 
 def repeated(values: Iterable[Any]) -> list[Any]:
-    """Those of `values` that were there before, in their order."""
+    """Those of `values` that equal an earlier one, in their order."""
     seen, again = set(), []
     for value in values:
+        # A list cannot be in a set, so its text stands for it.
         key = value if type(value).__hash__ else repr(value)
         if key in seen:
             again.append(value)
@@ -222,14 +223,14 @@ def repeated(values: Iterable[Any]) -> list[Any]:
 
 
 def is_list(value: Any) -> bool:
-    """Whether `value` is a list, a tuple or an array with an axis; a text is none."""
+    """Whether `value` is a list, a tuple or an array with an axis; a string is not one."""
     if isinstance(value, np.ndarray | jax.Array):
         return value.ndim > 0
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def is_whole(value: Any, least: int = 1) -> bool:
-    """Whether `value` is a whole number, `least` to 2**31 - 1; True and False are none."""
+    """Whether `value` is a whole number, `least` to 2**31 - 1; True and False are not."""
     return isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) < 2**31
 
 
@@ -295,10 +296,10 @@ class Kind(NamedTuple):
     """What fields of one type take.
 
     Attributes:
-        check: gives the value as the field keeps it, from the name of the class, the field, and what was
-            given; raises InputError where that is not right.
+        check: returns the value as the field keeps it, from the name of the class, the field, and the value
+            as it was passed; raises InputError where that is wrong.
         noun: what it is, for the help: "a number"; the limits of the field follow.
-        otherwise: what it may also be.
+        otherwise: what else a field of this type may hold, for the help.
     """
 
     check: Callable[[str | None, dataclasses.Field, Any], Any]
@@ -375,7 +376,7 @@ def check_within(name: str, value: Any, limits: Mapping[str, float]) -> None:
 def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
     """`value`, unless it is neither a number, nor an array of them, nor a tracer.
 
-    All must be within the limits, and still be it in the precision in which JAX computes. Arrays of other
+    All must be within the limits, and stay within them in the precision in which JAX computes. Arrays of other
     libraries become arrays of NumPy, for JAX takes no others.
     """
     name, limits = field.name, field.metadata["limits"]

@@ -1,6 +1,6 @@
 """What an environment or a method says about itself: its parameters, from its fields.
 
-And what a person may give for one of them: a number, or text such as "glie" and "softmax:0.5".
+`value` makes a parameter of what a person writes for it: of a number, or a text such as "softmax:0.5".
 """
 
 import contextlib
@@ -62,7 +62,7 @@ def takes_policy(parameter: Parameter) -> bool:
 
 
 def kind(parameter: Parameter) -> type:
-    """The type of its value, or of the entries of its value, as it is written: of a policy the text."""
+    """The type in which its value, or each entry of its value, is written; a policy is written as text."""
     if takes_schedule(parameter) or takes_policy(parameter):
         return float if takes_schedule(parameter) else str
     if parameter.default is dataclasses.MISSING or parameter.default is None:  # its annotation says it

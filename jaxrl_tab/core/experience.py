@@ -1,4 +1,4 @@
-"""Logged experience: what somebody did, as arrays, checked."""
+"""Logged experience: the transitions that somebody recorded, as checked arrays."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -48,10 +48,10 @@ class Experience:
     last: Bool[Any, " N"] | Any = None
 
     def __post_init__(self):
-        given = vars(self) | {"last": _ends(self.terminal) if self.last is None else self.last}
+        values = vars(self) | {"last": _ends(self.terminal) if self.last is None else self.last}
         fields = {
             name: _truth(name, x) if KINDS[name] is TRUTH else numbers(NAME, name, x)
-            for name, x in given.items()
+            for name, x in values.items()
         }
         if any(concrete(x) is None for x in fields.values()):
             return
@@ -112,8 +112,8 @@ class Experience:
                 raise InputError(
                     f"{NAME}: episode {e} must be (states, actions, rewards), not {shown(episode)}"
                 ) from None
-            given = {"s": s, "a": a, "r": r}
-            s, a, r = (numbers(NAME, f"{name} of episode {e}", x) for name, x in given.items())
+            arrays = {"s": s, "a": a, "r": r}
+            s, a, r = (numbers(NAME, f"{name} of episode {e}", x) for name, x in arrays.items())
             if a.ndim != 1 or not len(a) or r.shape != a.shape or s.shape != (len(a) + 1,):
                 raise InputError(
                     f"{NAME}: episode {e} must have T actions, T rewards and T + 1 states, the last one "
@@ -137,8 +137,8 @@ class Experience:
         Raises:
             InputError: as `Experience`.
         """
-        given = {"s": s, "a": a, "r": r, "lengths": lengths}
-        s, a, r, lengths = (numbers(NAME, name, x) for name, x in given.items())
+        arrays = {"s": s, "a": a, "r": r, "lengths": lengths}
+        s, a, r, lengths = (numbers(NAME, name, x) for name, x in arrays.items())
         shape = a.shape
         if a.ndim != 2 or (r.shape, s.shape, lengths.shape) != (shape, (shape[0], shape[1] + 1), shape[:1]):
             raise InputError(
@@ -149,10 +149,10 @@ class Experience:
         if (e := first((lengths < 1) | (lengths > shape[1]))) is not None:
             raise InputError(f"{NAME}: lengths[{e[0]}] is {lengths[e]}, and must be from 1 to {shape[1]}")
         steps = np.arange(shape[1])
-        there = steps < lengths[:, None]
-        last = (steps == lengths[:, None] - 1)[there]
+        taken = steps < lengths[:, None]
+        last = (steps == lengths[:, None] - 1)[taken]
         return cls(
-            s[:, :-1][there], a[there], r[there], s[:, 1:][there], _terminal_ends(terminal, last), last
+            s[:, :-1][taken], a[taken], r[taken], s[:, 1:][taken], _terminal_ends(terminal, last), last
         )
 
     def check(self, num_states: int, num_actions: int, behaviour: Table | None = None) -> None:
@@ -183,10 +183,10 @@ class Experience:
 
     def check_available(self, available: Available) -> None:
         """Raises InputError where an action was taken that its state does not have; traced ones pass."""
-        there, s, a = (concrete(x) for x in (available, self.s, self.a))
-        if there is None or s is None or a is None:
+        is_available, s, a = (concrete(x) for x in (available, self.s, self.a))
+        if is_available is None or s is None or a is None:
             return
-        if (i := first(~there.astype(bool)[s, a])) is not None:
+        if (i := first(~is_available.astype(bool)[s, a])) is not None:
             raise InputError(
                 f"{NAME}: transition {i[0]} takes action {a[i]} in state {s[i]}, which does not have it; see available"
             )
@@ -220,7 +220,7 @@ def _ends(terminal: Any) -> Any:
     """The ends of episodes where only terminal states end them, and the end of the log."""
     terminal = _truth("terminal", terminal)
     if terminal.ndim != 1 or terminal.dtype != bool:
-        return terminal  # which is refused later
+        return terminal  # `Experience` refuses it with a message
     return terminal | (np.arange(terminal.size) == terminal.size - 1)
 
 

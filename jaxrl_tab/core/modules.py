@@ -78,7 +78,7 @@ def read(path: Path, alone: bool = False) -> File:
 
 
 def of_checksum(path: Path, sha256: str | None) -> File:
-    """The file with this checksum, wherever it is known from; else, or without one, the file at `path`."""
+    """The file with this checksum if it was read or received; else, or without one, the file at `path`."""
     if sha256 in _contents:
         return _contents[sha256]
     file = read(path)
@@ -114,7 +114,7 @@ def _imports(file: File) -> set[str]:
     """What a program imports, anywhere in it: modules and packages, without what is in them."""
     try:
         nodes = list(ast.walk(ast.parse(file.data)))
-    except (SyntaxError, ValueError):  # as is said where it is run
+    except (SyntaxError, ValueError):  # whoever runs the file gets this error
         return set()
     names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
     names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
@@ -124,9 +124,8 @@ def _imports(file: File) -> set[str]:
 def refusal(file: File) -> str:
     """Why a program cannot be kept in a folder: it imports a package beside it. Empty where it can."""
     folder = Path(file.path).parent
-    if (
-        str(folder) in sys.path[1:]
-    ):  # as of what is installed for development; the first is where Python was started
+    # A folder on the path holds what is installed for development. (The first is where Python was started.)
+    if str(folder) in sys.path[1:]:
         return ""
     for program in (file, *file.neighbours):
         for name in sorted(_imports(program)):
@@ -188,12 +187,12 @@ def imported(name: str) -> ModuleType:
 
 
 class _AtImport(InputError):
-    """What a file does wrong when it is imported, said of that file and not of those that import it."""
+    """An error in a file when it is imported, reported of that file and not of those that import it."""
 
 
 @contextlib.contextmanager
 def importing(what: str) -> Iterator[None]:
-    """While the code of somebody's file runs: what it raises is said in one line, and it may compute nothing."""
+    """Runs the code of a user's file: an error in it is reported in one line, and it may compute nothing."""
     _importing.append(what)
     try:
         yield

@@ -56,7 +56,7 @@ class Kind:
         group: the entry points by which packages register theirs.
         needs: the attributes that a class of this kind has.
         add: puts a class into the registry.
-        hint: what a message says instead of a name that is unknown.
+        hint: what a message suggests in place of an unknown name.
         libraries: prefix of a name -> the class of what another library has under the rest of it.
         table: the class of what is in an .npz file; None where there are no such files.
     """
@@ -104,7 +104,7 @@ class Functions(Kind):
 
 
 KINDS: list[Kind] = []
-_here: dict[tuple[str, str | None], Reference] = {}  # what is of this process, by (name, checksum)
+_here: dict[tuple[str, str | None], Reference] = {}  # those made in this process, by (name, checksum)
 
 
 def register(name: str, cls: type) -> None:
@@ -130,9 +130,9 @@ def find(kind: Kind, name: Any, base: Path | None = None, sha256: str | None = N
 
     Args:
         kind: what it names.
-        name: one of the forms above, or what would be named: a class, or a function.
+        name: one of the forms above, or the class or the function itself.
         base: the folder from which paths start; by default that of the process.
-        sha256: the checksum that its file must have, where that is settled.
+        sha256: the checksum that its file must have; None for any.
 
     Raises:
         InputError: it stands for nothing; or its file cannot be loaded, or has another checksum.
@@ -154,8 +154,8 @@ def find(kind: Kind, name: Any, base: Path | None = None, sha256: str | None = N
     where, _, attribute = name.rpartition(":")
     if where.endswith(".py"):
         file = modules.of_checksum((base or Path()) / where, sha256)
-        found = _of_module(kind, name, modules.load(file), attribute, file)
-        return found._replace(refusal=modules.refusal(file))
+        in_file = _of_module(kind, name, modules.load(file), attribute, file)
+        return in_file._replace(refusal=modules.refusal(file))
     if name.endswith(".py"):
         raise InputError(f"{name} is a file: name what is in it as well, as in '{name}:NAME'")
     if _IN_MODULE.fullmatch(name):
@@ -185,7 +185,7 @@ def add_entry_points(kind: Kind) -> list[str]:
 
 
 def is_from_outside(name: str) -> bool:
-    """Whether a word has one of the forms that name something from outside of the registries."""
+    """Whether a name has one of the forms of what is in no registry: a file, a module, another library."""
     prefix, _, rest = name.partition(":")
     libraries = {library for kind in KINDS for library in kind.libraries}
     if name.endswith((".npz", ".py")) or name.rpartition(":")[0].endswith(".py"):
@@ -242,7 +242,7 @@ def forget(files: Iterable[File]) -> None:
 
 
 def _of_module(kind: Kind, name: str, module: ModuleType, attribute: str, file: File) -> Reference:
-    """What a module has under the name of a class or a function, all of which is called `name`."""
+    """The reference to the class or function `attribute` of a module; `name` is what the user calls it."""
     cls = _attribute(module, attribute)
     if cls is None:
         own = [x for x, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
@@ -257,12 +257,14 @@ def _attribute(module: ModuleType, path: str) -> Any:
 
 
 def made_by(make: Callable[..., Any], label: str, defaults: Mapping[str, Any], about: str = "") -> type:
-    """A class with these parameters, which is not what it builds: that is what `make` gives for them.
+    """A class with these parameters; calling it returns what `make` returns for them, not an instance.
 
-    So what is made by a function stands wherever a class does. Only what differs from its default is handed on.
+    So a function can stand wherever a class is expected. It gets only those parameters that differ from their
+    defaults.
     """
 
     def new(cls: type, **values: Any) -> Any:
+        # A default that is a list is a tuple in the field.
         as_listed = lambda x: list(x) if isinstance(x, tuple) else x
         return make(**{k: x for k, x in values.items() if as_listed(x) != as_listed(defaults[k])})
 

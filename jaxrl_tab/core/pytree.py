@@ -21,13 +21,13 @@ def field(default: Any = dataclasses.MISSING, *, static: bool = False, help: str
 
         alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
 
-    What is given is checked by that before `__post_init__` runs, by the type of the field: see `checks.KINDS`.
-    A field that gives another default to that of a base class keeps what was said of it there.
+    Its value is checked against that before `__post_init__` runs, by the field's type: see `checks.KINDS`.
+    A field that only gives another default to a field of a base class keeps the help and the limits of that.
 
     Args:
         default: its value where none is given.
         static: whether it shapes the program (a size, a rule), and so is not a leaf.
-        help: what it is. What it takes need not be said: it is added.
+        help: what it is. What it takes is added by itself.
         more: the limits of a number: at_least, greater_than, at_most, less_than; and what
             `dataclasses.field` takes.
     """
@@ -47,10 +47,10 @@ def static(default: Any = dataclasses.MISSING, **more: Any) -> Any:
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field, static, dataclasses.field))
 def checked_dataclass(cls: type[T], *, eq: bool = True) -> type[T]:
-    """Makes `cls` a frozen dataclass, of which each field is checked by what it says that it takes.
+    """Makes `cls` a frozen dataclass whose fields are checked against what they say that they take.
 
-    What involves several fields `__post_init__` may check afterwards. The docstring gets a section on all
-    fields that say what they are; what it says of a field itself is the help of that field.
+    `__post_init__` may check afterwards what involves several fields. The docstring gets an entry for every
+    field that has a help; an entry that it has already is the help of its field.
     """
     doc, inherited = vars(cls).get("__doc__"), getattr(cls, "__dataclass_fields__", {})
     documented = _attributes(doc or "")
@@ -110,12 +110,12 @@ def _check_first(cls: Any) -> None:
     cls.__post_init__ = __post_init__
 
 
-def _with_attributes(doc: str | None, told: Mapping[str, str]) -> str:
+def _with_attributes(doc: str | None, entries: Mapping[str, str]) -> str:
     """A docstring with these entries in its section "Attributes", which is made where there is none."""
     before, _, after = inspect.cleandoc(doc or "").partition(_SECTION)
     lines = [
         textwrap.fill(f"{name}: {help}", 110, initial_indent=" " * 4, subsequent_indent=" " * 8)
-        for name, help in told.items()
+        for name, help in entries.items()
     ]
     return "\n".join([before.rstrip() + "\n" + _SECTION.rstrip(), *lines, after])
 

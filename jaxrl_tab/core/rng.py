@@ -129,6 +129,7 @@ def stream(key: PRNGKeyArray) -> Stream:
 def word(stream: Stream, step: Int[Array, "*k"], decision: int) -> UInt32[Array, "*k"]:
     """The word of a decision in each step, uint32 of their shape. Decisions are numbered by whoever makes them."""
     step = step.astype(jnp.uint32)
+    # Reversed, for `where` takes first what holds for odd steps.
     return jnp.where(step & 1 == 1, *reversed(_call(stream, step >> 1, decision)))
 
 

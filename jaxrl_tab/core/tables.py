@@ -54,30 +54,30 @@ def write(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, 
     return lax.dynamic_update_slice(table, block, index, allow_negative_indices=False)
 
 
-def lane_by_lane(body: Callable[..., T], tables: T, *given: Any) -> T:
+def lane_by_lane(body: Callable[..., T], tables: T, *inputs: Any) -> T:
     """`tables` changed by `body`, for one run; under `vmap`, for one lane after another, in place.
 
     Where lanes differ in what they do, in how many entries they write or how long they loop, `vmap` makes all
     of them do the longest and select. Here each does its own, as in a program written in C.
 
     Args:
-        body: `body(lane, tables, *given) -> tables`, written with a leading axis of lanes in all arrays: it
+        body: `body(lane, tables, *inputs) -> tables`, written with a leading axis of lanes in all arrays: it
             reads with `entry(x, lane, ...)` and `write`s at `lane` and nowhere else. It must not close over
             anything that is traced. What it needs of a table it has written it should read from the new one:
             a use of the old one after the write makes XLA copy the whole table, every time.
         tables: a pytree of arrays.
-        given: pytrees of what the body reads.
+        inputs: pytrees of what the body reads.
     """
 
-    def one(tables, *given):
-        tables, *given = jax.tree.map(lambda x: jnp.asarray(x)[None], (tables, *given))
-        return jax.tree.map(lambda x: x[0], body(jnp.int32(0), tables, *given))
+    def one(tables, *inputs):
+        tables, *inputs = jax.tree.map(lambda x: jnp.asarray(x)[None], (tables, *inputs))
+        return jax.tree.map(lambda x: x[0], body(jnp.int32(0), tables, *inputs))
 
-    def lanes(tables, *given):
+    def lanes(tables, *inputs):
         if not _lane_by_lane():
-            return jax.vmap(one)(tables, *given)
+            return jax.vmap(one)(tables, *inputs)
         count = jnp.int32(jax.tree.leaves(tables)[0].shape[0])
-        return lax.fori_loop(jnp.int32(0), count, lambda lane, tables: body(lane, tables, *given), tables)
+        return lax.fori_loop(jnp.int32(0), count, lambda lane, tables: body(lane, tables, *inputs), tables)
 
     def one_rule(axis_size, batched, *args):
         return _with_lanes(lanes, lanes_rule)(*_broadcast(axis_size, batched, args)), _all_true(tables)
@@ -89,7 +89,7 @@ def lane_by_lane(body: Callable[..., T], tables: T, *given: Any) -> T:
         split = jax.tree.map(lambda x, like: x.reshape(like.shape), merged, args[0])
         return split, _all_true(tables)
 
-    return _with_lanes(one, one_rule)(tables, *given)
+    return _with_lanes(one, one_rule)(tables, *inputs)
 
 
 def _lane_by_lane() -> bool:
@@ -211,10 +211,10 @@ def _read_lanes(entries: Array, at: Array) -> Array:
     put = partial(lax.dynamic_update_slice, allow_negative_indices=False)
 
     def read(first, group, out):
-        got = [_read_one(entries, i)[..., None] for i in group[0]]
-        if not rest:
-            return put(out, jnp.concatenate(got), (first,))
-        for k, column in enumerate(got):
+        columns = [_read_one(entries, i)[..., None] for i in group[0]]
+        if not rest:  # single numbers are written together
+            return put(out, jnp.concatenate(columns), (first,))
+        for k, column in enumerate(columns):
             out = put(out, column, (*rest, first + jnp.uint32(k)))
         return out
 
@@ -231,15 +231,15 @@ def _write_lanes(entries: Array, at: Array, x: Array) -> Array:
     return _over_lanes(write, entries, at, x)
 
 
-def _over_lanes(body: Callable[..., Array], carry: Array, *given: Array) -> Array:
-    """`carry = body(first lane, what is given of the group, carry)` for one group of lanes after another."""
-    lanes = len(given[0])
+def _over_lanes(body: Callable[..., Array], carry: Array, *vectors: Array) -> Array:
+    """`carry = body(first lane, the entries of its lanes, carry)` for one group of lanes after another."""
+    lanes = len(vectors[0])
     size = math.gcd(lanes, GROUP)
 
     def turn(g, carry):
         first = g * jnp.uint32(size)
         of_group = partial(lax.dynamic_slice_in_dim, start_index=first, slice_size=size)
-        group = [of_group(x, allow_negative_indices=False) for x in given]
+        group = [of_group(x, allow_negative_indices=False) for x in vectors]
         return body(first, [[x[k] for k in range(size)] for x in group], carry)
 
     return lax.fori_loop(jnp.uint32(0), jnp.uint32(lanes // size), turn, carry)

@@ -137,7 +137,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     infinite = _infinite(model, pi, chain, squared, gamma)
 
     def later(weight, x):
-        """The sum over outcomes of p weight x', float64 [S, A]; a weight of 0 makes nothing of inf."""
+        """The sum over outcomes of p weight x', float64 [S, A]; where the weight is 0, inf counts as 0."""
         weight = onward * weight
         return np.multiply(weight, x[model.s_next], out=np.zeros_like(weight), where=weight != 0).sum(2)
 
@@ -153,7 +153,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     var_rho = _solve(squared, (b * of_rho**2).sum(1), infinite.ratio)
     finite = np.where(infinite.ratio, 0, var_rho)
     cov = _solve(gamma * squared, (b * of_rho * of_x).sum(1) + carried(later(r, finite)), infinite.ratio)
-    cov[infinite.ratio] = 0  # not asked for, beside an infinite Var rho'
+    cov[infinite.ratio] = 0  # it does not matter beside an infinite Var rho'
     mixed = of_outcome + later(r**2, finite) + 2 * gamma * later(r, cov)
     of_action = (b * of_x**2).sum(1)
     ordinary = _solve(gamma**2 * squared, of_action + carried(mixed), infinite.ordinary)
@@ -165,10 +165,10 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
         of_outcome + later(r**2, var_rho) + 2 * gamma * later(r, cov) + later(gamma**2, ordinary),
         of_outcome + later(gamma**2, per_decision),
     )
-    leads_there = ((onward > 0) & endless[model.s_next]).any(2)
+    without_variance = ((onward > 0) & endless[model.s_next]).any(2)
     if model.available is not None:
-        leads_there |= ~model.available
-    for result, undefined in ((of_states, endless), (of_actions, leads_there)):
+        without_variance |= ~model.available
+    for result, undefined in ((of_states, endless), (of_actions, without_variance)):
         for x in result:
             x[undefined] = np.nan
     return of_states, of_actions
@@ -222,7 +222,7 @@ def _growing(chain: Any) -> Bool[np.ndarray, " S"]:
 
 
 def _solve(chain: Any, constant: Float[np.ndarray, " S"], infinite: Any = False):
-    """Solves x = constant + chain x, float64 [S]; inf where told so, which no other state leads to."""
+    """Solves x = constant + chain x, float64 [S]; inf where `infinite`, to which no other state leads."""
     x = np.full(len(constant), np.inf)
     finite = np.flatnonzero(~np.broadcast_to(infinite, x.shape))
     x[finite] = planning.sparse_solver(chain[finite][:, finite])(constant[finite])

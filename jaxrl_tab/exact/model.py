@@ -57,6 +57,7 @@ def enumerate_model(env: Any) -> Model:
     available = available_actions(env)
     if available is not None:
         actions = stand_ins(available)
+    # The axis of `actions` that goes with the states: it has one only where these differ in their actions.
     of_states = None if available is None else 0
     prob, outcome = jax.vmap(jax.vmap(env.outcomes, (None, 0)), (0, of_states))(states, actions)
     return Model(
@@ -73,7 +74,7 @@ _kept: dict[Any, Any] = {}
 
 
 def once_for_an_environment(work: Callable[..., T]) -> Callable[..., T]:
-    """`work(env, *numbers)`, which is done once for an environment: the last results are kept, `KEPT_BYTES` of them.
+    """`work(env, *numbers)`, done once for an environment: the last results are kept, up to `KEPT_BYTES`.
 
     They are found again by value, not by identity: by the class of `env`, what is static in it, and a checksum of
     its arrays. So an environment that is made twice is worked out once, and one whose arrays were written to anew.
@@ -84,20 +85,21 @@ def once_for_an_environment(work: Callable[..., T]) -> Callable[..., T]:
     def remembered(env: Any, *numbers: Any) -> T:
         try:
             key = work, _value(env), tuple((type(x), x) for x in numbers)
-            found = _kept.get(key)
-        except (TypeError, ValueError):  # a key of JAX in it is no array, and not everything can be compared
+            result = _kept.get(key)
+        # A key of JAX in it is no array, not everything can be compared, and a list may hold itself.
+        except (TypeError, ValueError, SystemError):
             return work(env, *numbers)
-        if found is None:
-            _kept[key] = found = work(env, *numbers)
+        if result is None:
+            _kept[key] = result = work(env, *numbers)
             while memory.size(list(_kept.values())) > KEPT_BYTES:
                 _kept.pop(next(iter(_kept)), None)
-        return found
+        return result
 
     return remembered
 
 
 def _value(env: Any) -> tuple:
-    """The value of a pytree, as a key."""
+    """A key for a pytree: equal where structure, types and the contents of all arrays are equal."""
     leaves, structure = jax.tree.flatten(env)
     arrays = [np.ascontiguousarray(x) for x in leaves]
     digests = [hashlib.sha256(x.view(np.uint8).data).digest() for x in arrays]
@@ -191,7 +193,7 @@ def backup(model: Model, v: Float[Any, "... S"], gamma: Any) -> Float[Any, "... 
     `model` and `v` are either NumPy or JAX arrays; gamma' is 0 where the outcome is terminal. The value of an
     action that is not available is UNAVAILABLE.
     """
-    over = model.terminal | (model.prob == 0)  # 0 x -inf is nothing here
+    over = model.terminal | (model.prob == 0)  # so that 0 times -inf counts as 0
     v_next = array_module(model).where(over, 0, v[..., model.s_next])
     return available_only(model, (model.prob * (model.reward + gamma * v_next)).sum(-1))
 
@@ -227,13 +229,13 @@ def available_only(model: Model, q: Float[Any, "... S A"]) -> Float[Any, "... S 
 
 
 def with_sizes(model: Model) -> Model:
-    """The same with all rewards taken as positive: to see how large the numbers are that are added up."""
+    """The model with |r| for every reward r: its values tell how large the numbers are that are added up."""
     return model._replace(reward=abs(model.reward))
 
 
 # What leads where.
 def settle(change: Callable[[Any], Any], states: Any) -> Bool[Any, " S"]:
-    """Applies `change`, which only adds or only removes, to a set of states, bool [S], until it stays."""
+    """Applies `change`, which only adds or only removes states, to a set, bool [S], until nothing changes."""
     carry = states, change(states)
     return lax.while_loop(lambda c: (c[0] != c[1]).any(), lambda c: (c[1], change(c[1])), carry)[1]
 

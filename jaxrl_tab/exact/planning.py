@@ -233,8 +233,8 @@ def value_iteration(
     """
     check_within("gamma", gamma, RATE)
     check_within("tol", tol, {"greater_than": 0})
-    model, found, out = _solved(env, 0.0, gamma)
-    v, terms = found.v, (found.probs * backup(with_sizes(model), abs(found.v), gamma)).sum(1)
+    model, last, out = _solved(env, 0.0, gamma)
+    v, terms = last.v, (last.probs * backup(with_sizes(model), abs(last.v), gamma)).sum(1)
     rounding = ROUNDING * np.finfo(v.dtype).eps * terms
     old, ratio = np.inf, 1.0
     for _ in range(max_sweeps):
@@ -282,12 +282,12 @@ def epsilon_soft(
     """
     check_within("epsilon", epsilon, RATE)
     check_within("gamma", gamma, RATE)
-    _, found, out = _solved(env, epsilon, gamma)
-    return found.probs.copy(), _unless(out, found.v), _unless(out, found.q)
+    _, last, out = _solved(env, epsilon, gamma)
+    return last.probs.copy(), _unless(out, last.v), _unless(out, last.q)
 
 
 def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
-    """The largest |R_1 + gamma R_2 + ...| that so many steps or fewer can give, if chance and actions will.
+    """The largest |R_1 + gamma R_2 + ...| that so many steps or fewer can give, by any actions and outcomes.
 
     What the steps after the first `PATH_SWEEPS` can add is bounded by what the last of these could: with each
     step more a path can gain no more than with the step before.
@@ -320,27 +320,27 @@ def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "Rou
     is no finite answer.
     """
     model = exact_model(env)
-    found, out = iterate_policies(model, epsilon, gamma), np.zeros(len(model.start), bool)
-    if found.caught.any() and not (found.caught & (there := reachable(model))).any():
-        out = ~there
+    last, out = iterate_policies(model, epsilon, gamma), np.zeros(len(model.start), bool)
+    if last.caught.any() and not (last.caught & (is_reachable := reachable(model))).any():
+        out = ~is_reachable
         model = ending_at(model, out)
-        found = iterate_policies(model, epsilon, gamma)
-    if found.caught.any():
+        last = iterate_policies(model, epsilon, gamma)
+    if last.caught.any():
         where, who = (
-            f"{name_of(env)}: from state {first(found.caught)[0]}",
+            f"{name_of(env)}: from state {first(last.caught)[0]}",
             "epsilon-soft " if epsilon else "",
         )
-        said = (
+        why = (
             "a round trip earns more than it costs"
-            if found.n
+            if last.n
             else f"no {who}policy ever ends and rewards go on"
         )
         raise InputError(
-            f"{where} {said}, so at gamma = 1 the optimal value is not finite; take gamma below 1"
+            f"{where} {why}, so at gamma = 1 the optimal value is not finite; take gamma below 1"
         )
-    if found.better.any():
+    if last.better.any():
         raise InputError(f"{name_of(env)}: policy iteration did not settle in {MAX_ROUNDS} rounds")
-    return model, found, out
+    return model, last, out
 
 
 def _unless(out: Bool[np.ndarray, " S"], values: Float[np.ndarray, "S *A"]) -> Float[np.ndarray, "S *A"]:

@@ -15,7 +15,7 @@ RESAMPLES = 1999  # of every bootstrap: both 2.5% points are an order statistic
 
 
 def standard_error(z: np.ndarray) -> np.ndarray:
-    """Of the mean of each row, from deviations z [c, n] from it: [c]."""
+    """The standard error of the mean of each row, [c], from the deviations z [c, n] from that mean."""
     n = z.shape[-1]
     return np.sqrt((z**2).sum(-1) / (n - 1) / n)
 
@@ -55,7 +55,7 @@ def _weights(n: int) -> np.ndarray:
 
 
 def resampled(n: int, of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """`of(weights)`, [..., resamples], of the same resamples as in `_weights`, of some at a time if n is large."""
+    """`of(weights)`, [..., resamples], for the resamples of `_weights`, in blocks of them if n is large."""
     if len(blocks(RESAMPLES, n)) == 1:
         return of(_weights(n))
     rng = np.random.default_rng(0)

@@ -268,7 +268,7 @@ def seeds_needed(
         return float(stats.nct.sf(critical, degrees, shift) + stats.nct.cdf(-critical, degrees, shift))
 
     z = stats.norm.ppf((1 + confidence) / 2) + stats.norm.ppf(power)
-    n = max(2, int(groups * (z / effect) ** 2))  # were sd known, never too many
+    n = max(2, int(groups * (z / effect) ** 2))  # enough if sd were known exactly, so never too many
     while reached(n) < power:
         n += 1
     return n

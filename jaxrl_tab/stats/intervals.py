@@ -1,4 +1,4 @@
-"""Intervals of a mean, a median, single runs; which holds where is said in the package."""
+"""Intervals for means, medians and single runs; the docstring of the package says where each holds."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -208,28 +208,29 @@ def simultaneous_interval(
     tails = tail_probabilities(confidence)
     bounds = np.full((2, *values.shape[:2]), np.nan)
     for curve, low, high in zip(values, *bounds, strict=True):
-        found = {}
+        places = {}
         for i, at in enumerate(curve):
-            there = ~np.isnan(at)
-            if there.sum() >= 2 and not np.isinf(at).any():
-                z = np.where(there, at - (centre := at[there].mean()), 0)
-                found[i] = centre, standard_error(z[None, there])[0], there, z
+            valid = ~np.isnan(at)
+            if valid.sum() >= 2 and not np.isinf(at).any():
+                z = np.where(valid, at - (centre := at[valid].mean()), 0)
+                places[i] = centre, standard_error(z[None, valid])[0], valid, z
         # Where there is no spread there is nothing to be wrong about.
-        spread = [(there, z) for _, error, there, z in found.values() if error > 0]
+        spread = [(valid, z) for _, error, valid, z in places.values() if error > 0]
 
+        # A default keeps the `spread` of this turn of the loop.
         def extremes(weights: np.ndarray, spread=spread) -> np.ndarray:
             """The largest and the smallest t of each resample, [2, resamples]."""
-            found = np.zeros((2, len(weights)))
-            for there, z in spread:
-                drawn = weights[:, there]
-                t = studentised(z[None, there], drawn / np.maximum(drawn.sum(-1, keepdims=True), 1 / n))[0]
-                found = np.maximum(found[0], t), np.minimum(found[1], t)
-            return np.stack(list(found))
+            ends = np.zeros((2, len(weights)))
+            for valid, z in spread:
+                drawn = weights[:, valid]
+                t = studentised(z[None, valid], drawn / np.maximum(drawn.sum(-1, keepdims=True), 1 / n))[0]
+                ends = np.maximum(ends[0], t), np.minimum(ends[1], t)
+            return np.stack(list(ends))
 
         largest, smallest = resampled(n, extremes)
         above = np.quantile(largest, tails[1], method="higher")
         below = np.quantile(smallest, tails[0], method="lower")
-        for i, (centre, error, *_) in found.items():
+        for i, (centre, error, *_) in places.items():
             low[i], high[i] = (
                 (centre - above * error, centre - below * error) if error > 0 else (centre, centre)
             )

@@ -46,7 +46,7 @@ class Settings:
 
     @classmethod
     def of(cls, ds: "Sweep", by: Measure = score) -> "Settings":
-        """The settings of a sweep; or those given, of which something may have been worked out already."""
+        """The settings of a sweep; `ds` itself where it is Settings, with what it has worked out already."""
         return ds if isinstance(ds, Settings) else cls(ds, by)
 
     @cached_property
@@ -80,11 +80,11 @@ class Settings:
         """The best setting alone."""
         return Settings(self.ds.sel(self.best), self.by)
 
-    def once(self, of: Callable[..., T], *given: Any) -> T:
-        """`of(ds, *given)`, such as `curve_interval` of so many points: worked out once, however often it is drawn."""
-        key = of, given
+    def once(self, of: Callable[..., T], *arguments: Any) -> T:
+        """`of(ds, *arguments)`, such as `curve_interval`: worked out once, however often it is drawn."""
+        key = of, arguments
         if key not in self._once:
-            self._once[key] = of(self.ds, *given)
+            self._once[key] = of(self.ds, *arguments)
         return self._once[key]
 
     @cached_property
@@ -109,7 +109,7 @@ class Settings:
 
     @cached_property
     def _intervals(self) -> Callable[[float], Interval]:
-        return cache(self._interval)
+        return cache(self._interval)  # a cache of this object, which goes when it does
 
     def _interval(self, confidence: float) -> Interval:
         good = self._higher_is_better
@@ -140,7 +140,7 @@ class Settings:
 Sweep = xr.Dataset | Settings
 
 
-def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
+def best(ds: xr.Dataset, by: Measure = score, **held: Any) -> dict[str, Any]:
     """The combination of hyperparameters with the best mean `score`: the highest return, the lowest error.
 
     All are compared on all their seeds: `score` says how unfinished and diverged runs count. A setting at
@@ -170,28 +170,28 @@ def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
     Args:
         ds: a sweep.
         by: what to choose by, a number for each seed; of prediction lower is better, else higher.
-        given: hyperparameters to hold at one of their values; the best of the others is looked for.
+        held: hyperparameters to hold at one of their values; the best values of the others are looked for.
 
     Returns:
         A value for each of `hyperparameters(ds)`, fit for `ds.sel`; of drawn ones the label of the draw.
 
     Raises:
-        InputError: a given name was not swept, or not at that value.
+        InputError: a hyperparameter that is held was not swept, or not at that value.
     """
     names = hyperparameters(ds)
-    for name, value in given.items():
+    for name, value in held.items():
         if name not in names:
             how = "drawn together with others: hold draw" if name in drawn(ds) else "not swept"
             raise InputError(f"{name} was {how}; swept were {name_list(names)}")
         if value not in ds[name].values.tolist():
             tried = ", ".join(map(repr, ds[name].values.tolist()))
             raise InputError(f"{name} was not swept at {value!r}; there are {tried}")
-    found = Settings(ds.sel(given), by).best
-    return {name: given.get(name, found.get(name)) for name in names}
+    chosen = Settings(ds.sel(held), by).best
+    return {name: held.get(name, chosen.get(name)) for name in names}
 
 
 def ranked(datasets: Mapping[str, Sweep]) -> list[str]:
-    """The names of the methods, that whose best setting is the best of all first: by the rule of `best`."""
+    """The names of the methods by their best settings, the best first, as the rule of `best` orders them."""
 
     methods = {name: Settings.of(ds) for name, ds in datasets.items()}
 
@@ -225,18 +225,18 @@ def at_edge(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, str]:
     and where nothing lies beyond: below 0, below one step of n, and above 1 of what is a probability or a
     discount.
     """
-    found = {}
+    edges = {}
     for name in hyperparameters(ds):
         tried = ds[name].values
         if name == "draw" or tried.dtype.kind not in "fiu" or len(tried) < 2:
             continue
         if setting[name] == tried.max() and not (name in ("epsilon", "lam", "gamma") and tried.max() == 1):
-            found[name] = "largest"
+            edges[name] = "largest"
         elif setting[name] == tried.min() and tried.min() not in (
             (0, 1) if tried.dtype.kind in "iu" else (0,)
         ):
-            found[name] = "smallest"
-    return found
+            edges[name] = "smallest"
+    return edges
 
 
 def score_interval(ds: xr.Dataset, confidence: float = 0.95, by: Measure = score) -> Interval:
@@ -293,8 +293,8 @@ def differences(datasets: Mapping[str, Sweep], confidence: float = 0.95) -> dict
 
     Returns:
         For each method, that with the best mean first, its `paired_difference` from the first, with `worst` as
-        `standstill` has it; for the first itself there is none, it is left out. Empty where there is but one
-        method, or where their seeds are not the same.
+        `standstill` has it; the first itself is left out. Empty where there is but one method, or where their
+        seeds are not the same.
     """
     methods = {name: Settings.of(ds) for name, ds in datasets.items()}
     prediction = all(settings.prediction for settings in methods.values())
@@ -305,15 +305,15 @@ def differences(datasets: Mapping[str, Sweep], confidence: float = 0.95) -> dict
     at = {name: own.merit.sel(own.best).reset_coords(drop=True) for name, own in methods.items()}
     first, *others = ranked(methods)
     worst = min(float(settings.once(standstill).min()) for settings in methods.values())
-    found = {}
+    results = {}
     for name in others:
         (mean, low, high, n), p, reduction = paired_difference(
             at[name], at[first], confidence=1 - (1 - confidence) / pairs, worst=worst
         )
         if prediction:
             mean, low, high = -mean, -high, -low
-        found[name] = Difference(Interval(mean, low, high, n), (p * pairs).clip(max=1), reduction)
-    return found
+        results[name] = Difference(Interval(mean, low, high, n), (p * pairs).clip(max=1), reduction)
+    return results
 
 
 def pairs_to_correct(settings: Sequence[int]) -> int:
@@ -367,11 +367,15 @@ def selection(ds: Sweep, fresh: Sweep, by: Measure = score, confidence: float = 
             at = at.sel({name: value})
         elif (
             name != "draw"
-            and (got := fixed(at).get(name, at[name].item() if name in at.coords else None)) != value
-            and not (isinstance(got, float) and typed(got) == value)  # as on an axis beside schedules
+            and (actual := fixed(at).get(name, at[name].item() if name in at.coords else None)) != value
+            and not (isinstance(actual, float) and typed(actual) == value)  # as on an axis beside schedules
         ):
-            raise InputError(f"the fresh runs must have {name} = {value}, not {got}")
+            raise InputError(f"the fresh runs must have {name} = {value}, not {actual}")
     promised = Interval(*(part.sel(setting) for part in settings.interval_at(confidence)))
-    found = (again if at is fresh else Settings(at, settings.by)).interval_at(confidence)
-    off = (promised.estimate - found.estimate, promised.estimate - found.high, promised.estimate - found.low)
-    return Selection(setting, promised, found, Interval(*off, found.n))
+    reported = (again if at is fresh else Settings(at, settings.by)).interval_at(confidence)
+    off = (
+        promised.estimate - reported.estimate,
+        promised.estimate - reported.high,
+        promised.estimate - reported.low,
+    )
+    return Selection(setting, promised, reported, Interval(*off, reported.n))
