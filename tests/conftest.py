@@ -16,7 +16,10 @@ import jax
 
 jax.config.update("jax_num_cpu_devices", 2)  # whatever the machine has: results must not depend on it
 
+import annotations  # of the tests
 import pytest
+
+annotations.check()
 
 import jaxrl_tab as rl
 

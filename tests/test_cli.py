@@ -148,7 +148,7 @@ def asked(monkeypatch):
     """The data of the experiments that were asked for, none of which is run."""
     experiments = []
     monkeypatch.setattr(
-        sweep_module, "_conduct", lambda experiment, *_: experiments.append(experiment.data())
+        sweep_module, "_conduct", lambda experiment, *_: experiments.append(experiment.data()) or 0
     )
     return experiments
 
@@ -179,7 +179,7 @@ def test_glie_is_one_over_the_number_of_the_episode(asked):
     call("sweep windy-gridworld sarsa --epsilon glie")
     epsilon = rl.schedules.parse(asked[0]["method"][0]["epsilon"])
     assert epsilon.clock == "episode"
-    assert float(epsilon(4)) == 0.25
+    assert float(epsilon(jax.numpy.int32(4))) == 0.25
 
 
 def test_sweep_records_exact_values_and_schedules(tmp_path):

@@ -289,7 +289,7 @@ def test_mdp_keeps_float64():
     env = ENVIRONMENTS["finite mdp"]
     assert env.prob.dtype == env.reward.dtype == env.start_prob.dtype == np.float64
     with jax.enable_x64(True):
-        prob, _ = env.outcomes(1, 1)
+        prob, _ = env.outcomes(jnp.int32(1), jnp.int32(1))
         assert sorted(prob.tolist()) == [0.2, 0.3, 0.5]
 
 

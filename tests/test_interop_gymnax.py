@@ -268,7 +268,7 @@ def test_states_are_found_by_sampling_where_it_must_be():
     assert env.is_state.tolist() == [True] * 5 + [False] * 2
     assert np.flatnonzero(env.is_terminal).tolist() == [0, 4]
     s_next, reward, terminal = jax.vmap(env.step, (0, None, None))(
-        jax.random.split(jax.random.key(0), 500), 3, 1
+        jax.random.split(jax.random.key(0), 500), jnp.int32(3), jnp.int32(1)
     )
     count = np.bincount(s_next, minlength=5)[[2, 4]]
     assert sampling.p_value(count, 500 * np.array([0.308538, 0.691462])) > 0.001
@@ -280,7 +280,8 @@ def test_states_are_found_by_sampling_where_it_must_be():
 def test_a_state_that_was_never_met_is_not_passed_off_as_another():
     env = from_gymnax(Walk())
     unknown = env.__class__(**{**vars(env), "is_state": env.is_state & (np.arange(7) != 1)})
-    _, reward, _ = jax.vmap(unknown.step, (0, None, None))(jax.random.split(jax.random.key(0), 50), 2, 0)
+    keys = jax.random.split(jax.random.key(0), 50)
+    _, reward, _ = jax.vmap(unknown.step, (0, None, None))(keys, jnp.int32(2), jnp.int32(0))
     assert 0 < np.isnan(reward).sum() < 50
 
 

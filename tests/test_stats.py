@@ -12,8 +12,6 @@ from jaxrl_tab import stats
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.stats import along
 
-pytestmark = pytest.mark.filterwarnings("error")
-
 
 def make_dataset(steps, episodes, returns, alphas=(0.1, 0.5)):
     """What `sweep` would give for these logs, [alphas, seeds, rows]; Q is zero, of 2 states and 2 actions."""

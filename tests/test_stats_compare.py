@@ -8,7 +8,6 @@ from scipy import stats as oracle
 import jaxrl_tab as rl
 from jaxrl_tab import stats
 
-pytestmark = pytest.mark.filterwarnings("error")
 nan, inf = np.nan, np.inf
 
 

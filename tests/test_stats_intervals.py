@@ -9,8 +9,6 @@ import jaxrl_tab as rl
 from jaxrl_tab import stats
 from jaxrl_tab.stats import along, bootstrap, intervals
 
-pytestmark = pytest.mark.filterwarnings("error")
-
 TIMES = xr.DataArray(
     np.random.default_rng(0).gamma(2.0, size=(3, 12, 4)),
     dims=("alpha", "seed", "row"),

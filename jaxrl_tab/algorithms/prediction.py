@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
 from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
@@ -32,6 +32,7 @@ from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import (
+    Available,
     Environment,
     Task,
     Transition,
@@ -58,11 +59,11 @@ class ValueState(NamedTuple):
     target: Float[Array, "S A"] | None
 
     @property
-    def q(self) -> Float[Array, "S 1"]:
+    def q(self) -> Float[Any, "... S 1"]:
         return self.learner.q
 
     @property
-    def v(self) -> Float[Array, " S"]:
+    def v(self) -> Float[Any, "... S"]:
         """V, float [S]; of a batch of learners [..., S]."""
         return self.learner.q[..., 0]
 
@@ -100,7 +101,7 @@ class Prediction:
         shared = {name: x for name, x in vars(self).items() if name in names - {"behaviour"}}
         return self.method(q0=self.v0, **shared, **policies)
 
-    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+    def restricted_to(self, available: Available, **more: Any) -> Self:
         """The method where states have these actions only, as `TDControl.restricted_to`."""
         return dataclasses.replace(self, pi=_among(self.pi, available), **more)
 
@@ -198,7 +199,7 @@ class OffPolicyPrediction(Prediction):
             any_action = EpsilonGreedy(1.0)
             check_coverage(type(self).__name__, any_action if self.pi is None else self.pi, self.behaviour)
 
-    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+    def restricted_to(self, available: Available, **more: Any) -> Self:
         return super().restricted_to(available, behaviour=_among(self.behaviour, available), **more)
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
@@ -292,7 +293,7 @@ def _as_table(obj: Any, name: str) -> None:
         raise error.renamed(who, name) from None
 
 
-def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:
+def _among(table: Table | None, available: Available) -> Table:
     return policies.uniform(available) if table is None else restricted(table, available)
 
 

@@ -20,6 +20,9 @@ from jaxtyping import Array
 
 T = TypeVar("T")
 
+Marks: TypeAlias = np.ndarray | np.bool_
+"""Where something is so. What NumPy finds of one number has no axes, and is a scalar."""
+
 
 class InputError(ValueError):
     """Something that the user gave is wrong; the message is one line that says what would be right.
@@ -167,7 +170,7 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
         if parameter not in names:
             wanted = nearest(parameter, names)
             problem = f"{name} has no parameter {shown(parameter)}; {wanted}"
-            raise InputError(problem, field=parameter, wanted=wanted)
+            raise InputError(problem, field=str(parameter), wanted=wanted)
     is_ours = cls.__module__.partition(".")[0] == __name__.partition(".")[0]
     try:
         return cls(**parameters)
@@ -202,7 +205,7 @@ def is_distribution(prob: np.ndarray) -> Any:
     return (prob >= 0).all(-1) & (abs(prob.sum(-1) - 1) < TOLERANCE)
 
 
-def first(wrong: np.ndarray) -> Any:
+def first(wrong: Marks) -> Any:
     """The index of the first True, as a tuple of int, or None: what a message about an array names."""
     return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
 
@@ -353,7 +356,7 @@ def in_words(limits: Mapping[str, float]) -> str:
     return " and ".join(f"{words} {limits[name]}" for name, (words, _) in LIMITS.items() if name in limits)
 
 
-def within(limits: Mapping[str, float], number: np.ndarray) -> np.ndarray:
+def within(limits: Mapping[str, float], number: np.ndarray) -> Marks:
     """Where numbers are finite and within the limits, bool of their shape."""
     return np.logical_and.reduce(
         [np.isfinite(number), *(LIMITS[name][1](number, limit) for name, limit in limits.items())]
@@ -373,7 +376,8 @@ def check_within(name: str, value: Any, limits: Mapping[str, float]) -> None:
 def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
     """`value`, unless it is neither a number, nor an array of them, nor a tracer.
 
-    All must be within the limits, and stay within them in the precision in which JAX computes.
+    All must be within the limits, and stay within them in the precision in which JAX computes. Arrays of other
+    libraries become arrays of NumPy, for JAX takes no others.
     """
     name, limits = field.name, field.metadata["limits"]
     number = np.empty(0, object) if isinstance(value, list | tuple) else as_array(value)
@@ -398,7 +402,7 @@ def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: s
         problem = f"{name} must be {wanted}, and {shown(value)} is not when rounded to {dtype}"
     if problem:
         raise InputError(problem, who=who, field=name, wanted=wanted, value=value)
-    return value
+    return value if isinstance(value, float | int | np.generic | np.ndarray | Array) else number
 
 
 def _whole(who: str | None, field: dataclasses.Field, value: Any) -> int:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxrl_tab.core import clock
-from jaxrl_tab.core.checks import InputError, concrete, first
+from jaxrl_tab.core.checks import InputError, Marks, concrete, first
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Policy, Softmax, Table
 
 
@@ -52,7 +52,7 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
     raise InputError(problem, who=what, field="behaviour")
 
 
-def _left_out(policy: Policy) -> np.ndarray | None:
+def _left_out(policy: Policy) -> Marks | None:
     """Where the probability of a policy is 0, or can be 0 for some Q, bool [S, A].
 
     The answer is a single bool [] for all entries where they do not differ, and None where the numbers that
@@ -74,7 +74,7 @@ def _left_out(policy: Policy) -> np.ndarray | None:
     return None
 
 
-def _available(policy: EpsilonGreedy) -> np.ndarray | None:
+def _available(policy: EpsilonGreedy) -> Marks | None:
     """The available actions, bool [S, A], or True [] where all are; None where they are traced."""
     available = np.array(True) if policy.available is None else concrete(policy.available)
     return None if available is None else available > 0

@@ -5,12 +5,13 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int, Num
+from numpy.typing import ArrayLike
 
 from jaxrl_tab.core.checks import InputError, assign, concrete, first, numbers, shown, whole
 from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.pytree import pytree
-from jaxrl_tab.core.types import Transition
+from jaxrl_tab.core.types import Available, Transition
 
 NAME = "Experience"
 WHOLE, REAL = ("iu", "whole numbers"), ("iuf", "numbers")  # kinds of dtypes
@@ -41,7 +42,7 @@ class Experience:
 
     s: Int[Any, " N"]
     a: Int[Any, " N"]
-    r: Float[Any, " N"]
+    r: Num[Any, " N"]
     s_next: Int[Any, " N"]
     terminal: Bool[Any, " N"]
     last: Bool[Any, " N"] | Any = None
@@ -83,7 +84,7 @@ class Experience:
 
     @classmethod
     def from_episodes(
-        cls, episodes: Sequence[tuple[Any, Any, Any]], terminal: bool | Bool[Any, " E"] = True
+        cls, episodes: Sequence[tuple[Any, Any, Any]], terminal: ArrayLike = True
     ) -> "Experience":
         """The experience of E episodes S_0, A_0, R_1, S_1, A_1, R_2, ..., S_T.
 
@@ -123,9 +124,7 @@ class Experience:
         return cls(s, a, r, s_next, _terminal_ends(terminal, last), last)
 
     @classmethod
-    def from_padded(
-        cls, s: Any, a: Any, r: Any, lengths: Int[Any, " E"], terminal: bool | Bool[Any, " E"] = True
-    ) -> "Experience":
+    def from_padded(cls, s: Any, a: Any, r: Any, lengths: Any, terminal: ArrayLike = True) -> "Experience":
         """The experience of E episodes in arrays as long as the longest of them.
 
         Args:
@@ -182,7 +181,7 @@ class Experience:
                 "behaviour policy never does; it is not the policy that acted"
             )
 
-    def check_available(self, available: Bool[Any, "S A"]) -> None:
+    def check_available(self, available: Available) -> None:
         """Raises InputError where an action was taken that its state does not have; traced ones pass."""
         is_available, s, a = (concrete(x) for x in (available, self.s, self.a))
         if is_available is None or s is None or a is None:

@@ -43,7 +43,7 @@ from jaxrl_tab.core.checks import (
 )
 from jaxrl_tab.core.clock import Clock, Rate, exploration, goes_by_visit, of_state
 from jaxrl_tab.core.pytree import field, pytree
-from jaxrl_tab.core.types import check_available
+from jaxrl_tab.core.types import Available, check_available
 
 # The value of an action that a state does not have: never the maximum, and of weight 0 in a softmax. It is
 # finite because 0 times it must be 0. Nothing is learned about such an action, so the value never changes.
@@ -198,7 +198,7 @@ class _Anywhere:
     def check(self, num_states: int, num_actions: int) -> None:
         pass
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         return self
 
     def __str__(self) -> str:
@@ -252,7 +252,7 @@ class EpsilonGreedy(_Anywhere):
         if self.available is not None:
             _check_table("EpsilonGreedy", "available", self.available, num_states, num_actions)
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         if self.available is not None:
             _check_table("EpsilonGreedy", "available", self.available, *np.shape(available))
             available = (jnp.asarray(self.available) > 0) & available
@@ -333,13 +333,13 @@ class Table:
     def check(self, num_states: int, num_actions: int) -> None:
         _check_table("Table", "probabilities", self.probabilities, num_states, num_actions)
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         self.check(*np.shape(available))
         check_among("Table: probabilities", self.probabilities, available)
         return self
 
-    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
-        return tables.row(jnp.asarray(self.probabilities, float), s)
+    def probs(self, q: Float[Array, " _"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return tables.row(jnp.asarray(self.probabilities, float), s)  # where v is learned, `q` is v(s) alone
 
 
 def as_table(name: str, policy: Any, shape: tuple[int, ...] | None = None) -> Table:
@@ -357,7 +357,7 @@ def as_table(name: str, policy: Any, shape: tuple[int, ...] | None = None) -> Ta
     return table
 
 
-def uniform(available: Bool[Array, "S A"]) -> Table:
+def uniform(available: Available) -> Table:
     """The policy that takes all actions of a state that are available with equal probability."""
     is_available = jnp.asarray(available, float)
     return Table(is_available / is_available.sum(1, keepdims=True))

@@ -284,7 +284,7 @@ def forms() -> str:
     return f"one of {written}, where CLOCK is one of {', '.join(CLOCKS)}"
 
 
-def typed(rate: Rate) -> str | None:
+def typed(rate: Any) -> str | None:
     """A number or a schedule as it is typed, "0.1"; None where it is a batch of numbers, or traced."""
     if isinstance(rate, Schedule):
         return str(rate)

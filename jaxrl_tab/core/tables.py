@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
-from jaxtyping import Array, Int, Num, UInt32
+from jaxtyping import Array, Int, Shaped, UInt32
 
 T = TypeVar("T")
 
@@ -25,29 +25,29 @@ GROUP = 8  # lanes in one turn of a loop over lanes: fewer do not hide what a tu
 LONG_ROW = 16  # rows with more entries than this are left to XLA
 
 
-def row(table: Num[Array, "S A"], s: Int[Array, ""]) -> Num[Array, " A"]:
+def row(table: Shaped[Array, "S A"], s: Int[Array, ""]) -> Shaped[Array, " A"]:
     """`table[s]`, [A]. `s` must be a state: it is not checked."""
     return entry(table, s)
 
 
-def entry(table: Num[Array, "..."], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def entry(table: Shaped[Array, "..."], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     """`table[index]`, [] where there is an index for each axis. They must be in range: it is not checked."""
     return _read(jnp.asarray(table), *index)
 
 
 def add(
-    table: Num[Array, "S A"], s: Int[Array, ""], a: Int[Array, ""], x: Num[Array, ""]
-) -> Num[Array, "S A"]:
+    table: Shaped[Array, "S A"], s: Int[Array, ""], a: Int[Array, ""], x: Shaped[Array, ""]
+) -> Shaped[Array, "S A"]:
     """`table` with `x` added to entry (s, a). Both must be in range: they are not checked."""
     return put(table, entry(table, s, a) + x.astype(table.dtype), s, a)
 
 
-def put(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def put(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     """`table` with entry `index` set to `x`. The index must be in range: it is not checked."""
     return _write(table, x.astype(table.dtype), *index)
 
 
-def write(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def write(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     """`table` with entry `index` set to `x`, inside the body of `lane_by_lane` and other plain loops."""
     block = x.astype(table.dtype).reshape((1,) * table.ndim)
     index = tuple(x.astype(jnp.int32) for x in index)  # of one type, also under x64
@@ -118,7 +118,7 @@ def _all_true(tables: Any) -> Any:
 
 
 @custom_vmap
-def _read(table: Num[Array, "..."], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def _read(table: Shaped[Array, "..."], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
@@ -130,7 +130,7 @@ def _read_rule(axis_size, batched, table, *index):
 
 
 @custom_vmap
-def _write(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def _write(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     return write(table, x, *index)
 
 
@@ -166,7 +166,7 @@ def _merge(axis_size: int, has_lanes: bool, entries: Array, at: Array) -> tuple[
 
 
 @custom_vmap
-def _read_list(entries: Num[Array, "N ..."], at: UInt32[Array, "..."]) -> Num[Array, "..."]:
+def _read_list(entries: Shaped[Array, "N ..."], at: UInt32[Array, "..."]) -> Shaped[Array, "..."]:
     """`entries[at]`."""
     if _lane_by_lane() and math.prod(entries.shape[1:]) <= LONG_ROW:
         return _read_lanes(entries, at.ravel()).reshape(*at.shape, *entries.shape[1:])
@@ -181,8 +181,8 @@ def _read_list_rule(axis_size, batched, entries, at):
 
 @custom_vmap
 def _write_list(
-    entries: Num[Array, " N"], at: UInt32[Array, "..."], x: Num[Array, "..."]
-) -> Num[Array, " N"]:
+    entries: Shaped[Array, " N"], at: UInt32[Array, "..."], x: Shaped[Array, "..."]
+) -> Shaped[Array, " N"]:
     """`entries` with `x` at `at`."""
     if _lane_by_lane():
         return _write_lanes(entries, at.ravel(), x.ravel())
@@ -195,11 +195,13 @@ def _write_list_rule(axis_size, batched, entries, at, x):
     return _write_list(*_merge(axis_size, True, entries, at), x).reshape(entries.shape), True
 
 
-def _read_one(entries: Num[Array, "N ..."], at: UInt32[Array, ""]) -> Num[Array, "..."]:
+def _read_one(entries: Shaped[Array, "N ..."], at: UInt32[Array, ""]) -> Shaped[Array, "..."]:
     return lax.dynamic_index_in_dim(entries, at, keepdims=False, allow_negative_indices=False)
 
 
-def _write_one(entries: Num[Array, " N"], at: UInt32[Array, ""], x: Num[Array, ""]) -> Num[Array, " N"]:
+def _write_one(
+    entries: Shaped[Array, " N"], at: UInt32[Array, ""], x: Shaped[Array, ""]
+) -> Shaped[Array, " N"]:
     return lax.dynamic_update_slice(entries, x[None], (at,), allow_negative_indices=False)
 
 

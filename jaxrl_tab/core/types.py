@@ -5,7 +5,7 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 """
 
 import inspect
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,9 @@ from jaxrl_tab.core.declared import of_environment
 T = TypeVar("T")
 
 L = TypeVar("L")
+
+Available: TypeAlias = Bool[Array, "S A"] | Bool[np.ndarray, "S A"]
+"""Which actions there are in each state."""
 
 
 # --- what environments and methods exchange ----------------------------------------------------------
@@ -121,6 +124,7 @@ class FiniteEnvironment(Environment, Protocol):
         ...
 
 
+@runtime_checkable
 class Algorithm(Protocol[L]):
     """A control method: a frozen pytree. The instance *is* its hyperparameters, so `vmap` batches them.
 
@@ -175,7 +179,7 @@ def available_actions(env: Any) -> Bool[Array, "S A"] | None:
     return is_available
 
 
-def stand_ins(available: Bool[Array, "S A"]) -> Int[Array, "S A"]:
+def stand_ins(available: Available) -> Int[Array, "S A"]:
     """What replaces each action, int32 [S, A]: itself where it is available, else the first that is."""
     actions = jnp.arange(available.shape[1], dtype=jnp.int32)
     return jnp.where(
@@ -196,7 +200,7 @@ def check_available(what: str, available: Any, num_states: int, num_actions: int
         raise InputError(f"{what} must name an action in every state, in terminal ones too; {s[0]} has none")
 
 
-def restricted(chooser: T, available: Bool[Array, "S A"] | None) -> T:
+def restricted(chooser: T, available: Available | None) -> T:
     """A method or a policy that takes these actions only; unchanged where `available` is None, meaning all.
 
     Raises:

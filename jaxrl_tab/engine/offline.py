@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.algorithms.td import TDControl
@@ -29,6 +29,7 @@ from jaxrl_tab.core.policies import Policy, Table, as_table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import (
     Algorithm,
+    Available,
     Environment,
     Task,
     Transition,
@@ -45,7 +46,7 @@ L = TypeVar("L")
 
 # --- learning from it --------------------------------------------------------------------------------
 def learn(
-    key: Key[Array, ""],
+    key: PRNGKeyArray,
     algorithm: Algorithm[L],
     experience: Experience,
     num_states: int,
@@ -86,7 +87,7 @@ def learn(
 
 
 def replay(
-    key: Key[Array, ""],
+    key: PRNGKeyArray,
     algorithm: Algorithm[L],
     experience: Experience,
     num_states: int,
@@ -202,7 +203,7 @@ def _replay(key, algorithm, experience, task, num_updates):
 
 # --- logging a run -----------------------------------------------------------------------------------
 def collect(
-    key: Key[Array, ""], behaviour: Algorithm | Table | Float[Any, "S A"], env: Environment, num_steps: int
+    key: PRNGKeyArray, behaviour: Algorithm | Table | Float[Any, "S A"], env: Environment, num_steps: int
 ) -> Experience:
     """Logs what a method or a fixed policy does in an environment.
 
@@ -280,7 +281,7 @@ class _Logged:
     def exploring_starts(self) -> bool:
         return of_method(self.method).exploring_starts
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         return self  # its method was, before it began
 
     def init(self, num_states: int, num_actions: int) -> _LoggedState:

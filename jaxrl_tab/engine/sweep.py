@@ -40,8 +40,8 @@ from jaxrl_tab.show.progress import Progress, Report, reporting
 
 
 def sweep(
-    env: Environment,
-    algorithm: type[Algorithm] | str,
+    env: Environment | type[Algorithm] | str,
+    algorithm: type[Algorithm] | str | Environment,
     grid: Mapping[str, Any] | None = None,
     *,
     num_seeds: int,
@@ -82,7 +82,8 @@ def sweep(
         InputError: something given is wrong; nothing was compiled.
     """
     if isinstance(algorithm, Environment):
-        env, algorithm = algorithm, cast(Any, env)
+        env, algorithm = algorithm, env
+    env, algorithm = cast(Environment, env), cast(type[Algorithm] | str, algorithm)
     if memory is not None and (not isinstance(memory, Integral) or memory < 1):
         raise InputError(f"memory must be a number of bytes, at least 1, not {shown(memory)}")
     part = prepare(

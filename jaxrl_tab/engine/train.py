@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Key
+from jaxtyping import PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
@@ -30,9 +30,9 @@ T = TypeVar("T")
 
 
 def train(
-    key: Key[Array, ""],
-    algorithm: Algorithm[L],
-    env: Environment,
+    key: PRNGKeyArray,
+    algorithm: Algorithm[L] | Environment,
+    env: Environment | Algorithm[L],
     *,
     num_steps: int | None = None,
     num_episodes: int | None = None,
@@ -65,7 +65,8 @@ def train(
         InputError: a number is out of range, or `exact` is asked of an environment without `outcomes`.
     """
     if isinstance(algorithm, Environment):
-        algorithm, env = cast(Any, env), algorithm
+        algorithm, env = env, algorithm
+    algorithm, env = cast(Algorithm[L], algorithm), cast(Environment, env)
     budget = Budget(num_steps, num_episodes, log_every, bool(exact), record)
     rng.check_key(key)
     check_pytree("algorithm", algorithm, METHODS)
@@ -83,7 +84,7 @@ def train(
 # Compiled by itself where nobody else does, so that a second call is quick; inlined where somebody does.
 @partial(jax.jit, static_argnums=4, inline=True)
 def unchecked(
-    key: Key[Array, ""],
+    key: PRNGKeyArray,
     algorithm: Any,
     env: Any,
     full: Any,

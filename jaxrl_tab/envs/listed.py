@@ -197,7 +197,9 @@ def _matrices(what: str, several: Any) -> list[Any]:
     return [sparse.csr_matrix(sparse.coo_matrix(matrix)) for matrix in matrices]  # duplicates are added up
 
 
-def of_outcomes(states: Sequence[Any], is_terminal: np.ndarray) -> tuple[Listed, np.ndarray | None]:
+def of_outcomes(
+    states: Sequence[Any] | np.ndarray, is_terminal: np.ndarray
+) -> tuple[Listed, np.ndarray | None]:
     """The outcomes in `states` [S][A], but for terminal states, and their `terminated` where they have it."""
     num_actions, every, count = 0, [], []
     for s, of_state in enumerate(states):
@@ -278,7 +280,7 @@ def _are_no_flags(column: Sequence[Any], array: np.ndarray) -> np.ndarray:
     return (array != 0) & (array != 1)
 
 
-def in_order(what: str, listing: Any) -> Sequence[Any]:
+def in_order(what: str, listing: Any) -> Sequence[Any] | np.ndarray:
     """A list; or what a dict has for 0, 1, 2 ..., in this order."""
     if isinstance(listing, Mapping):
         if (odd := next((key for key in listing if not is_whole(key, 0)), None)) is not None:

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
 from jaxrl_tab.core.checks import RATE, InputError, check_within, first, shown
 from jaxrl_tab.core.coverage import check_coverage
@@ -282,7 +283,7 @@ def ratios(experience: Experience, target: Any, behaviour: Any) -> Float[np.ndar
     return np.multiply.reduceat(rho, np.append(0, ends[:-1] + 1))
 
 
-def effective_sample_size(ratios: Float[Any, " E"]) -> float:
+def effective_sample_size(ratios: ArrayLike) -> float:
     """(sum w)^2 / sum w^2: how many samples of equal weight make as sure a mean (Kong 1992).
 
     From 1, where one ratio outweighs all others, to E, where all are equal; 0 where all are 0.

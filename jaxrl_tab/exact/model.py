@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxrl_tab.core import memory, policies
 from jaxrl_tab.core.checks import InputError, check_pytree, first, foreign, is_distribution
-from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
+from jaxrl_tab.core.types import Available, Environment, FiniteEnvironment, available_actions, stand_ins
 
 T = TypeVar("T")
 
@@ -39,7 +39,7 @@ class Model(NamedTuple):
     reward: Float[Any, "S A K"]
     terminal: Bool[Any, "S A K"]
     start: Float[Any, " S"]
-    available: Bool[Any, "S A"] | None = None
+    available: Available | None = None
 
 
 def check_finite(env: Environment) -> None:
@@ -86,7 +86,8 @@ def once_for_an_environment(work: Callable[..., T]) -> Callable[..., T]:
         try:
             key = work, _value(env), tuple((type(x), x) for x in numbers)
             result = _kept.get(key)
-        except (TypeError, ValueError):  # a key of JAX in it is no array, and not everything can be compared
+        # A key of JAX in it is no array, not everything can be compared, and a list may hold itself.
+        except (TypeError, ValueError, SystemError):
             return work(env, *numbers)
         if result is None:
             _kept[key] = result = work(env, *numbers)

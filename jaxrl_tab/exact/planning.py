@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.checks import RATE, InputError, as_array, check_within, first, shown
@@ -92,7 +93,7 @@ PATH_SWEEPS = 100  # of `largest_return`
 
 
 def expectation_backup(
-    env: Environment, q: Float[np.ndarray, "S A"], policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0
+    env: Environment, q: ArrayLike, policy_probs: ArrayLike, gamma: float = 1.0
 ) -> Float[np.ndarray, "S A"]:
     """One sweep of q-policy iteration: q(s, a) <- E[R + gamma q(S', A') | s, a], A' ~ pi, float64 [S, A].
 
@@ -114,9 +115,7 @@ def expectation_backup(
     return backup(model, v, gamma)
 
 
-def optimality_backup(
-    env: Environment, q: Float[np.ndarray, "S A"], gamma: float = 1.0
-) -> Float[np.ndarray, "S A"]:
+def optimality_backup(env: Environment, q: ArrayLike, gamma: float = 1.0) -> Float[np.ndarray, "S A"]:
     """One sweep of q-value iteration: q(s, a) <- E[R + gamma max_a' q(S', a') | s, a], float64 [S, A].
 
     The right-hand side of the Bellman optimality equation for q* (book, equation 3.20). Args and errors: as
@@ -128,7 +127,7 @@ def optimality_backup(
 
 
 def evaluation_backup(
-    env: Environment, v: Float[np.ndarray, " S"], policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0
+    env: Environment, v: ArrayLike, policy_probs: ArrayLike, gamma: float = 1.0
 ) -> Float[np.ndarray, " S"]:
     """One sweep of iterative policy evaluation: v(s) <- E[R + gamma v(S') | s], A ~ pi, float64 [S].
 
@@ -141,14 +140,14 @@ def evaluation_backup(
     return (probs * backup(model, checked_values(model, "v", v), gamma)).sum(1)
 
 
-def start_value(env: Environment, v: Float[np.ndarray, " S"]) -> float:
+def start_value(env: Environment, v: ArrayLike) -> float:
     """The mean of the values `v` [S] over the start distribution."""
     model = exact_model(env)
     return float(from_start(model, checked_values(model, "v", v)))
 
 
 # --- policies of a table of action values ------------------------------------------------------------
-def greedy_policy(q: Float[np.ndarray, "... S A"]) -> Float[np.ndarray, "... S A"]:
+def greedy_policy(q: ArrayLike) -> Float[np.ndarray, "... S A"]:
     """The policy that is greedy to `q`: the maximal actions of a state equally likely, float64 [..., S, A].
 
     Args:
@@ -160,7 +159,7 @@ def greedy_policy(q: Float[np.ndarray, "... S A"]) -> Float[np.ndarray, "... S A
     return greedy_to(_checked_table(q))
 
 
-def epsilon_greedy_policy(q: Float[np.ndarray, "... S A"], epsilon: float) -> Float[np.ndarray, "... S A"]:
+def epsilon_greedy_policy(q: ArrayLike, epsilon: float) -> Float[np.ndarray, "... S A"]:
     """The policy that is epsilon-greedy to `q`, ties split equally, float64 [..., S, A] (book, section 5.4).
 
     Args and errors: as `greedy_policy`; and `epsilon` must be in [0, 1].
@@ -170,9 +169,7 @@ def epsilon_greedy_policy(q: Float[np.ndarray, "... S A"], epsilon: float) -> Fl
 
 
 # --- exact answers -----------------------------------------------------------------------------------
-def evaluate(
-    env: Environment, policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0
-) -> Float[np.ndarray, " S"]:
+def evaluate(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) -> Float[np.ndarray, " S"]:
     """The values of a policy, float64 [S], from its Bellman equations as one sparse linear system.
 
     Args:
@@ -195,7 +192,7 @@ def evaluate(
     return v
 
 
-def policy_value(env: Environment, policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0) -> float:
+def policy_value(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) -> float:
     """The value of a policy from the start distribution; -inf where it may be caught at gamma = 1.
 
     This is what to ask about a learned Q: `policy_value(env, greedy_policy(q))`. In states that were never

@@ -42,7 +42,7 @@ def at(*path: str | int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def blame(names: Collection[str]) -> Iterator[None]:
+def blame(names: Collection[Any]) -> Iterator[None]:
     """Makes the wrong field the path of an InputError from the block, where that is one of `names`."""
     try:
         yield

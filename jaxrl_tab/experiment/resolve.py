@@ -262,7 +262,7 @@ def _check_labels(kind: str, tables: Sequence[Mapping[str, Any]], places: Sequen
                 raise InputError(f"the {kind} {label} is named more than once: give each a label of its own")
 
 
-def belongs(key: str) -> str | None:
+def belongs(key: Any) -> str | None:
     """Which kind of table has a parameter that was written outside of any, as a hint."""
     for table, kind in (("method", METHOD), ("environment", ENVIRONMENT)):
         if any(key in keys(cls) for cls in kind.registry.values()):

@@ -248,6 +248,7 @@ class TabularState(environment.EnvState):
         terminal: whether it is terminal, bool [].
     """
 
+    time: Any  # JAX fills pytrees of flax with whatever it works on
     s: Any
     terminal: Any
 

@@ -41,7 +41,7 @@ def tables_of(env: Environment) -> tuple[Panel, ...]:
 
 
 def panels(
-    axes: Sequence[Axes],
+    axes: Sequence[Axes] | np.ndarray,
     env: Environment,
     v: np.ndarray,
     best: np.ndarray | None = None,

@@ -43,7 +43,7 @@ class View(NamedTuple):
 def rank(row: Row, prediction: bool) -> tuple[bool, int, float]:
     """The best first, as `stats.best` has it: the fewest that diverged, and then the mean."""
     mean = row["score"][0]
-    return np.isnan(mean), row["diverged"], mean if prediction else -mean
+    return bool(np.isnan(mean)), row["diverged"], mean if prediction else -mean
 
 
 def varied(rows: Sequence[Row]) -> list[str]:

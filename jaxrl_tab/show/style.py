@@ -73,7 +73,7 @@ def axes_title(ax: Axes, text: str) -> None:
     ax.set_title(literal("\n".join(itertools.chain(*lines))), fontsize=TYPE)
 
 
-def color_bar(image: Any, axes: Sequence[Axes], what: str = "value", **options: Any) -> None:
+def color_bar(image: Any, axes: Sequence[Axes] | np.ndarray, what: str = "value", **options: Any) -> None:
     """A scale that says what the colours of `image` stand for; `axes` make room for it."""
     bar = image.figure.colorbar(image, ax=list(axes), **options)
     bar.set_label(what, fontsize=TYPE)

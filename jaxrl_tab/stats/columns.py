@@ -280,7 +280,8 @@ class Methods(Mapping[str, xr.Dataset]):
     """
 
     def __init__(self, datasets: Datasets, env: Environment | None = None) -> None:
-        self.settings = {name: Method(ds, name, self) for name, ds in datasets.items()}
+        self.settings: dict[str, Method] = {}  # so that it is a mapping when it is handed on
+        self.settings |= {name: Method(ds, name, self) for name, ds in datasets.items()}
         self.env, self._soft = env, {}
 
     @classmethod

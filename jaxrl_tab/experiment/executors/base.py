@@ -11,7 +11,7 @@ import platform
 import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -23,6 +23,7 @@ Arrays = Mapping[str, np.ndarray]
 Work = Callable[[int], Arrays]
 
 
+@runtime_checkable
 class Executor(Protocol):
     """Does the tasks of a piece of work, somewhere."""
 
