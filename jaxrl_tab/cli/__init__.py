@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from jaxrl_tab.cli.common import PROG, known_name
+from jaxrl_tab.cli.common import PROG, checked_name
 from jaxrl_tab.cli.figure import figure_command
 from jaxrl_tab.cli.listing import list_command
 from jaxrl_tab.cli.solve import solve_command
@@ -97,4 +97,4 @@ def _dispatch(argv: list[str]) -> int:
     if argv[0] == "--version":
         print(f"{PROG} {__version__}")
         return 0
-    return commands[known_name("a command", argv[0], commands)](argv[1:])
+    return commands[checked_name("a command", argv[0], commands)](argv[1:])

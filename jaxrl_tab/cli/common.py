@@ -47,7 +47,7 @@ def start_jax() -> None:
         raise InputError(f"JAX cannot start: {one_line(str(error))}") from None
 
 
-def known_name(kind: str, name: str, choices: Collection[str]) -> str:
+def checked_name(kind: str, name: str, choices: Collection[str]) -> str:
     """`name`, which must be one of `choices`."""
     if not name:
         raise InputError(f"name {kind}: {', '.join(choices)}")
@@ -87,7 +87,7 @@ def find(group: Group, name: str) -> type:
 def new_folder(path: Path | None) -> contextlib.AbstractContextManager[Path | None]:
     """A new folder to write into, which gets the name `path` when all is written; none where `path` is None.
 
-    If anything fails it stands beside, and keeps what was finished.
+    If anything fails, what was finished stays in a folder beside it.
     """
     if path is None:
         return contextlib.nullcontext()

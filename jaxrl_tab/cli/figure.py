@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 from rich.table import Table
 
-from jaxrl_tab.cli.common import PROG, known_name, new_folder, prepare, start_jax
+from jaxrl_tab.cli.common import PROG, checked_name, new_folder, prepare, start_jax
 from jaxrl_tab.cli.options import parse, word
 from jaxrl_tab.cli.screen import busy, console, print_json, say_where
 from jaxrl_tab.core.checks import InputError
@@ -79,7 +79,7 @@ def figure_command(argv: list[str]) -> int:
     options, _ = parse(Figure, argv)
     if options.all and options.name:
         raise InputError("name a figure or give --all, not both")
-    names = tuple(FIGURES) if options.all else (known_name("a figure", options.name, FIGURES),)
+    names = tuple(FIGURES) if options.all else (checked_name("a figure", options.name, FIGURES),)
     start_jax()
     checked, groups = {}, []
     with new_folder(options.out) as folder:

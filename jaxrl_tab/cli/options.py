@@ -64,12 +64,12 @@ class Group(NamedTuple):
 
     def owners(self, names: Sequence[str]) -> str:
         """Names of the registry in few words: the name of a part instead of all that are in it."""
-        left, in_words = list(names), []
+        remaining, in_words = list(names), []
         for part, members in self.parts.items():
-            if set(members) <= set(left):
+            if set(members) <= set(remaining):
                 in_words.append(part)
-                left = [name for name in left if name not in members]
-        return ", ".join(in_words + left)
+                remaining = [name for name in remaining if name not in members]
+        return ", ".join(in_words + remaining)
 
 
 def word(metavar: str, many: bool = False) -> Any:

@@ -44,7 +44,7 @@ codecs.register_error("lookalikes", _lookalikes)
 
 
 def give_up(stream: TextIO) -> None:
-    """Python flushes stdout and stderr once more at its end: what cannot be written goes nowhere."""
+    """Discards what cannot be written to a stream: Python would flush it once more at its end, and fail."""
     with contextlib.suppress(OSError, ValueError):  # as where a test has put something else in its place
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 

@@ -13,8 +13,8 @@ from jaxrl_tab.cli.common import (
     PROG,
     SEEDS,
     STEPS,
+    checked_name,
     find,
-    known_name,
     named_in,
     prepare,
     start_jax,
@@ -54,7 +54,7 @@ class Where:
     quiet: bool = False
 
     def __post_init__(self):
-        _ = self.bytes  # what is no size is refused before anything is computed
+        _ = self.bytes  # raises InputError before anything is computed
 
     @property
     def bytes(self) -> int | None:
@@ -71,8 +71,8 @@ EXECUTOR = Group(
 
 @contextlib.contextmanager
 def _executor(options: Any, typed: Typed, out: Path | None) -> Iterator[Executor]:
-    """The executor that was asked for, with the options that are its own."""
-    name = known_name("an executor", options.executor, executors.EXECUTORS)
+    """The executor that the options name, made with those of them that are its own."""
+    name = checked_name("an executor", options.executor, executors.EXECUTORS)
     parameters = values_of(name, typed, EXECUTOR)
     if name == "slurm":
         if out is None:

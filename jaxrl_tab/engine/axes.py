@@ -186,6 +186,7 @@ def swept_names(axes: Mapping[str, tuple]) -> list[str]:
 def _share(seed: int, method: str, name: str, i: int) -> float:
     """A number in [0, 1) for each draw, from a hash: NumPy does not promise the same stream for ever."""
     digest = hashlib.sha256(json.dumps([int(seed), method, name, i]).encode()).digest()
+    # 53 of the 64 bits: as many as a float holds, so that no rounding gives 1.
     return (int.from_bytes(digest[:8], "big") >> 11) * 2.0**-53
 
 

@@ -272,7 +272,7 @@ def _compile(called: str, devices: tuple[Any, ...], budget: Budget, signature: S
 
         return jax.tree.map(lambda x: x[None], lax.fori_loop(0, blocks, put, empty))
 
-    device.__name__ = called
+    device.__name__ = called  # JAX calls the program so, see `programs.kept`
     split, shared = PartitionSpec("devices"), PartitionSpec()
     program = jax.shard_map(
         device,

@@ -63,7 +63,7 @@ class _Decisions(NamedTuple):
 
 IN_A_STEP = _Decisions(update=0, step=1, reset=2, start=3)
 BEFORE_RESET, BEFORE_START = 4, 5  # at time 0
-INSTANCE = 6
+INSTANCE = 6  # the problem of a run, where the environment draws one
 
 Step: TypeAlias = Callable[[_Run, _Decisions], tuple[_Run, Log]]
 Measured: TypeAlias = Callable[[Any], dict[str, Any]]
@@ -199,7 +199,7 @@ def _drawn_together(number: int) -> int:
 
 
 def bytes_of_words(budget: Budget) -> int:
-    """The bytes of the random words that a run holds, at most: those of no decision are never drawn."""
+    """The most bytes of random words that a run holds; words that no decision uses are never drawn."""
     number = max(CHUNKS, default=1) if budget.num_steps is None else min(budget.num_steps, budget.row)
     return len(IN_A_STEP) * rng.bytes_of_words(_drawn_together(number))
 

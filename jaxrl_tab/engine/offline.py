@@ -157,7 +157,7 @@ def _checked(algorithm: Any, experience: Any, num_states: int, num_actions: int,
 def _longest_episode(experience: Experience) -> int:
     last = concrete(experience.last)
     if last is None:
-        return experience.last.shape[-1]  # not known, but no longer than the log
+        return experience.last.shape[-1]  # a tracer has no values yet; no episode is longer than the log
     return int(np.diff(np.flatnonzero(last), prepend=-1).max())
 
 
@@ -171,7 +171,7 @@ def _beginning(algorithm: Any, experience: Experience, task: Task) -> tuple[Any,
     return learner, transitions, len(transitions.s)
 
 
-# How often is no constant of the programs, so another number needs no new one.
+# `passes` and `num_updates` are not static: another number of them needs no new program.
 @partial(jax.jit, static_argnums=3, inline=True)
 def _learn(key, algorithm, experience, task, passes):
     stream, (learner, transitions, size) = rng.stream(key), _beginning(algorithm, experience, task)

@@ -19,7 +19,7 @@ from jaxrl_tab.engine.room import plan
 from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
 
-BEYOND = 10  # times the largest possible return: step sizes above 1 and traces go beyond it, and come back
+BEYOND = 10  # times the largest possible return: large step sizes and traces may overshoot it for a while
 FRESH = 2**32 - 1  # what is folded into a root for the root of its fresh seeds
 
 
@@ -151,6 +151,7 @@ def compute(
         seeds = np.broadcast_to(seeds, (len(members), part.num_seeds))
         # `members` ascends, so this is the place of each configuration among them.
         within = np.searchsorted(members, config[at]) * part.num_seeds + place[at]
+        # `done` is bound now, as it is before these runs; `steps` is looked up in each call.
         report = lambda n, done=done: progress(done + n, steps)
         seconds = batch.run(part.env, stacked, root, seeds, part.budget, keep, report, room, runs=within)
         done, running, compiling = done + len(at), running + seconds.running, compiling + seconds.compiling

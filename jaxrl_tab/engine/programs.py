@@ -36,7 +36,7 @@ from jaxrl_tab.engine import provenance
 
 T = TypeVar("T")
 
-AT_MOST = 512  # programs; when there are more, those that were not used for longest go
+AT_MOST = 512  # programs; of more, those that were unused for longest are removed
 UNFINISHED_SECONDS = 3600  # what was begun so long ago was left by a process that died
 _OWN = re.compile(r"[0-9a-f]{64}\.program(?P<unfinished>\.\w+)?")  # the names of our files
 _folder: Path | None = None
@@ -67,7 +67,8 @@ def kept(name: Any, make: Callable[[str], T], pack: Callable[[T], Any], unpack: 
 
     Args:
         name: a pytree of all that it depends on, besides code, versions and settings.
-        make: makes it, under the name in JAX that it is given: one that is kept here has no other's.
+        make: makes it, under the name in JAX that it is given: a program that is kept here is never one that
+            JAX took from its own cache, see `_unknown_to_jax`.
         pack, unpack: to something that can be pickled, and back. `pack` may raise: then it is not kept.
     """
     file = _file(name)
@@ -75,7 +76,7 @@ def kept(name: Any, make: Callable[[str], T], pack: Callable[[T], Any], unpack: 
         return make("program")
     try:
         program = unpack(pickle.loads(_read(file)))
-        os.utime(file)
+        os.utime(file)  # `_make_room` takes the time for that of the last use
         return program
     except FileNotFoundError:
         pass
@@ -117,7 +118,7 @@ def _unknown_to_jax() -> Iterator[None]:
 
 
 def _file(name: Any) -> Path | None:
-    """Where it is kept; None where it is not."""
+    """The file in which the program with this name is kept; None where it is not kept."""
     if _folder is None:
         return None
     pickled = io.BytesIO()
@@ -139,13 +140,14 @@ class _Named(pickle.Pickler):
     """Refuses classes and functions whose code is not in this package, in JAX or in NumPy."""
 
     def reducer_override(self, obj: Any) -> Any:
-        of = obj if hasattr(obj, "__qualname__") else type(obj)  # classes and functions have a name
-        if (of.__module__ or "").partition(".")[0] not in _KNOWN:
+        definition = obj if hasattr(obj, "__qualname__") else type(obj)  # classes and functions have a name
+        if (definition.__module__ or "").partition(".")[0] not in _COVERED:
             raise pickle.PicklingError(f"{obj} is not of jaxrl_tab")
         return NotImplemented
 
 
-_KNOWN = ("jaxrl_tab", "jax", "jaxlib", "numpy", "ml_dtypes", "builtins", "copyreg")
+# Packages that a name may refer to: their versions are part of it too, or their code shapes no program.
+_COVERED = ("jaxrl_tab", "jax", "jaxlib", "numpy", "ml_dtypes", "builtins", "copyreg")
 
 
 @cache
@@ -217,9 +219,9 @@ def _make_room(folder: Path) -> None:
         with contextlib.suppress(FileNotFoundError):  # another process makes room, too
             if named := _OWN.fullmatch(file.name):
                 ages[file] = named["unfinished"], time.time() - file.lstat().st_mtime
-    left = [file for file, (unfinished, age) in ages.items() if unfinished and age > UNFINISHED_SECONDS]
+    abandoned = [file for file, (unfinished, age) in ages.items() if unfinished and age > UNFINISHED_SECONDS]
     finished = sorted((age, file) for file, (unfinished, age) in ages.items() if not unfinished)
-    for file in [*left, *(file for _, file in finished[AT_MOST:])]:
+    for file in [*abandoned, *(file for _, file in finished[AT_MOST:])]:
         file.unlink(missing_ok=True)
 
 

@@ -63,7 +63,8 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
     Raises:
         InputError: JAX does not take one of them, or a block such as `jax.enable_x64` is stronger.
     """
-    with ThreadPoolExecutor(1) as elsewhere:  # not as they are within a block such as `jax.enable_x64`
+    # A new thread sees the settings of the process, without those of a block such as `jax.enable_x64`.
+    with ThreadPoolExecutor(1) as elsewhere:
         before = elsewhere.submit(lambda: jax.config.values).result()
     try:
         for name, value in chosen.items():
@@ -118,7 +119,7 @@ def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 def _change(name: str, before: Any, after: Any) -> str:
     if not isinstance(before, str):
         return f"{name} was {'not recorded' if before is None else before}, and is {after}"
-    # Of what has many words, those that are not the same.
+    # Of several words, such as the flags of XLA, only those that differ.
     gone, new = (
         " ".join(x for x in a.split() if x not in b.split()) for a, b in ((before, after), (after, before))
     )

@@ -166,7 +166,7 @@ def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> 
 
     if not file.exists():
         xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    # xarray writes what is true or false in a way of its own.
+    # xarray encodes bool in a way of its own, which it alone reads again.
     large = [name for name, x in ds.items() if x.nbytes > memory.BLOCK and x.dtype != bool]
     rest = ds.drop_vars(large)
     encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in rest.items() if x.ndim}

@@ -18,9 +18,9 @@ from jaxrl_tab.engine.train import in_full, unchecked
 from jaxrl_tab.exact import planning
 
 LANES = 64
-BLOCKS = 16  # of a device in one call, at most
+BLOCKS = 16  # of lanes that a device works through in one call, at most
 FEWEST_LANES = 8  # on a CPU, where memory runs out: with fewer, exact values would differ in the last bit
-CALL_BYTES = 2**28  # that it takes on a device, at most, unless one block alone is larger
+CALL_BYTES = 2**28  # of a call on a device, at most, unless one block alone is larger
 
 
 class Plan(NamedTuple):

@@ -157,7 +157,7 @@ def prepare(
         )
     available = available_actions(env)
     for config in configs:
-        restricted(config, available)  # only to refuse what cannot be
+        restricted(config, available)  # raises InputError where the actions do not fit the method
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
 
@@ -266,7 +266,7 @@ def _exact_value(
 
 
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
-    """Those with this gamma whose exact values may differ: of control one, of prediction one for each pi."""
+    """The configurations with this gamma whose exact values may differ: of prediction one for each pi."""
     same = [config for config in configs if config.gamma == gamma]
     if of_method(same[0]).learns is Learns.ACTIONS:
         return same[:1]

@@ -74,7 +74,7 @@ def train(
         schedules.check_single(type(algorithm).__name__, algorithm)
     check_pytree("env", env, ENVS)
     check_held(env)
-    restricted(algorithm, available_actions(env))  # only to refuse what cannot be
+    restricted(algorithm, available_actions(env))  # raises InputError where the actions do not fit the method
     if exact:
         planning.check_finite(env)
     full = in_full((algorithm, env)) if exact else None

@@ -82,9 +82,8 @@ class Finite:
         prob, outcome = jax.vmap(jax.vmap(self.outcomes, (None, 0)), (0, None))(states, actions)
         count = prob.shape[-1]
         prob, reward = prob.reshape(-1, count), outcome.reward.ravel()
-        entered = (
-            2 * outcome.s_next + outcome.terminal.astype(outcome.s_next.dtype)
-        ).ravel()  # one load for both
+        # S' and whether it is terminal in one number, so that one load gets both.
+        entered = (2 * outcome.s_next + outcome.terminal.astype(outcome.s_next.dtype)).ravel()
 
         def step(key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
             i = s * self.num_actions + a

@@ -230,7 +230,7 @@ def _fields(listed: Listed, is_terminal: Any, start_prob: Any, max_steps: Any) -
     count = np.bincount(listed.row, minlength=listed.num_states * listed.num_actions)
     # Outcomes of one (s, a) follow one another, so a place in its row of K is that after the row's first.
     at = listed.row, np.arange(len(listed.row)) - (np.cumsum(count) - count)[listed.row]
-    successors = _others(listed, count)
+    successors = _fillers(listed, count)
     prob, reward = np.zeros(successors.shape), np.zeros(successors.shape)
     total = np.bincount(listed.row, listed.prob)[listed.row]
     successors[at], prob[at], reward[at] = listed.s_next, listed.prob / total, listed.reward
@@ -262,18 +262,18 @@ def _absorbed(listed: Listed, is_terminal: np.ndarray) -> Listed:
 def _added_up(listed: Listed) -> Listed:
     """`listed`, where outcomes of one (s, a), s' and reward are one, in the place of the first."""
     if (np.diff(listed.row * listed.num_states + listed.s_next) > 0).all():
-        return listed  # as of arrays
-    order = np.lexsort((listed.reward, listed.s_next, listed.row))  # the last key is the first to sort by
+        return listed  # strictly rising, as from arrays: there is nothing to add up
+    order = np.lexsort((listed.reward, listed.s_next, listed.row))  # sorted by the last key first
     alike = listed.of(order)
     keys = np.stack([alike.row, alike.s_next, alike.reward])
     is_new = np.append(True, (np.diff(keys) != 0).any(axis=0))
     total = np.bincount(np.cumsum(is_new) - 1, alike.prob)
-    one = order[is_new]  # the sort is stable, so it is the first of those that are alike
-    place = np.argsort(one)
-    return listed.of(one[place])._replace(prob=total[place])
+    firsts = order[is_new]  # the sort is stable, so it is the first of those that are alike
+    place = np.argsort(firsts)
+    return listed.of(firsts[place])._replace(prob=total[place])
 
 
-def _others(listed: Listed, count: np.ndarray) -> np.ndarray:
+def _fillers(listed: Listed, count: np.ndarray) -> np.ndarray:
     """States [S A, K] to fill rows with whose `count` of outcomes is less than K.
 
     From place `count` on they are those that are not entered, in their order, and s itself where these end.
@@ -299,17 +299,18 @@ def _ended(
     """
     ends = ends | is_terminal[listed.s_next]
     source = listed.row // listed.num_actions
-    on = (listed.prob > 0) & ~ends
-    goes_on = spread(source[on], listed.s_next[on], start_prob > 0)
+    continues = (listed.prob > 0) & ~ends
+    goes_on = spread(source[continues], listed.s_next[continues], start_prob > 0)
     is_end = is_terminal.copy()
     is_end[listed.s_next[(listed.prob > 0) & ends & goes_on[source]]] = True
-    twice = np.flatnonzero(is_end & goes_on)
+    both_ways = np.flatnonzero(is_end & goes_on)
     number = np.arange(listed.num_states)
-    number[twice] = listed.num_states + np.arange(len(twice))
+    number[both_ways] = listed.num_states + np.arange(len(both_ways))
     listed = listed._replace(
-        num_states=listed.num_states + len(twice), s_next=np.where(ends, number[listed.s_next], listed.s_next)
+        num_states=listed.num_states + len(both_ways),
+        s_next=np.where(ends, number[listed.s_next], listed.s_next),
     )
-    more = np.zeros(len(twice))
+    more = np.zeros(len(both_ways))  # the second numbers: terminal, and never the start
     return listed, np.append(is_end & ~goes_on, more == 0), np.append(start_prob, more)
 
 

@@ -36,15 +36,15 @@ class Listed(NamedTuple):
         return f"after (s, a) = {divmod(int(self.row[i]), self.num_actions)}"
 
     def of(self, chosen: np.ndarray) -> "Listed":
-        """Some of them, in another order perhaps."""
+        """The outcomes at these places, or where this mask is true, in that order."""
         return Listed(*self[:2], *(column[chosen] for column in self[2:]))
 
 
 def _probabilities(probabilities: Any, rewards: Any) -> np.ndarray:
     """p [S, A, S'] as the class takes it."""
-    wanted = "probabilities must be an array [S, A, S']"
+    rule = "probabilities must be an array [S, A, S']"
     if is_sparse(probabilities):
-        raise refusal(f"{wanted}; FiniteMDP.from_arrays takes sparse matrices, one [S, S'] for each action")
+        raise refusal(f"{rule}; FiniteMDP.from_arrays takes sparse matrices, one [S, S'] for each action")
     _check_is_array(probabilities, rewards)
     p = numbers(NAME, "probabilities", probabilities).astype(np.float64)
     if p.ndim == 3 and p.shape[0] == p.shape[2] and p.size > 0:
@@ -73,9 +73,9 @@ def _hint(p: np.ndarray, rewards: Any) -> str:
 
 def _rewards(rewards: Any, shape: tuple[int, ...]) -> np.ndarray:
     """r [S, A, 1 or S'] as the class takes it."""
-    wanted = f"rewards must have shape [S, A] = {shape[:2]} or [S, A, S'] = {shape}"
+    rule = f"rewards must have shape [S, A] = {shape[:2]} or [S, A, S'] = {shape}"
     if is_sparse(rewards):
-        raise refusal(f"{wanted}; FiniteMDP.from_arrays takes sparse ones")
+        raise refusal(f"{rule}; FiniteMDP.from_arrays takes sparse ones")
     r = numbers(NAME, "rewards", rewards).astype(np.float64)
     if r.shape in (shape[:2], shape):
         return r.reshape(*shape[:2], -1)
@@ -84,7 +84,7 @@ def _rewards(rewards: Any, shape: tuple[int, ...]) -> np.ndarray:
         hint = "; FiniteMDP.from_arrays takes [S]"
     elif r.shape in ((shape[1], shape[0]), (shape[1], shape[0], shape[0])):
         hint = "; np.swapaxes(rewards, 0, 1) turns it into one of them"
-    raise refusal(f"{wanted}, not {r.shape}{hint}")
+    raise refusal(f"{rule}, not {r.shape}{hint}")
 
 
 def of_arrays(probabilities: Any, rewards: Any) -> Listed:
@@ -128,14 +128,14 @@ def of_other_arrays(probabilities: Any, rewards: Any, first_axis: Any) -> Listed
 def _first_axis(shape: tuple[int, ...], first_axis: str | None, hint: str) -> str:
     """Which axis is the first of probabilities with this shape, "state" or "action"."""
     squares = {"state": shape[::2], "action": shape[1:]} if len(shape) == 3 and 0 not in shape else {}
-    asked = FORMS if first_axis is None else {first_axis: FORMS[first_axis]}
-    possible = [axis for axis in asked if len({*squares.get(axis, (1, 2))}) == 1]
-    wanted = " or ".join(asked.values())
+    candidates = FORMS if first_axis is None else {first_axis: FORMS[first_axis]}
+    possible = [axis for axis in candidates if len({*squares.get(axis, (1, 2))}) == 1]
+    forms = " or ".join(candidates.values())
     if not possible:
-        raise refusal(f"probabilities must have shape {wanted}, not {shape}{hint}")
+        raise refusal(f"probabilities must have shape {forms}, not {shape}{hint}")
     if len(possible) > 1:
         raise refusal(
-            f"probabilities of shape {shape} may be {wanted}; say first_axis='state' or first_axis='action'"
+            f"probabilities of shape {shape} may be {forms}; say first_axis='state' or first_axis='action'"
         )
     return possible[0]
 
@@ -160,8 +160,8 @@ def _rewards_at(
     else:
         r = numbers(NAME, "rewards", rewards.toarray() if is_sparse(rewards) else rewards)
         shape = r.shape
-        for wanted, index in (((num_states,), s), (size, (s, a))):
-            if shape == wanted:
+        for form, index in (((num_states,), s), (size, (s, a))):
+            if shape == form:
                 return r[index]
         if shape == each:
             return r[(a, s, s_next) if first_axis == "action" else at]
@@ -181,11 +181,11 @@ def is_sparse(matrices: Any) -> bool:
 
 def _matrices(what: str, several: Any) -> list[Any]:
     """A list of one matrix [S, S'] for each action as csr_matrix of SciPy."""
-    from scipy import sparse  # late, for importing the package is to stay cheap
+    from scipy import sparse  # here, so that importing the package stays cheap
 
-    wanted = f"sparse {what} must be a list of one matrix [S, S'] for each action"
+    rule = f"sparse {what} must be a list of one matrix [S, S'] for each action"
     if hasattr(several, "tocoo"):
-        raise refusal(f"{wanted}, not one of shape {several.shape}{PAIRS if what == 'probabilities' else ''}")
+        raise refusal(f"{rule}, not one of shape {several.shape}{PAIRS if what == 'probabilities' else ''}")
     matrices = [x if hasattr(x, "tocoo") else numbers(NAME, what, x) for x in several]
     for a, matrix in enumerate(matrices):
         if (
@@ -193,7 +193,7 @@ def _matrices(what: str, several: Any) -> list[Any]:
             or len({*matrix.shape, *matrices[0].shape}) != 1
             or matrix.dtype.kind not in "biuf"
         ):
-            raise refusal(f"{wanted}, and that of a = {a} is {kind(matrix)}")
+            raise refusal(f"{rule}, and that of a = {a} is {kind(matrix)}")
     return [sparse.csr_matrix(sparse.coo_matrix(matrix)) for matrix in matrices]  # duplicates are added up
 
 
@@ -253,7 +253,7 @@ def of_outcomes(
 def _column(
     listed: Listed, what: str, column: Sequence[Any], right: str, are_wrong: Any = None
 ) -> np.ndarray:
-    """What stands in one place of all outcomes, as numbers [n]."""
+    """One entry of all outcomes, such as their probabilities, as numbers [n]."""
     array = _as_numbers(column)
     if array is None:
         wrong = (next(i for i, x in enumerate(column) if _as_numbers([x]) is None),)

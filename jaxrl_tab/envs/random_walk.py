@@ -32,8 +32,8 @@ class RandomWalk(FixedStart):
 
     def __post_init__(self):
         if self.states % 2 == 0:
-            wanted = "odd, so that there is a middle to start in"
-            raise unfit(type(self).__name__, "states", wanted, self.states)
+            requirement = "odd, so that there is a middle to start in"
+            raise unfit(type(self).__name__, "states", requirement, self.states)
 
     @property
     def num_states(self) -> int:

@@ -44,8 +44,8 @@ class WindyGridworld(Grid):
         who, (_, columns) = type(self).__name__, self.shape
         wind = _whole_cells(who, self.wind)
         if wind.shape[-1:] != (columns,):
-            wanted = f"one strength for each of the {columns} columns"
-            raise InputError(f"wind must have {wanted}, not shape {wind.shape}", who=who, field="wind")
+            requirement = f"one strength for each of the {columns} columns"
+            raise InputError(f"wind must have {requirement}, not shape {wind.shape}", who=who, field="wind")
         assign(self, wind=wind)
 
     @property

@@ -18,7 +18,7 @@ from jaxrl_tab.engine.results import save
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp
-from jaxrl_tab.experiment.storage import DATA, FRESH_DATA, GIVEN, SELECTION, SUMMARY, Store
+from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, SELECTION, SUMMARY, Store
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,13 +58,13 @@ class Outcome:
     @property
     def chosen(self) -> dict[str, int]:
         """For each part the number of the configuration with the best score."""
-        found = {}
+        chosen = {}
         for label, methods in self.methods.items():
             for name, own in methods.settings.items():
                 place = [own.ds[axis].values.tolist().index(value) for axis, value in own.best.items()]
                 sizes = [own.ds.sizes[axis] for axis in own.best]
-                found[f"{label}/{name}"] = int(np.ravel_multi_index(place, sizes)) if place else 0
-        return found
+                chosen[f"{label}/{name}"] = int(np.ravel_multi_index(place, sizes)) if place else 0
+        return chosen
 
     @cached_property
     def summary(self) -> "pd.DataFrame":
@@ -93,11 +93,11 @@ class Outcome:
         for name in self.fresh:
             environment, _, method = name.partition("/")
             own, fresh = (x[environment].settings[method] for x in (self.methods, self.fresh_methods))
-            setting, chosen, again, _ = stats.selection(own, fresh)
+            setting, chosen, rerun, _ = stats.selection(own, fresh)
             row = {"environment": environment, "method": method, **stats.named(own.ds, setting)}
-            for kind, found in (("chosen", chosen), ("fresh", again)):
-                row |= {f"{kind}_score": float(found.estimate)}
-                row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}
+            for kind, interval in (("chosen", chosen), ("fresh", rerun)):
+                row |= {f"{kind}_score": float(interval.estimate)}
+                row |= {f"{kind}_low": float(interval.low), f"{kind}_high": float(interval.high)}
             rows.append(row)
         # Not all methods have all hyperparameters.
         names = dict.fromkeys(name for row in rows for name in row)
@@ -119,14 +119,14 @@ def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> N
     scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
     names = storage.file_names(outcome.envs)
     try:
-        with storage.said(folder):
+        with storage.as_run_error(folder):
             for label, methods in outcome.methods.items():
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
                 plot.save_all(methods, outcome.envs[label], place)
             report.write_methods(scratch, outcome.methods, _about(store, records), outcome.fresh_methods)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
-            with storage.said(goal):
+            with storage.as_run_error(goal):
                 goal.parent.mkdir(parents=True, exist_ok=True)
             with storage.writing(goal) as unfinished:
                 file.replace(unfinished)
@@ -158,24 +158,26 @@ def _write_table(file: Path, table: "pd.DataFrame") -> Path:
 
 def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
     """How the results came about, for the report."""
-    with storage.said(store.path / GIVEN, "read"):
-        given = (store.path / GIVEN).read_text(encoding="utf-8", errors="replace")
+    with storage.as_run_error(store.path / AS_WRITTEN, "read"):
+        as_written = (store.path / AS_WRITTEN).read_text(encoding="utf-8", errors="replace")
     first, last = records["sessions"][0], records["sessions"][-1]
     sessions, origins = len(records["sessions"]), origins_of(store)
     computed = recorded(records, origins)
-    one = (computed or [last])[0]  # the last may have made nothing but files
-    now = one["surroundings"]
+    session = (computed or [last])[0]  # the last session may have computed no shard
+    surroundings = session["surroundings"]
+    packages = (*provenance.installed(), *ENVIRONMENT.libraries)
     return {
         "command": first["command"],
-        "experiment": given,
+        "experiment": as_written,
         "fingerprint": store.fingerprint,
         "started": first["started"],
         "finished": timestamp(),
         **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
         **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
-        "versions": {x: now[x] for x in (*provenance.installed(), *ENVIRONMENT.libraries) if x in now}
-        | {"python": one.get("python")},
-        "XLA flags": now["XLA_FLAGS"],
-        "computed on": f"{one.get('processor')}, {one.get('devices')} devices, {one.get('platform')}",
-        **({"git commit": one["git_commit"]} if one.get("git_commit") else {}),
+        "versions": {x: surroundings[x] for x in packages if x in surroundings}
+        | {"python": session.get("python")},
+        "XLA flags": surroundings["XLA_FLAGS"],
+        "computed on": f"{session.get('processor')}, {session.get('devices')} devices, "
+        f"{session.get('platform')}",
+        **({"git commit": session["git_commit"]} if session.get("git_commit") else {}),
     }

@@ -57,13 +57,13 @@ def environments(written: Any, source: Source | None, references: References) ->
 
 
 def _environment(table: Mapping[str, Any], cls: type, others: int) -> list[dict[str, Any]]:
-    """Those that a table describes, beside so many others."""
+    """The environments that a table describes; `others` is how many the tables before it describe."""
     label, about = table["label"], {key: table[key] for key in ABOUT if key in table}
-    wanted = {p.name: p for p in describe.parameters(cls)}
+    parameters = {p.name: p for p in describe.parameters(cls)}
     tried = {}
-    for key, written in _own(table, wanted).items():
+    for key, written in _own(table, parameters).items():
         with at(key):
-            tried[key] = _values_of_environment(key, written, wanted[key])
+            tried[key] = _values_of_environment(key, written, parameters[key])
     resolved = []
     axes.check_settings(others + math.prod(map(len, tried.values())), "the environments")
     for point in itertools.product(*tried.values()):
@@ -71,7 +71,7 @@ def _environment(table: Mapping[str, Any], cls: type, others: int) -> list[dict[
         with blame(values):
             made(cls, label, values)
         own = [f"{key}={_short(value)}" for key, value in values.items() if len(tried[key]) > 1]
-        data = {key: values.get(key, _listed(p.default)) for key, p in wanted.items()}
+        data = {key: values.get(key, _listed(p.default)) for key, p in parameters.items()}
         data = {key: value for key, value in data.items() if value is not None}
         resolved.append(about | {"label": ",".join([label, *own])} | data)
     return resolved
@@ -83,7 +83,7 @@ def _short(value: Any) -> str:
 
 
 def _values_of_environment(key: str, written: Any, parameter: describe.Parameter) -> list[Any]:
-    """What is to be tried of a parameter of an environment."""
+    """The values of a parameter of an environment that are to be tried."""
     if is_array(written):
         return [written]
     written = _axis(key, written)
@@ -106,14 +106,14 @@ def _values_of_environment(key: str, written: Any, parameter: describe.Parameter
 
 
 def _depth_of_value(parameter: describe.Parameter) -> int:
-    """How deep lists are in one another in a value of a parameter."""
+    """How deeply lists are nested in a value of a parameter."""
     if parameter.default is dataclasses.MISSING:
         return 1 if typing.get_origin(parameter.type) is tuple else 0
     return _depth(parameter.default) if isinstance(parameter.default, tuple) else 0
 
 
 def _deep(value: Any, change: Callable[[Any], Any]) -> Any:
-    """`change` of all that is in lists in one another."""
+    """Nested lists with `change` applied to each entry."""
     return [_deep(x, change) for x in value] if isinstance(value, list) else change(value)
 
 
@@ -161,8 +161,8 @@ def _method(table: Mapping[str, Any], cls: type, grid: Mapping[str, Any]) -> dic
 
 def grid_of(table: Mapping[str, Any], cls: type, seed: int) -> dict[str, Any]:
     """The grid of a method, as `sweep` takes it, in the order of the class; what is random is drawn."""
-    wanted = {p.name: p for p in describe.parameters(cls)}
-    own = _own(table, wanted, "draws", DRAW)
+    parameters = {p.name: p for p in describe.parameters(cls)}
+    own = _own(table, parameters, "draws", DRAW)
     written = {}
     for key, x in own.items():
         with at(key):
@@ -172,14 +172,15 @@ def grid_of(table: Mapping[str, Any], cls: type, seed: int) -> dict[str, Any]:
     trials = grid.pop(DRAW, [])
     with at(DRAW):
         drawn = {name: [trial[name] for trial in trials] for name in (trials[0] if trials else {})}
-        drawn = _own({"label": table["label"], **drawn}, wanted)
+        drawn = _own({"label": table["label"], **drawn}, parameters)
     for key, x in grid.items():
         with at(key):
-            several = _depth(x) > 0 and not (_takes_table(wanted[key]) and _depth(x) == 2)
-            grid[key] = [_value(key, y, wanted[key]) for y in x] if several else _value(key, x, wanted[key])
+            p = parameters[key]
+            several = _depth(x) > 0 and not (_takes_table(p) and _depth(x) == 2)
+            grid[key] = [_value(key, y, p) for y in x] if several else _value(key, x, p)
     for key, x in drawn.items():
         with at(key if key in own else DRAW):
-            drawn[key] = [_value(key, y, wanted[key]) for y in x]
+            drawn[key] = [_value(key, y, parameters[key]) for y in x]
     if drawn:
         grid[DRAW] = [dict(zip(drawn, values, strict=True)) for values in zip(*drawn.values(), strict=True)]
     return grid
@@ -262,22 +263,24 @@ def _check_labels(kind: str, tables: Sequence[Mapping[str, Any]], places: Sequen
 
 
 def belongs(key: Any) -> str | None:
-    """Below what a parameter belongs that was not written in a table."""
+    """Which kind of table has a parameter that was written outside of any, as a hint."""
     for table, kind in (("method", METHOD), ("environment", ENVIRONMENT)):
         if any(key in keys(cls) for cls in kind.registry.values()):
             return f"write it below a [[{table}]] that has it"
     return None
 
 
-def _own(table: Mapping[str, Any], wanted: Mapping[str, describe.Parameter], *more: str) -> dict[str, Any]:
+def _own(
+    table: Mapping[str, Any], parameters: Mapping[str, describe.Parameter], *more: str
+) -> dict[str, Any]:
     """The parameters of a table, and keys that may be there besides, in the order of the class."""
-    allowed = [*wanted, *more]
+    allowed = [*parameters, *more]
     for key in table:
         if key not in (*ABOUT, *allowed):
             with at(key):
                 from jaxrl_tab.experiment.spec import Experiment  # which is made from what is resolved here
 
-                hint = nearest(key, wanted)
+                hint = nearest(key, parameters)
                 if key in keys(Experiment):
                     hint = "it is of the whole experiment: write it above the first table"
                 raise InputError(f"{table['label']} has no parameter {shown(key)}; {hint}")
@@ -342,7 +345,7 @@ def _plain(key: str, value: Any) -> Any:
     if not isinstance(value, clock.Schedule | policies.Policy):
         return value
     parse = schedules.parse if isinstance(value, clock.Schedule) else policies.parse
-    with contextlib.suppress(InputError):
+    with contextlib.suppress(InputError):  # its text will do only if that is read as the same value again
         if repr(parse(str(value))) == repr(value):
             return str(value)
     raise InputError(f"{key}: {shown(value)} cannot be written in a file; sweep(...) takes it")
@@ -357,7 +360,7 @@ def _listed(value: Any, depth: int = 0) -> Any:
 
 
 def _depth(value: Any) -> int:
-    """How deep lists are in one another; of lists of unlike entries the deepest."""
+    """How deeply lists are nested, at the deepest place."""
     return _depth_of_lists(_listed(value))
 
 
@@ -365,11 +368,11 @@ def _depth_of_lists(value: Any) -> int:
     return 1 + max(map(_depth_of_lists, value), default=0) if isinstance(value, list) else 0
 
 
-def recorder(given: Any, source: Source | None, references: References) -> dict[str, Any]:
+def recorder(record: Any, source: Source | None, references: References) -> dict[str, Any]:
     """The plain data of a recorder: the name of the function, and the checksum of its file."""
-    table = dict(given) if isinstance(given, Mapping) else {"name": given}
+    table = dict(record) if isinstance(record, Mapping) else {"name": record}
     if "name" not in table or table.keys() - {"name", "sha256"}:
-        raise InputError(f"record must be a function, or its name, not {shown(given)}")
+        raise InputError(f"record must be a function, or its name, not {shown(record)}")
     reference = _find(RECORDER, table, source, references)
     return {"name": reference.name} | ({"sha256": reference.file.sha256} if reference.file else {})
 

@@ -38,7 +38,7 @@ from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
-from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, RESOLVED, Store, warn
+from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report, reporting
 
 if TYPE_CHECKING:
@@ -112,8 +112,8 @@ def resume(
     if not os.path.isdir(path):
         name = one_line(str(path))
         raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
-    if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
-        raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
+    if not os.path.lexists(path / AS_WRITTEN) and not os.path.lexists(path / RESOLVED):
+        raise InputError(f"there is no experiment in {path}: neither {AS_WRITTEN} nor {RESOLVED}")
     command = _typed(command)
     with storage.lock(path):
         return _go_on(path, _experiment_in(path), executor, memory, progress, command, mixed=mixed)
@@ -141,7 +141,7 @@ def _go_on(
 ) -> Outcome:
     """All that is still to be done in a folder."""
     store = Store(path, experiment.fingerprint)
-    _warn_of_what_was(store)
+    _warn_of_damage(store)
     records = _records(store)
     libraries = library_versions(experiment.data())
     job = Job.of(experiment, limit, libraries)
@@ -193,12 +193,12 @@ def _compute(
 
 def _missing(store: Store, job: Job) -> list[int]:
     """The numbers of the shards that are to be computed."""
-    missing = [number for number, shard in enumerate(job.shards) if not _is_there(store, job, number, shard)]
-    _warn_of_what_was(store)
+    missing = [number for number, shard in enumerate(job.shards) if not _has_shard(store, job, number, shard)]
+    _warn_of_damage(store)
     return missing
 
 
-def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
+def _has_shard(store: Store, job: Job, number: int, shard: Shard) -> bool:
     """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give."""
     if number not in store.shards or store.shards[number].setting != job.setting(shard):
         return False
@@ -248,11 +248,12 @@ def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = T
     with storage.new_folder(path) as new:
         if keep:
             sources.write(new, experiment.references)
+        # The classes are taken from the copies now, as `resume` will take them.
         if keep and experiment.files:
             names.forget(experiment.files)
             experiment = Experiment(**experiment.data(), source=source)
         _check_room(experiment.parts(), limit, new)
-        storage.write(new / GIVEN, source.text if source else experiment.to_toml())
+        storage.write(new / AS_WRITTEN, source.text if source else experiment.to_toml())
         storage.write_json(new / RESOLVED, experiment.data())
         records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
         storage.write_json(new / PROVENANCE, records)
@@ -268,7 +269,7 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
         runs = min(part.runs, shard_runs(part))
         planned = plan(part.env, instances, part.root, runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
-    if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
+    if 2 * needed > (room := shutil.disk_usage(folder).free):  # the shards, and results.nc
         raise InputError(
             f"the results need {words(2 * needed)} on the disk, and there is room for {words(room)} in "
             f"{folder.parent}: take fewer seeds, or a larger log_every"
@@ -286,34 +287,39 @@ def _experiment_in(path: Path) -> Experiment:
         InputError: what the folder says of it, or the file that it was read from, is not what it was.
     """
     manifest = storage.read_manifest(path)
-    begun_with = manifest and manifest["fingerprint"]
+    fingerprint = manifest and manifest["fingerprint"]
     data = storage.read_json(path / RESOLVED)
     pinned = sources.read(path, data)
-    resolved = _understood(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
-    given = None
-    if storage.is_file(path / GIVEN):
-        with storage.said(path / GIVEN, "read"):
-            (path / GIVEN).read_bytes()
-        given = _understood(lambda: Experiment.load(path / GIVEN, pinned))
-    if resolved and begun_with in (None, resolved.fingerprint):
+    resolved = _parsed(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
+    as_written = None
+    if storage.is_file(path / AS_WRITTEN):
+        with storage.as_run_error(path / AS_WRITTEN, "read"):
+            (path / AS_WRITTEN).read_bytes()  # `_parsed` would take a file that cannot be read for damaged
+        as_written = _parsed(lambda: Experiment.load(path / AS_WRITTEN, pinned))
+    if resolved and fingerprint in (None, resolved.fingerprint):
         experiment = resolved
-        if given is None:
-            _warn_of_a_new(path / GIVEN, f"made again, of {RESOLVED}")
-            storage.write(path / GIVEN, experiment.to_toml())
-        elif changed := difference(experiment.data(), given.data()):
-            raise InputError(f"{path / GIVEN} was changed since: {'; '.join(changed)}; put it back to go on")
-    elif given and begun_with in (None, given.fingerprint):
-        experiment = given
-        _warn_of_a_new(path / RESOLVED, f"made again, of {GIVEN}")
+        if as_written is None:
+            _warn_of_remake(path / AS_WRITTEN, f"made again, of {RESOLVED}")
+            storage.write(path / AS_WRITTEN, experiment.to_toml())
+        elif changed := difference(experiment.data(), as_written.data()):
+            raise InputError(
+                f"{path / AS_WRITTEN} was changed since: {'; '.join(changed)}; put it back to go on"
+            )
+    elif as_written and fingerprint in (None, as_written.fingerprint):
+        experiment = as_written
+        _warn_of_remake(path / RESOLVED, f"made again, of {AS_WRITTEN}")
         storage.write_json(path / RESOLVED, experiment.data())
     elif changed := _other_libraries(path, data):  # then an environment may be another one, or none
         raise InputError(f"{'; '.join(changed)}: install what it was, to go on in {path}")
-    elif resolved or given:
+    elif resolved or as_written:
         raise InputError(
-            f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed or damaged since"
+            f"{path} was begun with another experiment: {AS_WRITTEN} and {RESOLVED} were changed or damaged "
+            "since"
         )
     else:
-        raise InputError(f"there is no experiment in {path} any more: {GIVEN} and {RESOLVED} are damaged")
+        raise InputError(
+            f"there is no experiment in {path} any more: {AS_WRITTEN} and {RESOLVED} are damaged"
+        )
     source = (_records_in(path) or {}).get("file")
     if source and Path(source).is_file() and (changed := _changed(source, experiment.data(), pinned)):
         raise InputError(
@@ -330,20 +336,20 @@ def _other_libraries(path: Path, data: Any) -> list[str]:
     return provenance.differences(was, now)
 
 
-def _understood(read: Callable[[], Experiment]) -> Experiment | None:
-    """The experiment, or None where what is read is none."""
+def _parsed(read: Callable[[], Experiment]) -> Experiment | None:
+    """The experiment, or None where the data are damaged."""
     try:
         return read()
     except Exception:  # there is no end to what a flipped bit makes of data
         return None
 
 
-def _warn_of_a_new(file: Path, then: str) -> None:
+def _warn_of_remake(file: Path, remedy: str) -> None:
     """Says that a file is made again; what is there now is set aside."""
     if os.path.lexists(file):
-        warn(storage.set_aside(file, file.parent, then))
+        warn(storage.set_aside(file, file.parent, remedy))
     else:
-        warn(f"{file.name} is missing: it is {then}")
+        warn(f"{file.name} is missing: it is {remedy}")
 
 
 def _records_in(path: Path) -> dict[str, Any] | None:
@@ -368,12 +374,12 @@ def _records(store: Store) -> dict[str, Any]:
     """The records of the processes that computed."""
     records = _records_in(store.path)
     if records is None:
-        _warn_of_a_new(store.path / PROVENANCE, "begun anew")
+        _warn_of_remake(store.path / PROVENANCE, "begun anew")
         records = {"file": None, "sessions": []}
     return records
 
 
-def _warn_of_what_was(store: Store) -> None:
+def _warn_of_damage(store: Store) -> None:
     """Warns of what was damaged or missing, once."""
-    while store.found:
-        warn(store.found.pop(0))
+    while store.problems:
+        warn(store.problems.pop(0))

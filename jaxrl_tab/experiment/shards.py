@@ -19,11 +19,11 @@ from jaxrl_tab.engine.part import Part, compute
 from jaxrl_tab.experiment.records import library_versions
 from jaxrl_tab.experiment.spec import Experiment
 
-SHARD_STEPS = 2**27  # of the runs in a shard, about: a few seconds on two cores
-SHARD_BYTES = 2**26  # that its runs give, at most, unless one block of lanes gives more
-EPISODE_STEPS = 100  # so long an episode is taken to be, where episodes are the budget
+SHARD_STEPS = 2**27  # of all runs in a shard together, about: a few seconds on two cores
+SHARD_BYTES = 2**26  # of the results in a shard, at most, unless one block of lanes gives more
+EPISODE_STEPS = 100  # the assumed length of an episode, where episodes are the budget
 FRESH = "fresh seeds/"  # before the name of a part that runs a chosen setting again
-_read: WeakValueDictionary[str, Experiment] = WeakValueDictionary()  # by their data, not to be read again
+_read: WeakValueDictionary[str, Experiment] = WeakValueDictionary()  # by their data
 
 
 class Shard(NamedTuple):
@@ -111,7 +111,7 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
 
 
 def forget_parts() -> None:
-    """Parts are made anew from now on, as of classes that are loaded from copies."""
+    """Forgets all parts, which are then made anew, of classes that were loaded from copies since."""
     _read.clear()
     _parts.cache_clear()
     _shards.cache_clear()
@@ -140,10 +140,10 @@ def shard_runs(part: Part) -> int:
     steps = budget.num_steps or length * EPISODE_STEPS
     if budget.exact:  # a system of equations in each row, a hundred multiply-adds in the time of a step
         steps += rows * states**3 // 300
-    own = sum(x.size for x in jax.tree.leaves(recorded_shapes(budget.record, part.configs[0], part.env)))
+    recorded = sum(x.size for x in jax.tree.leaves(recorded_shapes(budget.record, part.configs[0], part.env)))
     # A table; and in each row at most 7 numbers (sums, and exact values), and those of the recorder.
-    given = 4 * (states * part.env.num_actions + rows * (7 + own))
-    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // given) // room.LANES) * room.LANES
+    bytes_per_run = 4 * (states * part.env.num_actions + rows * (7 + recorded))
+    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // bytes_per_run) // room.LANES) * room.LANES
 
 
 def runs(part: Part, shard: Shard) -> np.ndarray:

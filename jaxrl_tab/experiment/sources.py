@@ -51,7 +51,7 @@ def _places(files: Iterable[File]) -> dict[tuple[str, str], str]:
 
     A program finds there what lay beside it, and nothing else: programs of several folders are not mixed.
     """
-    found, folders = {}, []
+    places, folders = {}, []
     for file in sorted(files, key=lambda file: not _is_program(file)):
         contents = {part.name.lower(): part.data for part in (file, *file.neighbours)}
         origin = Path(file.path).parent
@@ -59,9 +59,9 @@ def _places(files: Iterable[File]) -> dict[tuple[str, str], str]:
             is_free = all(copied.get(name, data) == data for name, data in contents.items())
             if is_free and (other == origin or not _is_program(file)):
                 folders[number:] = [(other, copied | contents), *folders[number + 1 :]]
-                found[file.path, file.sha256] = f"{number}/" if number else ""
+                places[file.path, file.sha256] = f"{number}/" if number else ""
                 break
-    return found
+    return places
 
 
 def read(folder: Path, data: Any) -> dict[str, dict[str, Any]]:
@@ -129,7 +129,7 @@ def _check_original(entry: Mapping[str, Any], copies: Path) -> None:
 
 
 def _sha256(part: File) -> str:
-    """The checksum of its own content."""
+    """The checksum of the file alone, without its neighbours."""
     return part._replace(neighbours=()).sha256
 
 

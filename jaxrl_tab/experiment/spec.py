@@ -128,6 +128,7 @@ class Experiment:
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
 
     def _set(self, name: str, value: Any) -> None:
+        # The class is frozen for all others.
         object.__setattr__(self, name, value)
 
     @classmethod

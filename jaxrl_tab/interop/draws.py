@@ -90,16 +90,16 @@ class Program:
         self._examples = [jax.eval_shape(lambda: rng.key(0)), *leaves]
         self._closed = jax.make_jaxpr(flat)(*self._examples)
         # A draw that is left to its key may make another one unclear that was chosen before.
-        left: set | None = set()
-        while unclear := self._first_pass(left):
-            left |= unclear
-        self._second_pass(left)
+        left_to_keys: set | None = set()
+        while unclear := self._first_pass(left_to_keys):
+            left_to_keys |= unclear
+        self._second_pass(left_to_keys)
 
     def _read(self, reader: Reader, inputs: Sequence[Any]) -> list[Any]:
         key, *leaves = inputs
         return reader.read(self._closed.jaxpr, self._closed.consts, [Key(key, "given"), *leaves])
 
-    def _first_pass(self, left: set) -> set:
+    def _first_pass(self, left_to_keys: set) -> set:
         """Finds the choices to be made. Returns the names of draws that had better be left to their keys."""
         self._sites: list[tuple[int, int]] = []
 
@@ -108,22 +108,22 @@ class Program:
                 self._sites.append((outcomes, size))
                 return len(self._sites) - 1, jnp.broadcast_to(number, (size,))
 
-            reader = Reader(choose, left)
+            reader = Reader(choose, left_to_keys)
             for x in self._read(reader, inputs):
                 reader.plain(x)
             names.update(reader.unclear())
 
         names: set = set()
         jax.make_jaxpr(run)(jax.ShapeDtypeStruct((), jnp.int32), *self._examples)
-        return names - left
+        return names - left_to_keys
 
-    def _second_pass(self, left: set | None) -> None:
+    def _second_pass(self, left_to_keys: set | None) -> None:
         """Makes the program with an input for each choice."""
         self.is_exact: list[bool] = []
         self._made: list[list[int]] = []  # the choices of each draw
 
         def run(choices, *inputs):
-            reader = Reader(lambda outcomes, size: next(chosen), left)
+            reader = Reader(lambda outcomes, size: next(chosen), left_to_keys)
             chosen = enumerate(choices)
             outputs = self._read(reader, inputs)
             self.is_exact = list(map(is_plain, outputs))
@@ -166,7 +166,7 @@ class Program:
         sites = [i for i in range(len(self._sites)) if i in inputs]
         if math.prod(float(n) ** size for n, size in map(self._sites.__getitem__, sites)) > MOST:
             self._sites = []
-            self._second_pass(left=None)
+            self._second_pass(left_to_keys=None)
             return self.enumerate(outputs)
 
         ranges = [range(n) for i in sites for n in [self._sites[i][0]] * self._sites[i][1]]

@@ -29,7 +29,7 @@ HARMLESS = (
     wrappers.HumanRendering,
     wrappers.RecordVideo,
     wrappers.RenderCollection,
-    wrappers.AddWhiteNoise,  # of pictures, as the next
+    wrappers.AddWhiteNoise,  # this and the next change pictures only
     wrappers.ObstructView,
 )
 TRIED = 1000  # steps in which a table is compared with what an environment does
@@ -97,7 +97,7 @@ def arguments(name: str) -> dict[str, Any]:
     }
 
 
-by_name = from_gymnasium
+by_name = from_gymnasium  # the name under which `interop` looks for it in the module of each library
 
 
 def _make(name: str | EnvSpec, parameters: Mapping[str, Any]) -> gymnasium.Env:
@@ -213,7 +213,7 @@ class Tabular(gymnasium.Env):
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
         available = available_actions(env)
         self._available = None if available is None else np.asarray(available)
-        self._done = None if available is None else np.asarray(stand_ins(available))
+        self._stand_ins = None if available is None else np.asarray(stand_ins(available))
         self._s: int | None = None
         self._steps = 0
         if isinstance(env, FiniteEnvironment):
@@ -229,7 +229,7 @@ class Tabular(gymnasium.Env):
             raise gymnasium.error.ResetNeeded("call reset before step")
         if not self.action_space.contains(action):
             raise InputError(f"action must be one of 0 to {self.env.num_actions - 1}, not {shown(action)}")
-        action = int(action if self._done is None else self._done[self._s, action])
+        action = int(action if self._stand_ins is None else self._stand_ins[self._s, action])
         outcome = self._step(self._key(), self._s, action)
         self._s, self._steps = int(outcome.s_next), self._steps + 1
         terminated = bool(outcome.terminal)

@@ -81,8 +81,8 @@ class SampledGymnax:
         state = jax.tree.unflatten(jax.tree.structure(example), list(leaves.values()))
         _, state, reward, terminal, _ = self.env.step_env(key, state, a, self.params)
         terminal = jnp.asarray(terminal, bool)
-        s_next, found = self._find(state, terminal)
-        return Outcome(s_next, jnp.where(found, jnp.asarray(reward, float), jnp.nan), terminal)
+        s_next, has_number = self._find(state, terminal)
+        return Outcome(s_next, jnp.where(has_number, jnp.asarray(reward, float), jnp.nan), terminal)
 
     def _find(self, state: Any, terminal: Any) -> tuple[Int[Array, ""], Bool[Array, ""]]:
         """The number of a state of gymnax, and whether it has one."""
@@ -121,18 +121,18 @@ def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGy
     """
     env, params = _made(env, params, parameters)
     task = Task(env, params)
-    found = States(task)
-    start, outcomes = explore(task, found)
-    number, num_states = found.numbering()
+    reached = States(task)
+    start, outcomes = explore(task, reached)
+    number, num_states = reached.numbering()
     rows = lambda x: _rows(np.array(x), number, num_states)
     observations = jax.tree.unflatten(
-        task.observation_def, list(map(rows, zip(*found.observations, strict=True)))
+        task.observation_def, list(map(rows, zip(*reached.observations, strict=True)))
     )
-    is_terminal = rows(found.is_terminal)
+    is_terminal = rows(reached.is_terminal)
     if not task.is_exact:
         is_state = np.isin(np.arange(num_states), number)
         names = [task.names[i] for i in task.leaves]
-        states = dict(zip(names, map(rows, zip(*found.states, strict=True)), strict=True))
+        states = dict(zip(names, map(rows, zip(*reached.states, strict=True)), strict=True))
         return SampledGymnax(states, is_terminal, is_state, observations, params, env, task.max_steps)
     # A number that no state has leads to itself, as if it were one that is never entered.
     renamed = [[[(1.0, s, 0.0)]] * task.num_actions for s in range(num_states)]
@@ -200,9 +200,9 @@ def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environ
 def _params(env: environment.Environment, params: Any) -> Any:
     """The parameters of `env`, where `params` are such, or a mapping of those that differ from the default ones."""
     default = env.default_params
-    known = [field.name for field in dataclasses.fields(default)]
+    field_names = [field.name for field in dataclasses.fields(default)]
     if isinstance(params, type(default)):
-        changed: dict[Any, Any] = {field: getattr(params, field) for field in known}
+        changed: dict[Any, Any] = {field: getattr(params, field) for field in field_names}
     elif params is None or isinstance(params, Mapping):
         changed = dict(params or {})
     else:
@@ -211,8 +211,8 @@ def _params(env: environment.Environment, params: Any) -> Any:
             f"env.default_params, not {shown(params)}"
         )
     for field, value in changed.items():
-        if field not in known:
-            raise InputError(f"{env.name} has no parameter {field!r}; {nearest(str(field), known)}")
+        if field not in field_names:
+            raise InputError(f"{env.name} has no parameter {field!r}; {nearest(str(field), field_names)}")
         number = numbers(env.name, field, value)
         if number.shape != np.shape(getattr(default, field)) or not np.isfinite(number).all():
             raise InputError(

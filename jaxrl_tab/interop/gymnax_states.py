@@ -228,12 +228,12 @@ def _check_countable(task: Task, seen: Seen) -> None:
             )
 
 
-def explore(task: Task, found: States) -> tuple[dict[int, float], list[Any]]:
+def explore(task: Task, reached: States) -> tuple[dict[int, float], list[Any]]:
     """Finds all states, breadth first. Returns the probabilities of start states, and outcomes [S][A]."""
     keys = jax.random.split(rng.key(0), 1 if task.states_are_exact else KEYS)
     seen = task.beginnings(keys)
     _check_countable(task, seen)
-    numbers = found.add(seen, seen.observation, np.zeros(seen.prob.shape, bool))
+    numbers = reached.add(seen, seen.observation, np.zeros(seen.prob.shape, bool))
     start: dict[int, float] = {}
     for i in map(tuple, np.argwhere(numbers >= 0)):
         start[int(numbers[i])] = start.get(int(numbers[i]), 0.0) + float(seen.prob[i]) / len(keys)
@@ -242,19 +242,19 @@ def explore(task: Task, found: States) -> tuple[dict[int, float], list[Any]]:
     block = max(1, LANES // (task.num_actions * len(keys) * len(task.step.choices)))
     step = task.transitions(block)
     outcomes: list[list[list[tuple[float, int, float]]]] = []
-    while len(outcomes) < len(found.states):
-        todo = np.arange(len(outcomes), min(len(outcomes) + block, len(found.states)))
+    while len(outcomes) < len(reached.states):
+        todo = np.arange(len(outcomes), min(len(outcomes) + block, len(reached.states)))
         outcomes += [[[] for _ in range(task.num_actions)] for _ in todo]
-        todo = todo[~np.array(found.is_terminal)[todo]]
+        todo = todo[~np.array(reached.is_terminal)[todo]]
         if not len(todo):
             continue
         padded = np.resize(todo, block)  # of one size, so that one program does
-        states = [np.array(x) for x in zip(*(found.states[s] for s in padded), strict=True)]
+        states = [np.array(x) for x in zip(*(reached.states[s] for s in padded), strict=True)]
         seen = step(keys, states)
         seen = jax.tree.map(lambda x: x[: len(todo)], seen)  # noqa: B023
         *observation, reward, terminal = seen.observation
         reward = draws.exact(reward)
-        numbers = found.add(seen, observation, terminal)
+        numbers = reached.add(seen, observation, terminal)
         task.check_time(
             seen, (seen.prob > 0) & ~terminal, task.time_of(states)[: len(todo), None, None, None]
         )

@@ -37,12 +37,12 @@ class Key(NamedTuple):
 
 
 class Opaque(NamedTuple):
-    value: Any  # depends on the key, so it is one of many
+    value: Any  # depends on the key, and so may be another one in each run
 
 
 @dataclass
 class Draw:
-    """One draw: which uniform numbers in [0, 1) it needs, and what the choice made of it says of them."""
+    """One draw: what was chosen for it, and the ends between which its uniform number in [0, 1) then lies."""
 
     name: Any
     sites: list[int] = field(default_factory=list)  # the choices made of it
@@ -73,9 +73,10 @@ class Reader:
     `choose(outcomes, size)` makes the next choice: its number, and int32 [size], each below `outcomes`.
     """
 
-    def __init__(self, choose: Callable[[int, int], Any], left: set | None):
+    def __init__(self, choose: Callable[[int, int], Any], left_to_keys: set | None):
         self.choose = choose
-        self.left = left  # the names of the keys whose draws are left to them; None for all keys
+        # The names of the keys that decide their draws themselves, as in any run. None: all keys do.
+        self.left_to_keys = left_to_keys
         self.draws: list[Draw] = []
         self.traced: list[Any] = []
 
@@ -97,7 +98,7 @@ class Reader:
         """What tells `x` from other values from which a key is derived."""
         if isinstance(x, Key):
             return x.name
-        if is_known(x):
+        if is_constant(x):
             return str(np.asarray(x).dtype), np.asarray(x).tobytes()
         place = next((i for i, other in enumerate(self.traced) if other is x), len(self.traced))
         if place == len(self.traced):
@@ -105,18 +106,18 @@ class Reader:
         return place
 
     def read(self, jaxpr: Jaxpr, consts: Sequence[Any], args: Sequence[Any]) -> list[Any]:
-        known: dict[Any, Any] = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*consts, *args), strict=True))
+        values: dict[Any, Any] = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*consts, *args), strict=True))
         for eqn in jaxpr.eqns:
-            inputs = [x.val if isinstance(x, Literal) else known[x] for x in eqn.invars]
-            known.update(zip(eqn.outvars, self.outputs(eqn, inputs), strict=True))
-        return [x.val if isinstance(x, Literal) else known[x] for x in jaxpr.outvars]
+            inputs = [x.val if isinstance(x, Literal) else values[x] for x in eqn.invars]
+            values.update(zip(eqn.outvars, self.outputs(eqn, inputs), strict=True))
+        return [x.val if isinstance(x, Literal) else values[x] for x in jaxpr.outvars]
 
     def outputs(self, eqn: Any, inputs: list[Any]) -> list[Any]:
         """What one operation gives."""
         primitive = eqn.primitive.name
         rule = RULES.get((eqn.params["name"], len(inputs)) if primitive == "jit" else primitive)
-        if rule and (found := rule(self, eqn, *inputs)) is not None:
-            return [found]
+        if rule and (result := rule(self, eqn, *inputs)) is not None:
+            return [result]
         if (where := CALLS.get(primitive)) is not None:
             called: ClosedJaxpr = eqn.params[where]
             return self.read(called.jaxpr, called.consts, inputs)
@@ -125,7 +126,9 @@ class Reader:
     def compute(self, eqn: Any, inputs: list[Any]) -> list[Any]:
         values = [self.plain(x) for x in inputs]
         constant = not any(isinstance(x, Tracer) for x in values)
-        with jax.ensure_compile_time_eval() if constant else contextlib.nullcontext():  # it stays known
+        with (
+            jax.ensure_compile_time_eval() if constant else contextlib.nullcontext()
+        ):  # so that the result is a constant too
             outputs = eqn.primitive.bind(*values, **eqn.params)
         outputs = outputs if eqn.primitive.multiple_results else [outputs]
         keyed = any(isinstance(x, Key) for x in inputs)
@@ -145,15 +148,16 @@ class Reader:
 
     def is_free(self, key: Any, *others: Any) -> bool:
         """Whether a draw from `key` can be chosen: it is no key of two draws, and nothing else is random."""
-        is_left = self.left is None or not isinstance(key, Key) or key.name in self.left
-        return not is_left and all(map(is_plain, others))
+        left = self.left_to_keys
+        can_be_chosen = left is not None and isinstance(key, Key) and key.name not in left
+        return can_be_chosen and all(map(is_plain, others))
 
 
 def is_plain(x: Any) -> bool:
     return not isinstance(x, Key | Opaque | Uniform | Gumbel)
 
 
-def is_known(x: Any) -> bool:
+def is_constant(x: Any) -> bool:
     return is_plain(x) and not isinstance(x, Tracer)
 
 
@@ -180,7 +184,7 @@ def _gumbel(reader: Reader, eqn: Any, key: Any) -> Any:
 
 
 def _randint(reader: Reader, eqn: Any, key: Any, least: Any, end: Any) -> Any:
-    if not reader.is_free(key) or not all(is_known(x) and np.size(x) == 1 for x in (least, end)):
+    if not reader.is_free(key) or not all(is_constant(x) and np.size(x) == 1 for x in (least, end)):
         return None
     least, end = int(np.ravel(least)[0]), int(np.ravel(end)[0])
     out, draw = eqn.outvars[0].aval, reader.new(key.name)
@@ -270,8 +274,8 @@ def _reshape(reader: Reader, eqn: Any, x: Any) -> Any:
 
 
 def _select_n(reader: Reader, eqn: Any, which: Any, *cases: Any) -> Any:
-    """The case of a condition that is known."""
-    if not is_known(which) or not np.size(which) or np.ptp(np.asarray(which, int)):
+    """The case that is chosen, where the condition is a constant."""
+    if not is_constant(which) or not np.size(which) or np.ptp(np.asarray(which, int)):
         return None
     return cases[int(np.ravel(which)[0])]
 
@@ -285,9 +289,9 @@ def _or(reader: Reader, eqn: Any, x: Any, y: Any) -> Any:
 
 
 def _settled(eqn: Any, by: int, x: Any, y: Any) -> Any:
-    """The input that is known to be `by`, which is what comes out then."""
+    """The input that is a constant `by`, for then the result is `by` as well: 0 of a product, 1 of `or`."""
     for z in (x, y):
-        if is_known(z) and (np.asarray(z) == by).all():
+        if is_constant(z) and (np.asarray(z) == by).all():
             with jax.ensure_compile_time_eval():
                 return jnp.broadcast_to(z, eqn.outvars[0].aval.shape)
     return None

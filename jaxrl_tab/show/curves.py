@@ -134,7 +134,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
             continue
         label, x, parts = series[name]
         x, (*interval, _, late) = place(x), (part.values for part in parts)
-        # It may have diverged, and what is infinite would be an endless bar.
+        # Where runs diverged the interval may be infinite, and its bar would have no end.
         mean, low, high = (np.where(np.isfinite(part), part, np.nan) for part in interval)
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
@@ -152,7 +152,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     what = "step size α" if parameter == "alpha" else words.symbol(parameter)
     if prediction:
         tidy(ax, what, "RMS error of V, mean over the run")
-        _error_axis(ax, shown[::3])
+        _error_axis(ax, shown[::3])  # the means alone, without the ends of the intervals
     else:
         tidy(ax, what, "mean return, last tenth")
         _return_axis(ax, shown, common_optimum(datasets), soft)
@@ -207,13 +207,13 @@ def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, *
 
 
 def interval_curve(ax: Axes, x: Any, interval: stats.Interval, label: str, color: str, **line: Any) -> None:
-    """`mean_curve`, of an interval that is there."""
+    """`mean_curve`, from an interval that was worked out before."""
     ax.plot(x, interval.estimate, label=literal(label), color=color, lw=line.pop("lw", 1.8), **line)
     ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
 
 
 def _readable_curve(own: Settings, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
-    """At most how many points, the interval of their mean returns, and where enough seeds are, bool [points].
+    """At most how many points, the interval of the mean return at each, and if seeds suffice, bool [points].
 
     They are fewer than `points` if that closes gaps in the second half.
     """

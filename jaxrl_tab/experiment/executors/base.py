@@ -50,7 +50,7 @@ class Failed(NamedTuple):
 
     Attributes:
         line: the error.
-        trace: whence it came; empty where work was refused, before it began.
+        trace: its traceback; empty where the work was refused before it began.
     """
 
     line: str
@@ -62,7 +62,7 @@ class Job(NamedTuple):
 
     Attributes:
         work: as in `Executor.run`.
-        cores: so many cores are JAX devices there; all that it may use, where None.
+        cores: how many cores of another process become JAX devices; None: all that it may use.
         settings: JAX's, of the process that sends it.
         surroundings: of that process, see `provenance`.
     """
@@ -90,7 +90,7 @@ class Job(NamedTuple):
             return Failed(f"{named}{error}", traceback.format_exc())
 
     def _set_up(self) -> None:
-        self._compare(provenance.installed())  # first, for another JAX may have other settings
+        self._compare(provenance.installed())  # before the settings, which another JAX may not have
         for name, value in self.settings.items():
             jax.config.update(name, value)
         if self.cores is None:
@@ -100,9 +100,9 @@ class Job(NamedTuple):
                 jax.config.update("jax_num_cpu_devices", self.cores)
         self._compare(provenance.surroundings())
 
-    def _compare(self, here: Mapping[str, Any]) -> None:
+    def _compare(self, of_this_process: Mapping[str, Any]) -> None:
         """Raises InputError where this process would compute other numbers than the one that sent the work."""
-        if changed := provenance.differences(self.surroundings, here):
+        if changed := provenance.differences(self.surroundings, of_this_process):
             raise InputError(
                 f"{platform.node()} would not compute as the machine where this was started: "
                 f"{'; '.join(changed)} there; install and set the same on all machines"

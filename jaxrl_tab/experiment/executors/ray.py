@@ -30,8 +30,8 @@ class Ray:
     """On a Ray cluster; on the cores of this machine where none is named.
 
     A task that is lost with its worker or its node is done again, elsewhere. Where no node has room, it waits
-    for one. A connection to Ray that this process already has is used, and stays. Which cluster it is that
-    was joined is said by the logger of this module.
+    for one. A connection to Ray that this process already has is used, and stays. The logger of this module
+    tells which cluster was joined.
 
     Attributes:
         address: Of the cluster, "HOST:PORT" or "ray://HOST:PORT", or "auto" for one that runs on this
@@ -41,7 +41,7 @@ class Ray:
         max_retries: How often a task that was lost is done again.
 
     Raises:
-        InputError: the address is none, or Ray is not installed.
+        InputError: the address has another form, or Ray is not installed.
         RunError: no Ray cluster answers there, or it wants a token.
     """
 
@@ -73,7 +73,7 @@ class Ray:
                     while waiting and len(under_way) < _AHEAD * self._places():
                         task = waiting.popleft()
                         under_way[call.remote(job, task)] = task
-                    with contextlib.redirect_stdout(sys.stderr):  # Ray tells on it of nodes that go away
+                    with contextlib.redirect_stdout(sys.stderr):  # where Ray prints that a node goes away
                         ready, _ = ray.wait(list(under_way), num_returns=1)
                     yield result_of(*self._fetch(under_way, ready.pop()))
             finally:
@@ -130,9 +130,8 @@ class Ray:
         quiet = {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
         try:
             with contextlib.redirect_stdout(sys.stderr), warnings.catch_warnings():
-                warnings.filterwarnings(
-                    "ignore", "os.fork", RuntimeWarning
-                )  # by JAX: a program follows at once
+                # JAX warns of forks. Ray forks only to start another program at once, which is safe.
+                warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
                 ray.init(self._address, **quiet)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise RunError(f"no Ray cluster at {self._address}: {str(error).splitlines()[0]}") from error
@@ -143,7 +142,7 @@ class Ray:
         cores = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
         log = logging.getLogger(__name__)
         if not own:
-            by_client = self._address.startswith("ray://")  # then this process knows no other
+            by_client = self._address.startswith("ray://")  # then this process knows no other address
             address = self._address if by_client else ray.get_runtime_context().gcs_address
             log.warning("on the Ray cluster at %s: %d nodes, %d cores", address, len(cores), sum(cores))
         if max(cores, default=0) < self.num_cpus:

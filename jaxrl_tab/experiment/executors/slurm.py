@@ -56,31 +56,31 @@ class Slurm:
         shares = [tasks[i :: self.max_jobs] for i in range(min(self.max_jobs, len(tasks)))]
         with executor.batch():
             handed_in = [executor.submit(_several, job, share) for share in shares]
-        under_way = {one: (share, 0) for one, share in zip(handed_in, shares, strict=True)}
+        under_way = {submitted: (share, 0) for submitted, share in zip(handed_in, shares, strict=True)}
         try:
             while under_way:
-                for one in [one for one in under_way if one.done()]:
-                    share, deaths = under_way.pop(one)
-                    results = self._fetch(one, share, deaths + 1)
+                for submitted in [submitted for submitted in under_way if submitted.done()]:
+                    share, deaths = under_way.pop(submitted)
+                    results = self._fetch(submitted, share, deaths + 1)
                     if results is None:
                         under_way[executor.submit(_several, job, share)] = share, deaths + 1
-                    while results:
+                    while results:  # none is held any longer than it takes to give it
                         yield result_of(*results.pop(0))
                 if under_way:
                     time.sleep(_SECONDS)
         except _JobError:
-            raise  # and leave what the job said
+            raise  # and keep the folder, where the job's own messages are
         except BaseException:
             _remove(folder)
             raise
         else:
             _remove(folder)
         finally:
-            for one in under_way:
-                one.cancel(check=False)
+            for submitted in under_way:
+                submitted.cancel(check=False)
 
     def _executor(self, folder: str | Path) -> Any:
-        """submitit's."""
+        """The executor of submitit."""
         import submitit
 
         try:
@@ -91,7 +91,7 @@ class Slurm:
         return executor
 
     def _fetch(self, job: Any, share: Sequence[int], deaths: int) -> list[tuple[int, Arrays | Failed]] | None:
-        """What a job that has ended gave, or None where it died, for the time that `deaths` says."""
+        """What a job that has ended gave; None where it died, for the `deaths`-th time: try again."""
         from submitit.core.utils import FailedJobError, UncompletedJobError
 
         try:
@@ -109,7 +109,7 @@ class Slurm:
 
 
 class _JobError(RunError):
-    """It is about a job, not about a shard."""
+    """A job failed as a whole, and not in one of its shards."""
 
 
 def _several(job: Job, tasks: Sequence[int]) -> list[tuple[int, Arrays | Failed]]:
@@ -124,5 +124,5 @@ def _several(job: Job, tasks: Sequence[int]) -> list[tuple[int, Arrays | Failed]
 
 def _remove(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
-    with contextlib.suppress(OSError):  # others have files there
+    with contextlib.suppress(OSError):  # other runs have files there
         folder.parent.rmdir()
