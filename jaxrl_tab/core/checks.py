@@ -369,7 +369,10 @@ FRACTION = {"greater_than": 0, "less_than": 1}
 
 def check_within(name: str, value: Any, limits: Mapping[str, float]) -> None:
     """Raises InputError unless `value` is one finite number within limits as a field has them, such as `RATE`."""
-    if not isinstance(value, int | float | np.number) or not within(limits, np.asarray(value)):
+    number = np.asarray(value) if isinstance(value, int | float | np.number) else np.empty(0, object)
+    if number.dtype == object or not within(
+        limits, number
+    ):  # NumPy has no type for the longest whole numbers
         raise unfit(None, name, in_words(limits), value)
 
 
