@@ -369,10 +369,9 @@ FRACTION = {"greater_than": 0, "less_than": 1}
 
 def check_within(name: str, value: Any, limits: Mapping[str, float]) -> None:
     """Raises InputError unless `value` is one finite number within limits as a field has them, such as `RATE`."""
-    number = np.asarray(value) if isinstance(value, int | float | np.number) else np.empty(0, object)
-    if number.dtype == object or not within(
-        limits, number
-    ):  # NumPy has no type for the longest whole numbers
+    number = np.asarray(value) if isinstance(value, int | float | np.number) else None
+    # NumPy has no type for the longest whole numbers, so they become objects.
+    if number is None or number.dtype == object or not within(limits, number):
         raise unfit(None, name, in_words(limits), value)
 
 
