@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import quick
+from refusals import refused
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, plot
 from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import modules, names
-from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import shards
@@ -115,16 +115,6 @@ def expected():
 def check(ds, other):
     assert ds.q.values.tobytes() == other.q.values.tobytes()
     assert ds.returns.values.tobytes() == other.returns.values.tobytes()
-
-
-def refused(run, *messages):
-    with pytest.raises(InputError) as error:
-        run()
-    line = str(error.value)
-    assert "\n" not in line
-    for message in messages:
-        assert message in line, line
-    return line
 
 
 # --- names -------------------------------------------------------------------------------------------

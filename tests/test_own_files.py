@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 import quick
+from refusals import refused
 
 import jaxrl_tab as rl
 from jaxrl_tab import plot
 from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import modules, names
-from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.experiment import shards
 
 # Sarsa whose steps are as long as the neighbours say: half of alpha, and a quarter of that where it is asked for.
@@ -65,15 +65,6 @@ def expected(alpha=0.5 / 8):
 def lose_results(folder="run"):
     shutil.rmtree(f"{folder}/shards")
     shards.forget_parts()
-
-
-def refused(run, *messages):
-    with pytest.raises(InputError) as error:
-        run()
-    line = str(error.value)
-    assert "\n" not in line
-    for message in messages:
-        assert message in line, line
 
 
 # --- neighbours --------------------------------------------------------------------------------------
