@@ -112,9 +112,8 @@ def session(
         yield
     finally:
         session["ended"] = timestamp()
-        with contextlib.suppress(
-            RunError
-        ):  # the disk may be full: an error that says so is under way already
+        # The disk may be full: an error that says so is under way already.
+        with contextlib.suppress(RunError):
             storage.write_json(file, records)
 
 

@@ -107,9 +107,8 @@ def read_json(file: Path) -> Any:
         data = file.read_bytes()
     try:
         parsed = json.loads(data.decode())
-        json.dumps(
-            parsed, ensure_ascii=False
-        ).encode()  # raises where half of a surrogate pair could not be written again
+        # Raises where half of a surrogate pair could not be written again.
+        json.dumps(parsed, ensure_ascii=False).encode()
         return parsed
     except (ValueError, RecursionError):
         return None
@@ -462,9 +461,8 @@ def _load(file: Path, of: Any = np.lib.format.read_array) -> dict[str, Any] | No
                         arrays[member.filename.removesuffix(".npy")] = of(array)
                 return arrays
         except Exception as error:  # there is no end to what a flipped bit makes zipfile and NumPy raise
-            if (
-                isinstance(error, OSError) and error.errno != errno.EINVAL
-            ):  # EINVAL: a damaged offset lies outside of the file
+            # EINVAL is damage, too: an offset that lies outside of the file.
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:
                 raise
             return None
 

@@ -126,9 +126,8 @@ class Reader:
     def compute(self, eqn: Any, inputs: list[Any]) -> list[Any]:
         values = [self.plain(x) for x in inputs]
         constant = not any(isinstance(x, Tracer) for x in values)
-        with (
-            jax.ensure_compile_time_eval() if constant else contextlib.nullcontext()
-        ):  # so that the result is a constant too
+        # Of constants the result is a constant, too.
+        with jax.ensure_compile_time_eval() if constant else contextlib.nullcontext():
             outputs = eqn.primitive.bind(*values, **eqn.params)
         outputs = outputs if eqn.primitive.multiple_results else [outputs]
         keyed = any(isinstance(x, Key) for x in inputs)
