@@ -26,7 +26,7 @@ def main() -> int:
     cores = min(2, len(os.sched_getaffinity(0)))
     size = QUICK if args.quick else FULL
     rounds = args.rounds or (QUICK_ROUNDS if args.quick else ROUNDS)
-    found: dict[str, Any] = {
+    record: dict[str, Any] = {
         "machine": report.machine(),
         "versions": report.versions(),
         "settings": {"cores": cores, "rounds": rounds, **size._asdict(), **problems.settings()},
@@ -35,7 +35,7 @@ def main() -> int:
     if args.growth:
         points = growth.measure(size, cores, _say)
         growth.draw(points, args.growth)
-        found["growth"] = {what: [point._asdict() for point in series] for what, series in points.items()}
+        record["growth"] = {what: [point._asdict() for point in series] for what, series in points.items()}
         differences = []
     else:
         names = args.only or [name for name in ROWS if not (args.quick and name in SLOW)]
@@ -45,9 +45,9 @@ def main() -> int:
             _say("this part of the benchmark needs Numba: pip install -e '.[bench]'")
             return 2
         compared, differences = _compare(tasks, rounds)
-        found |= compared
+        record |= compared
     if args.json:
-        args.json.write_text(json.dumps(found, indent=1) + "\n")
+        args.json.write_text(json.dumps(record, indent=1) + "\n")
     return 1 if differences else 0
 
 
@@ -59,8 +59,8 @@ def _compare(tasks: Sequence[Task], rounds: int) -> tuple[dict[str, Any], list[s
     try:
         records.extend(measure(tasks, rounds, progress))
     except KeyboardInterrupt:  # what was measured is not lost
-        found = collections.Counter((record.task, record.cores) for record in records)
-        whole = lambda task: found[task.name, task.cores] == rounds * len(task.parties)
+        counts = collections.Counter((record.task, record.cores) for record in records)
+        whole = lambda task: counts[task.name, task.cores] == rounds * len(task.parties)
         tasks = [task for task in tasks if whole(task)]
         _say(f"stopped: {len(tasks)} rows were finished")
     rows = [row for task in tasks for row in report.rows(task, records)]

@@ -46,8 +46,8 @@ def measure(size: Size, cores: int, progress: Callable[[str], None]) -> dict[str
         points[what] = []
         for states, lanes in settings:
             progress(f"growth: {states} states, {lanes} lanes")
-            given = {"states": states, "lanes": lanes, "steps": size.steps // 4}
-            points[what].append(fresh("benchmarks.growth:point", cores, **given))
+            arguments = {"states": states, "lanes": lanes, "steps": size.steps // 4}
+            points[what].append(fresh("benchmarks.growth:point", cores, **arguments))
     return points
 
 
@@ -76,14 +76,14 @@ def draw(points: Mapping[str, Sequence[Point]], file: Path) -> None:
     from jaxrl_tab import plot
 
     canvas = plot.canvas(plot.WIDTH, 3.2)
-    for ax, (what, found) in zip(canvas.subplots(1, len(points)), points.items(), strict=True):
-        x = [getattr(p, what) for p in found]
+    for ax, (what, series) in zip(canvas.subplots(1, len(points)), points.items(), strict=True):
+        x = [getattr(p, what) for p in series]
         time, memory = plot.COLORS[:2]
-        ax.plot(x, [p.nanoseconds for p in found], "o-", color=time)
+        ax.plot(x, [p.nanoseconds for p in series], "o-", color=time)
         plot.tidy(ax, what, "time of a step, ns")
         ax.yaxis.label.set_color(time)
         other = ax.twinx()
-        other.plot(x, [p.mebibytes for p in found], "s--", color=memory)
+        other.plot(x, [p.mebibytes for p in series], "s--", color=memory)
         other.set_ylabel("peak memory, MiB", color=memory)
         other.spines["top"].set_visible(False)
         other.set_ylim(bottom=0)

@@ -23,22 +23,22 @@ LOW_32 = U(2**32 - 1)
 inline = numba.njit(forceinline=True)
 
 
-def rounds(kernel: Callable, lanes: int, pairs: int, *given: int) -> Round:
-    """A round is `kernel(seeds, tables, outcomes, *given)`, a thread for each core.
+def rounds(kernel: Callable, lanes: int, pairs: int, *counts: int) -> Round:
+    """A round is `kernel(seeds, tables, outcomes, *counts)`, a thread for each core.
 
     The kernel reads a seed for each lane, uint64 [lanes], and fills in Q, float32 [lanes, pairs], and the
-    outcomes, float32 [lanes]. `given` are whole numbers: how much each lane does.
+    outcomes, float32 [lanes]. `counts` are whole numbers: how much each lane does.
     """
 
-    def run(lanes: int, seed: int, *given: int) -> Timing:
+    def run(lanes: int, seed: int, *counts: int) -> Timing:
         seeds = np.arange(lanes, dtype=U) + U(seed << 32)
         begun = time.perf_counter()
         tables, outcomes = np.zeros((lanes, pairs), np.float32), np.zeros(lanes, np.float32)
-        kernel(seeds, tables, outcomes, *given)
+        kernel(seeds, tables, outcomes, *counts)
         return Timing(time.perf_counter() - begun, outcomes)
 
-    run(4, 0, *(1 for _ in given))  # compiles
-    return lambda seed: run(lanes, seed, *given)
+    run(4, 0, *(1 for _ in counts))  # compiles
+    return lambda seed: run(lanes, seed, *counts)
 
 
 # --- random numbers ----------------------------------------------------------------------------------

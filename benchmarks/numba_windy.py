@@ -76,6 +76,10 @@ def lane_by_lane(method: str, lanes: int, steps: int) -> Round:
     return rounds(one_after_another(begin, STEP[method]), lanes, NEXT_ROW.size, steps)
 
 
+def one_run(method: str, steps: int) -> Round:
+    return lane_by_lane(method, 1, steps)
+
+
 def four_abreast(method: str, lanes: int, steps: int) -> Round:
     """Four lanes in turn; the number of lanes must be a multiple of 4."""
     return rounds(four_in_turn(begin, STEP[method]), lanes, NEXT_ROW.size, steps)

@@ -58,19 +58,15 @@ def _row(task: Task, target: Target, mine: np.ndarray, theirs: np.ndarray) -> Ro
     ratios = mine / theirs if target.times else theirs / mine
     ratio = float(np.median(ratios))
     return Row(
-        task.name,
-        task.cores,
-        task.unit,
-        target.party,
-        target.against,
+        task=task.name,
+        cores=task.cores,
+        unit=task.unit,
+        **target._asdict(),
         speed=task.work / float(np.median(mine)),
         speed_against=task.work / float(np.median(theirs)),
         ratio=ratio,
         low=float(ratios.min()),
         high=float(ratios.max()),
-        least=target.least,
-        aim=target.aim,
-        times=target.times,
         verdict=verdict(target, ratio),
     )
 
@@ -181,11 +177,11 @@ def machine() -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Of Python and of the packages that are there."""
-    found = {"python": platform.python_version()}
+    installed = {"python": platform.python_version()}
     for name in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
+            installed[name] = importlib.metadata.version(name)
+    return installed
 
 
 def cpu_model() -> str:

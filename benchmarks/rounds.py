@@ -40,13 +40,13 @@ class Party(NamedTuple):
         name: as the table shows it.
         library: parties of one library share a process.
         call: "module:function", which compiles, and gives a Round.
-        given: its arguments.
+        arguments: of the call, by name.
     """
 
     name: str
     library: str
     call: str
-    given: Mapping[str, Any]
+    arguments: Mapping[str, Any]
 
 
 class Target(NamedTuple):
@@ -114,7 +114,7 @@ def measure(tasks: Sequence[Task], rounds: int, progress: Callable[[str], None])
                 processes[key] = _Process(task.cores)
             turns.append((task, party, processes[key]))
     for task, party, process in turns:  # all processes compile at the same time
-        process.tell("prepare", (task.name, party.name), party.call, party.given)
+        process.tell("prepare", (task.name, party.name), party.call, party.arguments)
     for _, _, process in turns:
         process.answer()
 
@@ -138,10 +138,10 @@ def _record(task: Task, number: int, party: Party, timing: Timing) -> Record:
     return record._replace(mean=float(x.mean(dtype=float)), variance=float(x.var(dtype=float)), lanes=len(x))
 
 
-def fresh(call: str, cores: int, **given: Any) -> Any:
+def fresh(call: str, cores: int, **arguments: Any) -> Any:
     """What "module:function" returns in a process of its own, on so many cores."""
     process = _Process(cores)
-    process.tell("call", call, given)
+    process.tell("call", call, arguments)
     return process.answer()
 
 
@@ -170,15 +170,15 @@ def _serve(pipe: Connection, cores: int) -> None:
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])  # before JAX and Numba start threads
     prepared: dict[tuple[str, str], Round] = {}  # by the names of task and party
 
-    def prepare(name: tuple[str, str], function: str, given: Mapping[str, Any]) -> None:
-        prepared[name] = call(function, given)
+    def prepare(name: tuple[str, str], function: str, arguments: Mapping[str, Any]) -> None:
+        prepared[name] = call(function, arguments)
 
     def run(name: tuple[str, str], number: int) -> Timing:
         return prepared[name](number)
 
-    def call(path: str, given: Mapping[str, Any]) -> Any:
+    def call(path: str, arguments: Mapping[str, Any]) -> Any:
         module, _, function = path.partition(":")
-        return getattr(importlib.import_module(module), function)(**given)
+        return getattr(importlib.import_module(module), function)(**arguments)
 
     orders = {"prepare": prepare, "run": run, "call": call}
     with contextlib.suppress(EOFError):

@@ -1,11 +1,12 @@
 """The rows of the benchmark: who does what, and what was promised of it."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from benchmarks.rounds import Party, Target, Task, fresh
 
-OURS, NAIVE = "jaxrl_tab", "naive JAX"
+OURS = "jaxrl_tab"
 LANE_BY_LANE, ABREAST = "Numba, lane by lane", "Numba, 4 lanes abreast"
 METHODS = ("q-learning", "sarsa")
 
@@ -31,29 +32,31 @@ FULL = Size(lanes=4096, steps=8000, slow_lanes=1024, lone_steps=100_000, games=5
 QUICK = Size(lanes=256, steps=8000, slow_lanes=128, lone_steps=100_000, games=5000)
 
 
-def ours(function: str, given: dict[str, Any], name: str = OURS) -> Party:
-    return Party(name, "ours", f"benchmarks.ours:{function}", given)
+class Peer(NamedTuple):
+    """Somebody beside whom we are measured.
 
+    Attributes:
+        name: as the table shows it.
+        call: as `_party` takes it.
+        least, aim: what was promised of our speed beside it, as in `Target`.
+    """
 
-def numba(name: str, call: str, given: dict[str, Any]) -> Party:
-    return Party(name, "numba", f"benchmarks.{call}", given)
-
-
-def naive(function: str, given: dict[str, Any]) -> Party:
-    return Party(NAIVE, "naive JAX", f"benchmarks.naive_jax:{function}", given)
+    name: str
+    call: str
+    least: float | None = None
+    aim: float | None = None
 
 
 def windy(size: Size, cores: int) -> list[Task]:
     """Q-learning and Sarsa on the windy gridworld, on as many cores as there are."""
+    peers = (
+        Peer(LANE_BY_LANE, "numba_windy:lane_by_lane", least=1.0, aim=2.0),
+        Peer(ABREAST, "numba_windy:four_abreast"),
+        Peer("naive JAX", "naive_jax:many_lanes", least=25, aim=45),
+    )
+    work = {"lanes": size.lanes, "steps": size.steps}
     return [
-        _windy(
-            method,
-            size,
-            cores,
-            Target(OURS, LANE_BY_LANE, least=1.0, aim=2.0),
-            Target(OURS, ABREAST),
-            Target(OURS, NAIVE, least=25, aim=45),
-        )
+        _beside(f"{method}, windy gridworld", cores, "ours:windy", {"method": method, **work}, *peers)
         for method in METHODS
     ]
 
@@ -62,158 +65,99 @@ def windy_on_one_core(size: Size, cores: int) -> list[Task]:
     """The same on one core of several, for which nothing was promised."""
     if cores == 1:
         return []
-    targets = Target(OURS, LANE_BY_LANE), Target(OURS, ABREAST), Target(OURS, NAIVE)
-    return [_windy(method, size, 1, *targets) for method in METHODS]
-
-
-def _windy(method: str, size: Size, cores: int, *targets: Target) -> Task:
-    given = {"method": method, "lanes": size.lanes, "steps": size.steps}
-    return Task(
-        f"{method}, windy gridworld",
-        cores,
-        work=size.lanes * size.steps,
-        unit="steps",
-        parties=(
-            ours("windy", given),
-            numba(LANE_BY_LANE, "numba_windy:lane_by_lane", given),
-            numba(ABREAST, "numba_windy:four_abreast", given),
-            naive("many_lanes", given),
-        ),
-        targets=targets,
-        outcome="episodes",
-    )
+    unpromised = lambda task: tuple(Target(target.party, target.against) for target in task.targets)
+    return [task._replace(targets=unpromised(task)) for task in windy(size, cores=1)]
 
 
 def one_run(size: Size, cores: int) -> list[Task]:
     """One run alone, which cannot use more than one core."""
-    tasks = []
-    for method in METHODS:
-        given = {"method": method, "steps": size.lone_steps}
-        tasks.append(
-            Task(
-                f"{method}, one run alone",
-                cores,
-                work=size.lone_steps,
-                unit="steps",
-                parties=(
-                    ours("one_run", given),
-                    naive("one_run", given),
-                    numba(LANE_BY_LANE, "numba_windy:lane_by_lane", given | {"lanes": 1}),
-                ),
-                targets=(Target(OURS, NAIVE, least=100), Target(OURS, LANE_BY_LANE)),
-                outcome="episodes",
-            )
-        )
-    return tasks
+    peers = (
+        Peer("naive JAX", "naive_jax:one_run", least=100),
+        Peer(LANE_BY_LANE, "numba_windy:one_run"),
+    )
+    work = {"steps": size.lone_steps}
+    return [
+        _beside(f"{method}, one run alone", cores, "ours:one_run", {"method": method, **work}, *peers)
+        for method in METHODS
+    ]
 
 
 def sarsa_lambda(size: Size, cores: int) -> list[Task]:
-    given = {"lanes": size.slow_lanes, "steps": size.steps}
-    every_pair, when_read = "Numba, every pair", "Numba, pairs when read"
-    task = Task(
-        "sarsa-lambda, windy gridworld",
-        cores,
-        work=size.slow_lanes * size.steps,
-        unit="steps",
-        parties=(
-            ours("sarsa_lambda", given),
-            numba(every_pair, "numba_sarsa_lambda:every_pair", given),
-            numba(when_read, "numba_sarsa_lambda:when_read", given),
-        ),
-        targets=(Target(OURS, every_pair, least=0.8, aim=1.5), Target(OURS, when_read)),
-        outcome="episodes",
+    peers = (
+        Peer("Numba, every pair", "numba_sarsa_lambda:every_pair", least=0.8, aim=1.5),
+        Peer("Numba, pairs when read", "numba_sarsa_lambda:when_read"),
     )
-    return [task]
+    work = {"lanes": size.slow_lanes, "steps": size.steps}
+    return [_beside("sarsa-lambda, windy gridworld", cores, "ours:sarsa_lambda", work, *peers)]
 
 
 def garnet(size: Size, cores: int) -> list[Task]:
-    given = {"lanes": size.lanes, "steps": size.steps}
-    task = Task(
-        "q-learning, MDP of 1000 states",
-        cores,
-        work=size.lanes * size.steps,
-        unit="steps",
-        parties=(
-            ours("garnet", given),
-            numba(LANE_BY_LANE, "numba_garnet:lane_by_lane", given),
-            numba(ABREAST, "numba_garnet:four_abreast", given),
-        ),
-        targets=(Target(OURS, LANE_BY_LANE, least=0.8, aim=1.5), Target(OURS, ABREAST)),
-        outcome="episodes",
+    peers = (
+        Peer(LANE_BY_LANE, "numba_garnet:lane_by_lane", least=0.8, aim=1.5),
+        Peer(ABREAST, "numba_garnet:four_abreast"),
     )
-    return [task]
+    work = {"lanes": size.lanes, "steps": size.steps}
+    return [_beside("q-learning, MDP of 1000 states", cores, "ours:garnet", work, *peers)]
 
 
 def blackjack(size: Size, cores: int) -> list[Task]:
-    given = {"lanes": size.slow_lanes, "episodes": size.games}
-    task = Task(
-        "monte-carlo, blackjack",
-        cores,
-        work=size.slow_lanes * size.games,
-        unit="episodes",
-        parties=(
-            ours("blackjack", given),
-            numba(LANE_BY_LANE, "numba_blackjack:lane_by_lane", given),
-        ),
-        targets=(Target(OURS, LANE_BY_LANE, least=0.5, aim=1.0),),
-        outcome="mean return in the last tenth",
-    )
-    return [task]
+    peer = Peer(LANE_BY_LANE, "numba_blackjack:lane_by_lane", least=0.5, aim=1.0)
+    work = {"lanes": size.slow_lanes, "episodes": size.games}
+    task = _beside("monte-carlo, blackjack", cores, "ours:blackjack", work, peer)
+    return [task._replace(unit="episodes", outcome="mean return in the last tenth")]
 
 
 def devices(size: Size, cores: int) -> list[Task]:
     """Two devices against one, in the same process."""
     if cores < 2:
         return []
-    given = {"method": "q-learning", "lanes": size.lanes, "steps": size.steps}
-    one, two = "one device", "two devices"
-    task = Task(
-        "q-learning, devices",
-        cores=2,
-        work=size.lanes * size.steps,
-        unit="steps",
-        parties=(
-            ours("on_devices", given | {"devices": 1}, one),
-            ours("on_devices", given | {"devices": 2}, two),
-        ),
-        targets=(Target(two, one, least=1.9),),
-        outcome="episodes",
-    )
-    return [task]
+    work = {"method": "q-learning", "lanes": size.lanes, "steps": size.steps}
+    parties = {
+        name: _party(name, "ours:on_devices", {**work, "devices": count})
+        for count, name in enumerate(("one device", "two devices"), start=1)
+    }
+    return [_task("q-learning, devices", 2, work, parties, Target(*reversed(parties), least=1.9))]
 
 
 def methods(size: Size, cores: int) -> list[Task]:
     """Every registered method beside our own Q-learning, so that a slow one is seen."""
     basis = "q-learning"
-    names = fresh("benchmarks.ours:method_names", cores=1)
-    others = [name for name in names if name != basis]
-    given = {"lanes": size.slow_lanes, "steps": size.steps}
-    task = Task(
-        "every method",
-        cores,
-        work=size.slow_lanes * size.steps,
-        unit="steps",
-        parties=tuple(ours("any_method", given | {"method": name}, name) for name in (basis, *others)),
-        targets=tuple(Target(name, basis) for name in others),
-    )
-    return [task]
+    others = [name for name in fresh("benchmarks.ours:method_names", cores=1) if name != basis]
+    work = {"lanes": size.slow_lanes, "steps": size.steps}
+    parties = {name: _party(name, "ours:any_method", {"method": name, **work}) for name in (basis, *others)}
+    task = _task("every method", cores, work, parties, *(Target(name, basis) for name in others))
+    return [task._replace(outcome=None)]
 
 
 def command(size: Size, cores: int) -> list[Task]:
     """The README's command from a cold start, and again."""
     first, again, basis = "empty cache", "filled cache", "imports and steps"
     functions = {first: "with_empty_cache", again: "with_filled_cache", basis: "imports_and_steps"}
-    task = Task(
-        "the README's sweep",
-        cores,
-        work=1,
-        unit="starts",
-        parties=tuple(
-            Party(name, "commands", f"benchmarks.cold:{function}", {}) for name, function in functions.items()
-        ),
-        targets=(Target(first, basis, least=2.0, times=True), Target(again, basis, least=1.2, times=True)),
+    parties = {name: _party(name, f"cold:{function}", {}) for name, function in functions.items()}
+    targets = Target(first, basis, least=2.0, times=True), Target(again, basis, least=1.2, times=True)
+    return [_task("the README's sweep", cores, {}, parties, *targets)._replace(unit="starts", outcome=None)]
+
+
+def _beside(name: str, cores: int, call: str, work: Mapping[str, Any], *peers: Peer) -> Task:
+    """What we do by `call` beside our peers, all with the same arguments `work`."""
+    parties = {peer.name: _party(peer.name, peer.call, work) for peer in (Peer(OURS, call), *peers)}
+    return _task(
+        name, cores, work, parties, *(Target(OURS, peer.name, peer.least, peer.aim) for peer in peers)
     )
-    return [task]
+
+
+def _task(
+    name: str, cores: int, work: Mapping[str, Any], parties: Mapping[str, Party], *targets: Target
+) -> Task:
+    """A task of steps, as many as the product of all numbers in `work`, on whose episodes all must agree."""
+    steps = math.prod(number for number in work.values() if isinstance(number, int))
+    return Task(name, cores, steps, "steps", tuple(parties.values()), targets, "episodes")
+
+
+def _party(name: str, call: str, arguments: Mapping[str, Any]) -> Party:
+    """A party whose `call` is in a module of `benchmarks`, the name of which begins with that of its library."""
+    library, _, _ = call.partition(":")[0].partition("_")
+    return Party(name, library, f"benchmarks.{call}", arguments)
 
 
 ROWS: dict[str, Callable[[Size, int], list[Task]]] = {

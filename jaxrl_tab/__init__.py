@@ -41,10 +41,11 @@ from jaxrl_tab.core.version import __version__ as __version__
 from jaxrl_tab.engine import batch, offline
 from jaxrl_tab.engine.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
 from jaxrl_tab.engine.batch import use_all_cores
+from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.offline import collect, learn, replay
 from jaxrl_tab.engine.results import SweepResult
 from jaxrl_tab.engine.sweep import sweep
-from jaxrl_tab.engine.train import Log, train
+from jaxrl_tab.engine.train import train
 from jaxrl_tab.envs import (
     ENVS,
     Blackjack,

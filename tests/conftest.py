@@ -16,7 +16,10 @@ import jax
 
 jax.config.update("jax_num_cpu_devices", 2)  # whatever the machine has: results must not depend on it
 
+import annotations  # of the tests
 import pytest
+
+annotations.check()
 
 import jaxrl_tab as rl
 
@@ -34,4 +37,4 @@ def windy():
 @pytest.fixture
 def step_by_step(monkeypatch):
     """Episodes without chunks of steps: a third to compile, and the same runs (test_record)."""
-    monkeypatch.setattr(sys.modules["jaxrl_tab.engine.train"], "CHUNKS", ())
+    monkeypatch.setattr(sys.modules["jaxrl_tab.engine.loop"], "CHUNKS", ())

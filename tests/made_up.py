@@ -3,7 +3,7 @@
 import numpy as np
 
 import jaxrl_tab as rl
-from jaxrl_tab.engine.train import Log
+from jaxrl_tab.engine.log import Log
 
 ALPHAS = (0.05, 0.2, 0.9)
 

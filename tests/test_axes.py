@@ -96,7 +96,10 @@ def test_what_is_drawn_together_is_one_axis_behind_the_grids():
         (lambda: rl.LinearGrid(0, float("inf"), 3), "the ends must be numbers, 1e+100 at most, not inf"),
         (lambda: rl.LogUniform(1, 10**400), "the ends must be numbers, 1e+100 at most, not 1000"),
         (lambda: rl.Uniform("0", 1), "the ends must be numbers, 1e+100 at most, not '0'"),
-        (lambda: rl.Integers(1, 2.5), "the high end of whole numbers must be a whole number, not 2.5"),
+        (
+            lambda: rl.Integers(1, 2.5),
+            "Integers: high must be a whole number of at least -2147483648, not 2.5",
+        ),
         (lambda: rl.Choice([]), "a choice must be among a list of values, not []"),
         (lambda: rl.Choice("glie"), "a choice must be among a list of values, not 'glie'"),
         (lambda: drawn({"alpha": rl.Uniform(0, 1)}, None), "alpha is drawn at random: say how many draws"),

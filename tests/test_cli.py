@@ -148,7 +148,7 @@ def asked(monkeypatch):
     """The data of the experiments that were asked for, none of which is run."""
     experiments = []
     monkeypatch.setattr(
-        sweep_module, "_conduct", lambda experiment, *_: experiments.append(experiment.data())
+        sweep_module, "_conduct", lambda experiment, *_: experiments.append(experiment.data()) or 0
     )
     return experiments
 
@@ -179,7 +179,7 @@ def test_glie_is_one_over_the_number_of_the_episode(asked):
     call("sweep windy-gridworld sarsa --epsilon glie")
     epsilon = rl.schedules.parse(asked[0]["method"][0]["epsilon"])
     assert epsilon.clock == "episode"
-    assert float(epsilon(4)) == 0.25
+    assert float(epsilon(jax.numpy.int32(4))) == 0.25
 
 
 def test_sweep_records_exact_values_and_schedules(tmp_path):
@@ -239,6 +239,23 @@ def test_options_of_some_methods_go_to_those(asked):
     assert asked[0]["exact"]  # nothing else tells methods of prediction apart
 
 
+def test_words_and_options_may_stand_in_any_order_and_a_value_may_begin_with_a_minus(asked):
+    """Broken once: parse_known_args, which reads the words only once -> fails; argparse's own numbers -> fails."""
+    call("sweep --log_every=7 windy-gridworld sarsa --q0 -1e5 -.5 --seeds 3 q-learning --steps 70")
+    (data,) = asked
+    assert [method["name"] for method in data["method"]] == ["sarsa", "q-learning"]
+    assert [method["q0"] for method in data["method"]] == [[-1e5, -0.5]] * 2
+    assert (data["seeds"], data["steps"], data["log_every"]) == (3, 70, 7)
+
+
+def test_a_parameter_of_ones_own_that_is_an_option_already_is_refused(monkeypatch, capsys):
+    """Broken once: as argparse refuses it, which would be a defect -> fails."""
+    seeded = pytree(type("Seeded", (rl.Sarsa,), {"__annotations__": {"seed": float}, "seed": 0.5}))
+    monkeypatch.setitem(ALGORITHMS, "seeded", seeded)
+    error = refused(capsys, "sweep windy-gridworld seeded --seed 3")
+    assert "seeded cannot have --seed on the command line, where it means something else" in error
+
+
 # --- nothing computed is lost ------------------------------------------------------------------------
 
 
@@ -292,21 +309,21 @@ def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeyp
 REFUSALS = {
     "resume": "name the folder of a sweep",
     "resume nowhere": "there is no folder nowhere",
-    "resume nowhere --memory x": "--memory must be a number with a unit",
+    "resume nowhere --memory x": "memory must be a number with a unit",
     "swep": "did you mean 'sweep'?",
     "nonsense": "choose one of list, solve, sweep, resume, figure",
     "list --jsn": "did you mean '--json'?",
     "solve": "name an environment: windy-gridworld",
     "solve windy-gridwrld": "did you mean 'windy-gridworld'?",
     "solve windy-gridworld more": "unexpected argument 'more'",
-    "solve windy-gridworld --gamma 1.5": "--gamma must be a number between 0 and 1, not '1.5'",
-    "solve windy-gridworld --gamma x": "--gamma must be a number between 0 and 1, not 'x'",
-    "solve windy-gridworld --epsilon -0.1": "--epsilon must be a number between 0 and 1, not '-0.1'",
+    "solve windy-gridworld --gamma 1.5": "solve: gamma must be between 0 and 1, not 1.5",
+    "solve windy-gridworld --gamma x": "--gamma takes a number, not 'x'",
+    "solve windy-gridworld --epsilon -0.1": "solve: epsilon must be between 0 and 1, not -0.1",
     "solve windy-gridworld --moves knight": "did you mean 'king'?",
     "solve windy-gridworld --wind 0 1": "one strength for each of the 10 columns",
     "solve windy-gridworld --wind 0.5": "--wind takes a whole number, not '0.5'",
     "solve windy-gridworld --shape 7": "shape must be (rows, columns)",
-    "solve windy-gridworld --moves": "Missing value for argument '--moves'",
+    "solve windy-gridworld --moves": "--moves: expected one argument",
     "solve windy-gridworld --moves king four": "unexpected argument 'four'",
     "solve cliff-walking --moves king": "cliff-walking has no --moves, which belongs to windy-gridworld; "
     "cliff-walking has --shape, --max-steps",
@@ -320,7 +337,7 @@ REFUSALS = {
     "sweep windy-gridworld sarsa sarsa": "sarsa is named more than once",
     "sweep windy-gridworld sarsa --alhpa 0.1": "there is no option --alhpa; did you mean '--alpha'?",
     "sweep windy-gridworld sarsa --methods 2": "there is no option --methods",
-    "sweep windy-gridworld sarsa --alpha": "--alpha needs a value",
+    "sweep windy-gridworld sarsa --alpha": "--alpha: expected at least one argument",
     "sweep windy-gridworld sarsa --alpha 0": "alpha must be greater than 0, not 0.0",
     "sweep windy-gridworld sarsa --alpha 0.1 -1": "alpha must be greater than 0, not -1.0",
     "sweep windy-gridworld sarsa --alpha nan": "alpha must be greater than 0, not nan",
@@ -329,14 +346,21 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --alpha glie glie": "alpha holds glie more than once",
     "sweep windy-gridworld sarsa --epsilon 1.1": "epsilon must be between 0 and 1, not 1.1",
     "sweep windy-gridworld sarsa --gamma glie": "--gamma takes a number, not 'glie'",
-    "sweep windy-gridworld sarsa --seeds 0": "--seeds must be a whole number from 1 to 2147483647, not '0'",
-    "sweep windy-gridworld sarsa --seeds 2.5": "a whole number from 1 to 2147483647, not '2.5'",
-    "sweep windy-gridworld sarsa --seeds": "Missing value for argument '--seeds'",
-    "sweep windy-gridworld sarsa --steps 0": "--steps must be a whole number from 1 to 2147483647",
-    "sweep windy-gridworld sarsa --episodes -1": "--episodes must be a whole number from 1 to 2147483647",
-    "sweep windy-gridworld sarsa --log-every 0": "--log-every must be a whole number from 1 to 2147483647",
-    "sweep windy-gridworld sarsa --seed -1": "--seed must be a whole number from 0 to 2147483647",
-    "sweep windy-gridworld sarsa --memory 4": "--memory must be a number with a unit (B, kB, MB, GB, TB",
+    "sweep windy-gridworld sarsa --seeds 0": "sweep: seeds must be a whole number of at least 1, not 0",
+    "sweep windy-gridworld sarsa --seeds 2.5": "--seeds takes a whole number, not '2.5'",
+    "sweep windy-gridworld sarsa --seeds 2147483648": "of at least 1 and below 2**31, not 2147483648",
+    "sweep windy-gridworld sarsa --address x": "local has no --address, which belongs to ray, distributed",
+    "sweep windy-gridworld sarsa --executor slurm": "--executor slurm needs --out",
+    "sweep windy-gridworld sarsa --executor slurm --out x --slurm y": "--slurm takes KEY=VALUE, not 'y'",
+    "sweep windy-gridworld sarsa --executor x": "choose one of local, ray, slurm, distributed",
+    "resume nowhere --executor ray --num-cpus 0": "num_cpus must be a whole number of at least 1, not 0",
+    "list --json=1": "--json: ignored explicit argument '1'",
+    "sweep windy-gridworld sarsa --seeds": "--seeds: expected one argument",
+    "sweep windy-gridworld sarsa --steps 0": "steps must be a whole number of at least 1, not 0",
+    "sweep windy-gridworld sarsa --episodes -1": "episodes must be a whole number of at least 1, not -1",
+    "sweep windy-gridworld sarsa --log-every 0": "log_every must be a whole number of at least 1, not 0",
+    "sweep windy-gridworld sarsa --seed -1": "seed must be a whole number of at least 0, not -1",
+    "sweep windy-gridworld sarsa --memory 4": "memory must be a number with a unit (B, kB, MB, GB, TB",
     "sweep windy-gridworld sarsa --steps 10 --episodes 10": "give --steps or --episodes, not both",
     "sweep windy-gridworld sarsa --behaviour sofmax:1": "did you mean 'softmax'?",
     "sweep windy-gridworld sarsa --behaviour ucb:2 --epsilon 0.2": "give epsilon or behaviour, not both",
@@ -435,9 +459,9 @@ def test_a_new_method_brings_its_options(monkeypatch, asked, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["sweep", "--help"])
     assert not stop.value.code
-    text = " ".join(capsys.readouterr().out.replace("│", "").split())
-    assert "--recall X ... how long it remembers, in steps. (of eager; default: 0.9)" in text
-    assert "--no-cut whether it forgets. (of eager; default: on)" in text
+    text = " ".join(capsys.readouterr().out.split())
+    assert "--recall X [X ...] how long it remembers, in steps. (of eager; default: 0.9)" in text
+    assert "--no-cut whether it forgets. (of eager)" in text
 
 
 @pytest.mark.parametrize("command", [Sweep, Solve])
@@ -695,7 +719,6 @@ def test_none_is_not_the_same_as_not_given(capsys, words):
 
 
 def test_help_in_a_narrow_terminal_ends(monkeypatch, capsys):
-    """Broken once: tyro looks for a place to break lines in less than ten columns, for ever."""
     monkeypatch.setenv("COLUMNS", "1")
     with pytest.raises(SystemExit):
         main(["list", "--help"])

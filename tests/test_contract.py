@@ -12,7 +12,7 @@ from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, Transition
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.sweep import _same_program
+from jaxrl_tab.engine.part import _same_program
 
 
 def pairs():

@@ -58,15 +58,19 @@ def test_lanes_in_turn_and_side_by_side_give_the_same(name, windy, monkeypatch):
 
 def test_entries_and_rows_are_plain_indexing_with_any_lanes():
     rand = np.random.default_rng(1)
-    table, s, a = rand.normal(size=(4, 5, 3)), rand.integers(0, 5, (4, 16)), rand.integers(0, 3, (4, 16))
+    table, s, a = (
+        jnp.asarray(rand.normal(size=(4, 5, 3))),
+        rand.integers(0, 5, (4, 16)),
+        rand.integers(0, 3, (4, 16)),
+    )
     row, entry = (lambda t, s, a: tables.row(t, s)), tables.entry
     for read, want in ((row, lambda t: t[s]), (entry, lambda t: t[s, a])):
         got = jax.vmap(jax.vmap(read, (None, 0, 0)), (None, 0, 0))(table[0], s, a)  # one table for all lanes
-        np.testing.assert_array_equal(got, want(table[0].astype(np.float32)))
+        np.testing.assert_array_equal(got, want(np.asarray(table[0])))
     got = jax.vmap(jax.vmap(entry, (None, 0, 0)))(table, s, a)  # a table for some lanes
-    np.testing.assert_array_equal(got, table.astype(np.float32)[np.arange(4)[:, None], s, a])
+    np.testing.assert_array_equal(got, np.asarray(table)[np.arange(4)[:, None], s, a])
     got = jax.vmap(row, (0, None, None))(table, jnp.int32(2), jnp.int32(0))  # all look at the same entry
-    np.testing.assert_array_equal(got, table.astype(np.float32)[:, 2])
+    np.testing.assert_array_equal(got, np.asarray(table)[:, 2])
 
 
 # --- random words ------------------------------------------------------------------------------------
@@ -161,7 +165,7 @@ def test_exploration_is_a_probability_whatever_the_schedule_says():
     """10/k begins above 1: everything is explored then, and nothing has a negative probability."""
     method = rl.Sarsa(epsilon=schedules.Power(scale=10.0))
     state = method.init(1, 4)._replace(q=jnp.array([[0.0, 1.0, 0.0, 0.0]]))
-    np.testing.assert_array_equal(method.probs(state, 0), [0.25] * 4)
+    np.testing.assert_array_equal(method.probs(state, jnp.int32(0)), [0.25] * 4)
 
 
 def test_sample_averages_are_means():
@@ -289,7 +293,7 @@ SWITCHES = [
 def test_switches_are_true_or_false(cls, name):
     """Of every environment and method that has one; a string would be as good as True."""
     for wrong in ("yes", 3, None):
-        with pytest.raises(rl.InputError, match=rf"{name} must be True or False, not {wrong!r}$"):
+        with pytest.raises(rl.InputError, match=rf"{name} must be true or false, not {wrong!r}$"):
             cls(**{name: wrong})
     for right in (np.True_, np.False_):
         given = getattr(cls(**{name: right}), name)

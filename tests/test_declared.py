@@ -11,6 +11,7 @@ from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.core.declared import Learns, LearnsFrom, of_environment, of_method
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.stats.measures import has_errors
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -109,13 +110,13 @@ def td():
 
 def test_a_dataset_says_what_was_learned_whatever_was_recorded(td):
     assert [ds.attrs["learns"] for ds in td.values()] == ["states"] * 2
-    assert stats.learns_states(*td.values())
-    assert [stats.is_prediction(ds) for ds in td.values()] == [True, False]
+    assert stats.is_prediction(*td.values())
+    assert [has_errors(ds) for ds in td.values()] == [True, False]
 
 
 def test_a_file_of_before_tells_it_by_its_error(td):
     older = {name: ds.drop_attrs() for name, ds in td.items()}
-    assert [stats.learns_states(ds) for ds in older.values()] == [True, False]
+    assert [stats.is_prediction(ds) for ds in older.values()] == [True, False]
 
 
 def test_values_of_states_have_no_path_though_no_error_was_recorded(td):

@@ -101,7 +101,8 @@ def test_other_sources_in_the_second_process_are_refused(start, tmp_path):
     """One line is another one, and the version is the same. Broken once: sources not compared -> it goes on."""
     copy = tmp_path / "changed" / "jaxrl_tab"
     shutil.copytree(provenance.PACKAGE, copy)
-    (copy / "algorithms" / "q_learning.py").open("a").write("# one line more\n")
+    with (copy / "algorithms" / "q_learning.py").open("a") as file:
+        file.write("# one line more\n")
     first, second = start("learn", second=[copy.parent])
     _, errors = first.communicate(timeout=120)
     refused = (

@@ -12,8 +12,9 @@ from jaxrl_tab import planning
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.part import BEYOND
 from jaxrl_tab.engine.results import is_diverged
-from jaxrl_tab.engine.sweep import BEYOND, prepare
+from jaxrl_tab.engine.sweep import prepare
 from jaxrl_tab.envs.base import Finite
 
 

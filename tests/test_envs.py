@@ -289,7 +289,7 @@ def test_mdp_keeps_float64():
     env = ENVIRONMENTS["finite mdp"]
     assert env.prob.dtype == env.reward.dtype == env.start_prob.dtype == np.float64
     with jax.enable_x64(True):
-        prob, _ = env.outcomes(1, 1)
+        prob, _ = env.outcomes(jnp.int32(1), jnp.int32(1))
         assert sorted(prob.tolist()) == [0.2, 0.3, 0.5]
 
 
@@ -556,7 +556,7 @@ def reward_with(index, value, rewards=R):
             windy(moves=["king"]),
             "windy-gridworld: moves ['king'] is unknown; choose one of four, king, king+stay",
         ),
-        (windy(stochastic="yes"), "windy-gridworld: stochastic must be True or False, not 'yes'"),
+        (windy(stochastic="yes"), "windy-gridworld: stochastic must be true or false, not 'yes'"),
         (windy(shape=7), "windy-gridworld: shape must be (rows, columns), at least 1 x 1, not 7"),
         (windy(shape=(0, 10)), "windy-gridworld: shape must be (rows, columns), at least 1 x 1, not (0, 10)"),
         (

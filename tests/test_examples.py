@@ -140,8 +140,9 @@ def outputs(notebook):
     found = [output for cell in code for output in cell.outputs]
     found = [output for output in found if output.get("data", {}).get("text/html") != ""]  # where a bar was
     assert {output.get("name", "stdout") for output in found} == {"stdout"}  # no warnings
-    return "\n".join(
-        output.get("text") or ("a picture" if output.data["image/png"] else "") for output in found
+    # What is printed may come in several pieces, as time goes.
+    return "".join(
+        output.get("text") or ("a picture\n" if output.data["image/png"] else "") for output in found
     )
 
 

@@ -51,10 +51,10 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, name, package, o
 
 def test_a_job_does_the_work_and_returns_its_errors(tmp_path):
     job = base.Job.of(functools.partial(shards.fails, folder=tmp_path))
-    assert base.given(3, job(3)) == (3, {"square": np.array(9)})
+    assert base.result_of(3, job(3)) == (3, {"square": np.array(9)})
     with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$") as raised:
-        base.given(1, job(1))
-    assert "in fails" in raised.value.__notes__[0]  # where it happened
+        base.result_of(1, job(1))
+    assert "in fails" in str(raised.value.__cause__)  # where it happened
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_a_job_refuses_to_compute_other_numbers(name, value, said):
     job = base.Job.of(lambda _: pytest.fail("it was begun"))
     result = job._replace(surroundings=job.surroundings | {name: value})(0)
     with pytest.raises(InputError, match=f"^{platform.node()} would not compute as .*{said}"):
-        base.given(0, result)
+        base.result_of(0, result)
 
 
 def test_a_job_sets_what_can_be_set():

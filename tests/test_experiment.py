@@ -217,8 +217,13 @@ WRONG = [  # what stands in the file, what stands there instead, the line, and w
     ("seeds = 10", "seeds = ", 1, "invalid value"),
     ("seeds = 10", "seeds = 10\nseeds = 3", 2, "cannot overwrite a value"),
     ("steps = 800", "steps = 0", 2, "steps must be a whole number of at least 1, not 0"),
-    ("steps = 800", "episodes = 8\nsteps = 800", 2, "give either steps or episodes: how long a run is"),
-    ("steps = 800", "", None, "give either steps or episodes: how long a run is"),
+    (
+        "steps = 800",
+        "episodes = 8\nsteps = 800",
+        2,
+        "give either a number of steps or one of episodes: how long a run is",
+    ),
+    ("steps = 800", "", None, "give either a number of steps or one of episodes: how long a run is"),
     ("[[environment]]", "[[environments]]", 4, "an experiment has no 'environments'; did you mean 'environm"),
     ('"windy-gridworld"', '"windy"', 5, "'windy' is not an environment; did you mean 'windy-gridworld'?"),
     ('name = "windy-gridworld"\n', "", 4, "the environment has no name: one of windy-gridworld, cliff-"),
@@ -290,7 +295,7 @@ WRONG = [  # what stands in the file, what stands there instead, the line, and w
         "it is of the whole experiment: write it above the first table",
     ),
     ("[select]", "[selct]", 24, "an experiment has no 'selct'; did you mean 'select'?"),
-    ("fresh_seeds", "fresh", 25, "select has no 'fresh'; did you mean 'fresh_seeds'?"),
+    ("fresh_seeds", "fresh", 25, "select has no parameter 'fresh'; did you mean 'fresh_seeds'?"),
     ("= 7", "= 0", 25, "fresh_seeds must be a whole number of at least 1"),
     ("fresh_seeds = 7", "by = 'scor'", 25, "by 'scor' is unknown; did you mean 'score'?"),
 ]
@@ -456,14 +461,16 @@ def test_the_template_gives_results(tmp_path):
     assert len((tmp_path / "out" / "summary.csv").read_text().splitlines()) == 41
 
 
-def test_all_of_the_template_is_true_with_its_comments_taken_away(load):
+def test_all_of_the_template_is_true_with_its_comments_taken_away(load, tmp_path):
     """What it proposes in comments can be written as it stands there."""
+    (tmp_path / "mine.py").write_text('def q_of_start(state):\n    return {"q_start": state.q[0]}\n')
     lines = template().splitlines()
     code = [line[2:] if line.startswith("# ") and _is_toml(line[2:]) else line for line in lines]
     whole = load("\n".join(code))
     assert len(whole.environment) == 3
     assert whole.environment[2]["label"] == "strong wind"
     assert whole.select == {"by": "score", "fresh_seeds": 20}
+    assert whole.record["name"] == "mine.py:q_of_start"
 
 
 def _is_toml(line):

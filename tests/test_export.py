@@ -12,8 +12,6 @@ from made_up import ALPHAS, make_result
 import jaxrl_tab as rl
 from jaxrl_tab import export, stats
 
-pytestmark = pytest.mark.filterwarnings("error")
-
 
 @pytest.fixture(scope="module")
 def result(windy):

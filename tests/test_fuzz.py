@@ -43,6 +43,7 @@ from jaxrl_tab.experiment.resolve import Selection
 from jaxrl_tab.experiment.spec import Experiment, template
 from jaxrl_tab.figures import FIGURES
 
+pytestmark = pytest.mark.filterwarnings("ignore:Python iterable type:DeprecationWarning")  # JAX, of iterators
 LONGEST = 400  # characters of a message
 SECONDS = 60.0  # of computing: what takes longer hangs. How fast it is, benchmarks say
 

@@ -12,8 +12,6 @@ from jaxrl_tab import importance, planning
 from jaxrl_tab.algorithms.prediction import OffPolicyMonteCarloPrediction
 from jaxrl_tab.core.policies import Table
 
-pytestmark = pytest.mark.filterwarnings("error")
-
 # --- oracles -----------------------------------------------------------------------------------------
 
 

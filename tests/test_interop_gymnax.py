@@ -268,7 +268,7 @@ def test_states_are_found_by_sampling_where_it_must_be():
     assert env.is_state.tolist() == [True] * 5 + [False] * 2
     assert np.flatnonzero(env.is_terminal).tolist() == [0, 4]
     s_next, reward, terminal = jax.vmap(env.step, (0, None, None))(
-        jax.random.split(jax.random.key(0), 500), 3, 1
+        jax.random.split(jax.random.key(0), 500), jnp.int32(3), jnp.int32(1)
     )
     count = np.bincount(s_next, minlength=5)[[2, 4]]
     assert sampling.p_value(count, 500 * np.array([0.308538, 0.691462])) > 0.001
@@ -280,7 +280,8 @@ def test_states_are_found_by_sampling_where_it_must_be():
 def test_a_state_that_was_never_met_is_not_passed_off_as_another():
     env = from_gymnax(Walk())
     unknown = env.__class__(**{**vars(env), "is_state": env.is_state & (np.arange(7) != 1)})
-    _, reward, _ = jax.vmap(unknown.step, (0, None, None))(jax.random.split(jax.random.key(0), 50), 2, 0)
+    keys = jax.random.split(jax.random.key(0), 50)
+    _, reward, _ = jax.vmap(unknown.step, (0, None, None))(keys, jnp.int32(2), jnp.int32(0))
     assert 0 < np.isnan(reward).sum() < 50
 
 
@@ -312,7 +313,7 @@ def test_an_end_that_looks_like_a_state_is_apart(monkeypatch):
     np.testing.assert_allclose(p[::2, 0, ::2], np.full((7, 7), 1 / 7))
     np.testing.assert_array_equal(p[::2, 1, 1::2], np.eye(7))
     np.testing.assert_array_equal(r[::2, 1, 1::2], np.eye(7))
-    monkeypatch.setattr("jaxrl_tab.interop.gymnax.LANES", 1)
+    monkeypatch.setattr("jaxrl_tab.interop.gymnax_states.LANES", 1)
     for x, y in zip(dense(from_gymnax(Quit())), (p, r), strict=True):
         np.testing.assert_array_equal(x, y)
 
@@ -416,7 +417,7 @@ def test_what_is_wrong_is_said(given, parameters, message):
 
 
 def test_too_many_states(monkeypatch):
-    monkeypatch.setattr("jaxrl_tab.interop.gymnax.MAX_STATES", 100)
+    monkeypatch.setattr("jaxrl_tab.interop.gymnax_states.MAX_STATES", 100)
     with pytest.raises(rl.InputError, match="FourRooms-misc has more than 100 states, too many for a table"):
         make("gymnax:FourRooms-misc")
 

@@ -48,9 +48,7 @@ def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
     env = rl.make(env) if isinstance(env, str) else env
     root, method = jax.random.key(0), jax.tree.map(np.float32, method)
     devices, lanes = tuple(jax.devices()[:1]), (1, blocks, room.LANES)
-    one = room.needs_of(
-        budget, room.signature(room.program_arguments(budget, root, np.uint32(0), method, env))
-    )
+    one = room.needs_of(env, method, root, budget)
     many = jax.tree.map(lambda x: np.full(lanes, x), (np.uint32(0), method))
     found = batch._compiled(
         devices, budget, room.signature(room.program_arguments(budget, root, *many, env))

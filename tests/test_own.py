@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import quick
+from refusals import refused
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, plot
 from jaxrl_tab.algorithms.prediction import METHOD
-from jaxrl_tab.core import names
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core import modules, names
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import shards
@@ -117,16 +117,6 @@ def check(ds, other):
     assert ds.returns.values.tobytes() == other.returns.values.tobytes()
 
 
-def refused(run, *messages):
-    with pytest.raises(InputError) as error:
-        run()
-    line = str(error.value)
-    assert "\n" not in line
-    for message in messages:
-        assert message in line, line
-    return line
-
-
 # --- names -------------------------------------------------------------------------------------------
 
 
@@ -158,7 +148,7 @@ def test_the_same_file_is_one_module_and_a_changed_one_another(here):
     [
         ("none.py:Coin", "there is no file none.py"),
         ("mine.py:Con", "there is no 'Con' in mine.py; did you mean 'Coin'?"),
-        ("mine.py", "mine.py is a file: name the class in it as well, as in 'mine.py:MyClass'"),
+        ("mine.py", "mine.py is a file: name what is in it as well, as in 'mine.py:NAME'"),
         (
             "mine.py:Hasty",
             "mine.py:Hasty is not an environment: it has no num_states, num_actions, max_steps, ",
@@ -327,8 +317,8 @@ def test_typed_killed_resumed_and_selected(here, capsys):
 def test_options_with_help(here, capsys):
     with pytest.raises(SystemExit):
         cli.main(["sweep", "mine.py:Coin", "mine.py:Hasty", "--help"])
-    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "--haste X ... by what the error is multiplied. (of mine.py:Hasty; default: 1)" in text
+    text = " ".join(capsys.readouterr().out.split())
+    assert "--haste X [X ...] by what the error is multiplied. (of mine.py:Hasty; default: 1)" in text
     assert "--heads X how likely heads are. (of mine.py:Coin; default: 0.5)" in text
     assert cli.main(["sweep", "random-walk", "mine.py:Hasty", "--hast", "1"]) == 2
     assert "there is no option --hast; did you mean '--haste'?" in capsys.readouterr().err
@@ -359,7 +349,7 @@ def test_classes_and_instances(here):
         {
             "name": f"{here}/mine.py:Coin",
             "label": "Coin",
-            "sha256": names.read(Path("mine.py")).sha256,
+            "sha256": modules.read(Path("mine.py")).sha256,
             "heads": 0.25,
             "max_steps": 100,
         }
@@ -425,7 +415,7 @@ def test_what_cannot_be_saved_is_refused_where_there_is_a_folder(here, monkeypat
     notebook = type(sys)("__main__")
     exec(OWN, vars(notebook))
     monkeypatch.setitem(sys.modules, "__main__", notebook)
-    advice = "put it into a file of its own, and name it 'file.py:Class'; or run it without a folder"
+    advice = "put it into a file of its own, and name it 'file.py:NAME'; or run it without a folder"
     for environment, method, message in (
         ("random-walk", Inner, "Inner is made inside a function: "),
         (notebook.Coin(), "sarsa", "Coin is made in a notebook or at a prompt: "),
@@ -471,7 +461,7 @@ def test_a_copy_or_a_file_that_was_changed_stops_resume(here):
     )
     os.remove("mine.py")
     Path("run/sources/mine.py").write_text(OWN.replace("-jnp.ones", "jnp.ones"))
-    refused(lambda: rl.resume("run"), "the copy of mine.py:Coin in run/sources is missing or was altered")
+    refused(lambda: rl.resume("run"), "the copy of mine.py in run/sources is missing or was altered")
     Path("run/sources/mine.py").write_text(OWN)
     for damaged in ("run/resolved.json", "run/experiment.toml", "run/sources/sources.json"):
         before = Path(damaged).read_text()

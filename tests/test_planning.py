@@ -419,7 +419,7 @@ def test_what_can_only_be_sampled_cannot_be_measured():
 def test_a_program_that_closes_over_the_environment_changes_no_exact_value():
     """Broken once -> raises: the arrays of the environment handed on as they are, not as copies."""
     env = RandomWalk(states=5)
-    outcomes = jax.jit(lambda env, s: env.outcomes(s, 0), inline=True)
+    outcomes = jax.jit(lambda env, s: env.outcomes(s, jnp.int32(0)), inline=True)
     run = jax.jit(lambda s: outcomes(env, s))  # lives to the end of this function
     run(3)
     np.testing.assert_allclose(planning.evaluate(env, np.ones((7, 1)))[1:6], np.arange(-2, 3) / 3, atol=1e-12)

@@ -18,8 +18,6 @@ from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.show import words
 
-pytestmark = pytest.mark.filterwarnings("error")
-
 
 @pytest.fixture(scope="module")
 def solved(windy):

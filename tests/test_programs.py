@@ -36,7 +36,7 @@ def strange_record(state):
 
 def forget():
     """As a new process would."""
-    for cached in (room.needs_of, room.traced_program, batch._compiled, programs._is_usable, programs._warn):
+    for cached in (room._needs, room.traced_program, batch._compiled, programs._is_usable, programs._warn):
         cached.cache_clear()
 
 

@@ -19,7 +19,7 @@ import test_own
 import xarray as xr
 
 import jaxrl_tab as rl
-from jaxrl_tab import executors, plot
+from jaxrl_tab import cli, executors, export, plot
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.experiment.executors import ray as ray_executor
 from jaxrl_tab.experiment.shards import _shards
@@ -115,6 +115,45 @@ def test_own_classes_go_along_with_the_work(connection, tmp_path, monkeypatch):
     _shards.cache_clear()  # as below
     outcome = rl.run(test_own.experiment(), "run", executor=connection)
     test_own.check(outcome.datasets["Coin/Hasty"], test_own.expected())
+
+
+def test_own_files_go_all_the_way_on_the_command_line(connection, cluster, tmp_path, monkeypatch):
+    """A method, an environment and a recorder of one file, which imports another: typed, killed, resumed, reported.
+
+    What half of 1 and of 2 give is what 0.5 and 1 give in Python, to the last bit. Broken once: resumed from the
+    files as they are then, of which there are none -> fails.
+    """
+    (tmp_path / "mine.py").write_text(test_own.OWN)
+    monkeypatch.chdir(tmp_path)
+    expected = test_own.expected()
+    (tmp_path / "helpers.py").write_text("def half(x):\n    return x / 2\n")
+    own = test_own.OWN.replace("self.haste *", "half(self.haste) *")
+    own += "\ndef q_at_end(state):\n    return {'q_at_end': state.q, 'at_step': state.clock.step}\n"
+    (tmp_path / "mine.py").write_text("from helpers import half\n" + own)
+    typed = ["mine.py:Coin", "mine.py:Hasty", "sarsa", "--record", "mine.py:q_at_end", "--heads", "0.25"]
+    typed += ["--haste", "1", "2", "--alpha", "0.5", "--seeds", "70", "--steps", "200", "--select", "--quiet"]
+    command = ["sweep", *typed, "--executor", "ray", "--address", cluster.address, "--out", "run"]
+    process = subprocess.Popen([sys.executable, "-m", "jaxrl_tab", *command])
+    while not list((tmp_path / "run" / "shards").glob("0*.npz")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert not (tmp_path / "run" / "report.html").exists()
+    for name in ("mine.py", "helpers.py"):
+        (tmp_path / name).unlink()
+    monkeypatch.setattr(plot, "save_all", quick.picture)
+    _shards.cache_clear()
+    assert cli.main(["resume", "run", "--executor", "ray", "--quiet"]) == 0
+    report = (tmp_path / "run" / "report.html").read_text()
+    assert "Hasty" in report and "--record mine.py:q_at_end" in report
+    found = export.load("run/results.nc")
+    assert list(found) == ["Hasty", "sarsa"]
+    test_own.check(found["Hasty"], expected)
+    np.testing.assert_array_equal(found["Hasty"].q_at_end[..., -1, :, :], expected.q)
+    fresh = export.load("run/fresh.nc")["Hasty"]
+    np.testing.assert_array_equal(fresh.at_step, np.broadcast_to([100, 200], (70, 2)))
+    assert (tmp_path / "run" / "selection.csv").read_text().count("Hasty") == 1
 
 
 def test_an_experiment_is_interrupted_and_goes_on(connection, tmp_path, monkeypatch):

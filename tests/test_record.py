@@ -104,14 +104,14 @@ def test_whole_chunks_of_steps_are_the_same_as_single_steps(windy, monkeypatch):
     """
 
     def train(chunks):
-        monkeypatch.setattr(sys.modules["jaxrl_tab.engine.train"], "CHUNKS", chunks)
+        monkeypatch.setattr(sys.modules["jaxrl_tab.engine.loop"], "CHUNKS", chunks)
         record = lambda state: {
             "at_step": state.clock.step
         }  # a new one, or JAX would take the program it has
         run = lambda key: rl.train(key, METHOD, windy, num_episodes=9, log_every=4, record=record)
         return jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(3), 4))
 
-    usual = sys.modules["jaxrl_tab.engine.train"].CHUNKS
+    usual = sys.modules["jaxrl_tab.engine.loop"].CHUNKS
     state, log = train(usual)
     jax.tree.map(np.testing.assert_array_equal, (state, log), train(()))
     assert (log.episodes.sum(1) == 9).all()

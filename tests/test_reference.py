@@ -11,7 +11,7 @@ import reference
 import jaxrl_tab as rl
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.schedules import Optax, Power
-from jaxrl_tab.engine.train import BEFORE_RESET, BEFORE_START, IN_A_STEP
+from jaxrl_tab.engine.loop import BEFORE_RESET, BEFORE_START, IN_A_STEP
 
 STEPS = 600
 

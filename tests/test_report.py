@@ -15,7 +15,6 @@ import jaxrl_tab as rl
 from jaxrl_tab import plot, report, stats
 from jaxrl_tab.show import rows, words
 
-pytestmark = pytest.mark.filterwarnings("error")
 ABOUT = {
     "experiment": 'seeds = 5\n[[environment]]\nname = "<windy>"\n',
     "command": "jaxrl-tab sweep windy.toml --out runs/windy",

@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pandas as pd
 import pytest
@@ -12,6 +13,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import plot, report
 from jaxrl_tab.cli import screen
 from jaxrl_tab.experiment import files
+from jaxrl_tab.experiment.storage import Store
 from jaxrl_tab.stats import columns, settings
 from jaxrl_tab.stats.columns import COLUMNS, Column
 
@@ -33,7 +35,7 @@ def kept(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "_about", lambda *_: {})
     monkeypatch.setattr(plot, "save", lambda figure, file: file.touch())
     monkeypatch.setattr(report, "embedded", lambda *_: "data:image/png,")
-    return SimpleNamespace(path=tmp_path, keep_files=list)
+    return Mock(spec=Store, path=tmp_path, keep_files=list)
 
 
 def show(outcome, store=None):
@@ -106,7 +108,7 @@ def test_what_is_worked_out_is_handed_on(outcome, kept, monkeypatch, capsys):
     count(best, "func")
     for name in ("iqm_interval", "median_interval", "tolerance_interval", "soft_optimum", "differences"):
         count(columns, name)
-    for name in ("seeds_wanted", "mean_interval", "is_prediction"):
+    for name in ("seeds_wanted", "mean_interval", "has_errors"):
         count(settings, name)
     show(outcome, kept)
     show(outcome)

@@ -11,7 +11,6 @@ import xarray as xr
 import jaxrl_tab as rl
 from jaxrl_tab import stats
 
-pytestmark = pytest.mark.filterwarnings("error")
 inf = np.inf
 
 

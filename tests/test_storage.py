@@ -38,7 +38,7 @@ WHOLE = ["manifest.json", "results.nc", *(f"shards/00000{i}.npz" for i in range(
 
 def test_what_is_kept_is_there_again(folder):
     store = Store(folder, "abc")
-    assert store.found == [] and names(folder) == WHOLE
+    assert store.problems == [] and names(folder) == WHOLE
     assert {number: facts.diverged for number, facts in store.shards.items()} == {0: 0, 1: 1, 2: 2}
     read = store.read(1)
     assert list(read) == list(ARRAYS)
@@ -75,19 +75,19 @@ def test_a_damaged_shard_is_named_and_set_aside(folder, damage):
     """Broken once: its checksum not looked at -> fails."""
     damage(folder / "shards" / "000001.npz")
     store = Store(folder, "abc")
-    (line,) = store.found
+    (line,) = store.problems
     assert line == "shards/000001.npz is damaged: it is now set-aside/0-000001.npz, and is computed again"
     assert sorted(store.shards) == [0, 2]
     assert names(folder) == [WHOLE[0], WHOLE[1], "set-aside/0-000001.npz", WHOLE[2], WHOLE[4]]
     store.write(1, ARRAYS)
-    assert Store(folder, "abc").found == []
+    assert Store(folder, "abc").problems == []
 
 
 def test_a_missing_shard_and_a_damaged_result_are_named(folder):
     (folder / "shards" / "000002.npz").unlink()
     (folder / "results.nc").write_bytes(b"resultz")
     store = Store(folder, "abc")
-    assert store.found == [
+    assert store.problems == [
         "shards/000002.npz is missing: it is computed again",
         "results.nc is damaged: it is now set-aside/0-results.nc, and is made again",
     ]
@@ -100,9 +100,9 @@ def test_a_damaged_manifest_is_made_again_of_the_shards(folder, damage):
     before = Store(folder, "abc").shards
     damage(folder / "manifest.json")
     store = Store(folder, "abc")
-    assert len(store.found) == 1 and store.found[0].startswith("manifest.json is ")
+    assert len(store.problems) == 1 and store.problems[0].startswith("manifest.json is ")
     assert store.shards == before and store.files == []
-    assert Store(folder, "abc").found == []
+    assert Store(folder, "abc").problems == []
 
 
 def test_a_manifest_that_says_otherwise_is_damaged(folder):
@@ -110,7 +110,7 @@ def test_a_manifest_that_says_otherwise_is_damaged(folder):
     file = folder / "manifest.json"
     file.write_text(file.read_text().replace('"diverged": 2', '"diverged": 3'))
     store = Store(folder, "abc")
-    assert len(store.found) == 1 and store.found[0].startswith("manifest.json is damaged")
+    assert len(store.problems) == 1 and store.problems[0].startswith("manifest.json is damaged")
     assert store.shards[2].diverged == 2
 
 
@@ -123,7 +123,7 @@ def test_without_a_manifest_damaged_shards_are_still_found(folder, damage):
     if 1 in store.shards:
         assert all((store.read(1)[name] == x).all() for name, x in ARRAYS.items())
     else:
-        assert any(line.startswith("shards/000001.npz is damaged") for line in store.found)
+        assert any(line.startswith("shards/000001.npz is damaged") for line in store.problems)
     assert {0, 2} <= set(store.shards)
 
 
@@ -133,7 +133,7 @@ def test_a_shard_whose_place_in_the_manifest_was_not_written_is_there(folder):
     Store(folder, "abc").write(3, ARRAYS, diverged=7)
     (folder / "manifest.json").write_bytes(manifest)
     store = Store(folder, "abc")
-    assert store.found == [] and store.shards[3].diverged == 7
+    assert store.problems == [] and store.shards[3].diverged == 7
 
 
 def test_shards_of_another_experiment_are_set_aside(folder):
@@ -145,15 +145,15 @@ def test_shards_of_another_experiment_are_set_aside(folder):
     (folder / "shards" / "000000.npz").rename(folder / "shards" / "000004.npz")
     store = Store(folder, "abc")
     assert sorted(store.shards) == [1, 2]
-    assert len(store.found) == 3
-    assert Store(other, "abc").found[0].startswith("manifest.json is of another experiment")
+    assert len(store.problems) == 3
+    assert Store(other, "abc").problems[0].startswith("manifest.json is of another experiment")
 
 
 def test_what_was_being_written_is_gone(folder):
     (folder / "shards" / f".000003.npz{storage.UNFINISHED}").write_bytes(b"half")
     (folder / f".pictures{storage.UNFINISHED}").mkdir()
     (folder / f".pictures{storage.UNFINISHED}" / "x.png").write_bytes(b"half")
-    assert Store(folder, "abc").found == [] and names(folder) == WHOLE
+    assert Store(folder, "abc").problems == [] and names(folder) == WHOLE
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace"])
@@ -181,6 +181,23 @@ def test_a_new_folder_is_none_that_has_no_name_of_its_own(there):
         storage.new_folder(Path(there)),
     ):
         pass
+
+
+def test_a_new_folder_may_keep_what_was_finished_and_say_where(tmp_path):
+    """Broken once: without a look at whether there is anything -> fails."""
+    with pytest.raises(KeyboardInterrupt), storage.new_folder(tmp_path / "empty", keep=True):
+        raise KeyboardInterrupt
+
+    def stopped():
+        with storage.new_folder(tmp_path / "run", keep=True) as new:
+            (new / "file").write_text("x")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as stop:
+        stopped()
+    (kept,) = tmp_path.iterdir()
+    assert stop.value.__notes__ == [f"what was finished is in {kept}"]
+    assert (kept / "file").read_text() == "x"
 
 
 def test_a_new_folder_is_there_with_all_its_files_or_not_at_all(tmp_path):
@@ -275,7 +292,7 @@ def test_names_in_a_manifest_lead_nowhere_else(folder):
         manifest = storage.read_manifest(folder)
         assert manifest
         storage._write_manifest(folder, manifest | names)
-        assert Store(folder, "abc").found[0].startswith("manifest.json is damaged")
+        assert Store(folder, "abc").problems[0].startswith("manifest.json is damaged")
     assert outside.read_text() == "outside"
 
 
@@ -301,10 +318,10 @@ def test_shards_of_other_shapes_are_set_aside(folder, shapes):
     """Broken once: only the names of arrays compared -> fails."""
     right = {name: (x.shape, x.dtype) for name, x in ARRAYS.items()}
     store = Store(folder, "abc")
-    assert store.keep_if(1, right) and store.found == []
+    assert store.keep_if(1, right) and store.problems == []
     other = right | {name: (shape, np.dtype(kind)) for name, (shape, kind) in shapes.items()}
     assert not store.keep_if(1, other) and 1 not in store.shards
-    assert store.found == [
+    assert store.problems == [
         "shards/000001.npz is damaged: it is now set-aside/0-000001.npz, and is computed again"
     ]
 
@@ -344,7 +361,7 @@ def test_labels_give_names_of_files():
     assert len({name.lower() for name in names.values()}) == len(names) == len(LABELS)
     for name in names.values():
         assert 0 < len(name) < 80 and name.isascii() and name[0] not in ".-" and name[-1] not in ". "
-        assert not set(name) & set('<>:"/\\|?* ') and storage._is_made_here(f"pictures/{name}/overview.png")
+        assert not set(name) & set('<>:"/\\|?* ') and storage._is_result_file(f"pictures/{name}/overview.png")
         assert name.partition(".")[0].lower() not in {"con", "prn", "aux", "nul", "com1", "lpt1"}
     assert names["a,moves=king"] == "a,moves=king" and names["walk"] != "walk"
     assert names["a.unfinished"] == "a.unfinished"  # which is finished: what is not begins with a dot

@@ -199,7 +199,7 @@ def test_wind_can_be_batched():
         ({"algorithm": int}, "int is not a method: it has no gamma, init, policy, update"),
         ({"env": rl.WindyGridworld}, "env must be an instance, such as WindyGridworld(), not the class"),
         ({"env": Leaky()}, "the probabilities of the outcomes of (s, a) = (0, 0) are not a distribution"),
-        ({"num_steps": None}, "give either num_steps or num_episodes"),
+        ({"num_steps": None}, "give either a number of steps or one of episodes"),
         ({"algorithm": "sarsaa"}, "'sarsaa' is not a method; did you mean 'sarsa'?"),
         ({"algorithm": rl.Sarsa()}, "algorithm must be a class such as Sarsa, not an instance"),
         ({"env": "windy-gridworld"}, "env must be an environment such as make"),

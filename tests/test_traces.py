@@ -340,7 +340,7 @@ def test_watkins_cuts_where_the_next_action_is_not_greedy_and_only_there(trace):
             {"trace": "dutch", "offline": True},
             "offline goes with accumulating traces only, not dutch",
         ),
-        (rl.SarsaLambda, {"offline": 1}, "offline must be True or False, not 1"),
+        (rl.SarsaLambda, {"offline": 1}, "offline must be true or false, not 1"),
     ],
 )
 def test_wrong_input_is_refused_in_one_line(cls, fields, message):

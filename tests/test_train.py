@@ -174,8 +174,8 @@ def test_exact_values_beside_the_log(windy):
 @pytest.mark.parametrize(
     ("budget", "message"),
     [
-        ({}, "give either num_steps or num_episodes"),
-        ({"num_steps": 10, "num_episodes": 1}, "give either num_steps or num_episodes"),
+        ({}, "give either a number of steps or one of episodes"),
+        ({"num_steps": 10, "num_episodes": 1}, "give either a number of steps or one of episodes"),
         ({"num_steps": 0}, "num_steps must be a whole number of at least 1, not 0"),
         ({"num_steps": True}, "num_steps must be a whole number of at least 1, not True"),
         ({"num_episodes": 2.5}, "num_episodes must be a whole number of at least 1, not 2.5"),

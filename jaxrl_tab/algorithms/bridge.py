@@ -236,5 +236,5 @@ _SILENT = jex.random.define_prng_impl(
 
 
 def _no_words() -> Array:
-    """A key from which nothing can be drawn: what a method draws without being asked would be no mean."""
+    """A key from which nothing can be drawn: with a random number in it the result would not be a mean."""
     return jax.random.wrap_key_data(jnp.zeros(1, jnp.uint32), impl=_SILENT)

@@ -1,6 +1,6 @@
-"""Double Q-learning: two tables, for no maximum is its own judge (book, section 6.7; van Hasselt 2010)."""
+"""Double Q-learning: one table chooses, the other evaluates (book, section 6.7; van Hasselt 2010)."""
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,8 +27,8 @@ class DoubleState(NamedTuple):
     clock: Clock
 
     @property
-    def q(self) -> Float[Array, "S A"]:
-        """The mean of both tables, which the behaviour policy goes by."""
+    def q(self) -> Float[Any, "... S A"]:
+        """The mean of both tables, which the behaviour policy goes by; of a batch [..., S, A]."""
         return (self.q1 + self.q2) / 2
 
 

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.td import TDState
@@ -16,7 +16,7 @@ from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.pytree import field, pytree
-from jaxrl_tab.core.types import Transition, restricted
+from jaxrl_tab.core.types import Available, Transition, restricted
 
 
 class ManyTargetsState(NamedTuple):
@@ -88,14 +88,14 @@ class ManyTargets:
         _, num_states, num_actions = jnp.shape(self.targets)
         return Table(np.full((num_states, num_actions), 1 / num_actions))
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         """The method where states have these actions only, bool [S, A]."""
         policies.check_among("ManyTargets: targets", self.targets, available)
         uniform = policies.uniform(available)
         behaviour = uniform if self.behaviour is None else restricted(self.behaviour, available)
         return dataclasses.replace(self, behaviour=behaviour, q0=policies.among(self.q0, available))
 
-    def about(self, target: Float[Array, "S A"]) -> ExpectedSarsa:
+    def about(self, target: Float[Array | np.ndarray, "S A"]) -> ExpectedSarsa:
         """The method that learns about one of the policies alone."""
         return ExpectedSarsa(
             alpha=self.alpha, gamma=self.gamma, q0=self.q0, target=Table(target), behaviour=self.selection

@@ -16,9 +16,9 @@ from jaxrl_tab.core.types import Transition
 
 
 class Memory(NamedTuple):
-    """The last n steps of the episode, each with what it will learn from. A ring: the next step overwrites
+    """The last n steps of the episode, each with what it will learn from.
 
-    the oldest one.
+    It is a ring: the next step overwrites the oldest one.
 
     Attributes:
         s, a: S and A, int32 [n].

@@ -2,14 +2,14 @@
 
 from typing import Any, Self
 
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.td import Learner, TDControl
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import field, pytree
-from jaxrl_tab.core.types import restricted
+from jaxrl_tab.core.types import Available, restricted
 
 
 @pytree
@@ -43,7 +43,7 @@ class OffPolicyControl(TDControl):
     def all_policies(self) -> tuple[Policy, ...]:
         return (*super().all_policies, self.pi)
 
-    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+    def restricted_to(self, available: Available, **more: Any) -> Self:
         target = None if self.target is None else restricted(self.target, available)
         return super().restricted_to(available, target=target, **more)
 

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
 from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
@@ -32,7 +32,7 @@ from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import (
-    Algorithm,
+    Available,
     Environment,
     Task,
     Transition,
@@ -59,18 +59,21 @@ class ValueState(NamedTuple):
     target: Float[Array, "S A"] | None
 
     @property
-    def q(self) -> Float[Array, "S 1"]:
+    def q(self) -> Float[Any, "... S 1"]:
         return self.learner.q
 
     @property
-    def v(self) -> Float[Array, " S"]:
+    def v(self) -> Float[Any, "... S"]:
         """V, float [S]; of a batch of learners [..., S]."""
         return self.learner.q[..., 0]
 
 
 @pytree
 class Prediction:
-    """What all share. A method says what kind of control it is."""
+    """What all methods of prediction share.
+
+    Each names its method of control, and passes on the hyperparameters that both have.
+    """
 
     pi: Any = field(
         default=None,
@@ -83,19 +86,22 @@ class Prediction:
 
     learns: ClassVar[Learns] = Learns.STATES
     acts_after_update: ClassVar[bool] = True
+    method: ClassVar[type]  # the method of control that learns V
 
     def __post_init__(self):
         _as_table(self, "pi")
         try:
             self.control()
-        except InputError as error:  # said of a class of which nobody spoke
+        except InputError as error:  # it names the method of control, which the user did not
             raise error.renamed(type(self).__name__) from None
 
-    def control(self) -> Algorithm:
-        """The method of control that learns V."""
-        raise NotImplementedError
+    def control(self, **policies: Table) -> Any:
+        """The method of control that learns V, with the hyperparameters that both have, and these policies."""
+        names = {field.name for field in dataclasses.fields(self.method)}
+        shared = {name: x for name, x in vars(self).items() if name in names - {"behaviour"}}
+        return self.method(q0=self.v0, **shared, **policies)
 
-    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+    def restricted_to(self, available: Available, **more: Any) -> Self:
         """The method where states have these actions only, as `TDControl.restricted_to`."""
         return dataclasses.replace(self, pi=_among(self.pi, available), **more)
 
@@ -131,8 +137,7 @@ class Prediction:
 class TD(Prediction):
     """TD(0): V(S) <- V(S) + alpha [R + gamma V(S') - V(S)] (book, equation 6.2)."""
 
-    def control(self) -> Sarsa:
-        return Sarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0)
+    method: ClassVar[type] = Sarsa
 
 
 @pytree
@@ -141,8 +146,7 @@ class NStepTD(Prediction):
 
     n: int = static(default=4, at_least=1, help="How many rewards it looks ahead.")
 
-    def control(self) -> Algorithm:
-        return NStepSarsa(alpha=self.alpha, gamma=self.gamma, q0=self.v0, n=self.n)
+    method: ClassVar[type] = NStepSarsa
 
 
 @pytree
@@ -160,15 +164,7 @@ class TDLambda(Prediction):
         "accumulating traces.",
     )
 
-    def control(self) -> Algorithm:
-        return SarsaLambda(
-            alpha=self.alpha,
-            gamma=self.gamma,
-            q0=self.v0,
-            lam=self.lam,
-            trace=self.trace,
-            offline=self.offline,
-        )
+    method: ClassVar[type] = SarsaLambda
 
 
 @pytree
@@ -180,8 +176,7 @@ class MonteCarloPrediction(Prediction):
     )
     first_visit: bool = static(default=False, help=_FIRST_VISIT)
 
-    def control(self) -> Algorithm:
-        return MonteCarlo(alpha=self.alpha, gamma=self.gamma, q0=self.v0, first_visit=self.first_visit)
+    method: ClassVar[type] = MonteCarlo
 
 
 # --- off-policy --------------------------------------------------------------------------------------
@@ -204,7 +199,7 @@ class OffPolicyPrediction(Prediction):
             any_action = EpsilonGreedy(1.0)
             check_coverage(type(self).__name__, any_action if self.pi is None else self.pi, self.behaviour)
 
-    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+    def restricted_to(self, available: Available, **more: Any) -> Self:
         return super().restricted_to(available, behaviour=_among(self.behaviour, available), **more)
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
@@ -239,45 +234,6 @@ class OffPolicyTD(OffPolicyPrediction, TD):
 
 
 @pytree
-class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
-    """Monte Carlo with importance sampling (book, section 5.5): the mean of returns G of b, weighted.
-
-    "ordinary" averages rho_{t:T-1} G (book, equation 5.5): unbiased, and its variance may be infinite.
-    "weighted" divides by the sum of the ratios (equation 5.6): biased, and far closer. "per-decision" weighs
-    each reward by the ratios up to it (section 5.9).
-    """
-
-    alpha: Rate = field(
-        default=sample_average(), help="Step size. By default 1/N(s): what is averaged counts equally."
-    )
-    weighting: Weighting = static(default="weighted", help="The kind of importance sampling.")
-    first_visit: bool = static(default=False, help=_FIRST_VISIT)
-
-    acts_after_update: ClassVar[bool] = True
-    learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
-
-    @property
-    def multiplies_returns(self) -> bool:
-        return self.weighting != "weighted"
-
-    def control(self, acting: Any = None, target: Any = None) -> Algorithm:
-        return _OfStates(
-            alpha=self.alpha,
-            gamma=self.gamma,
-            q0=self.v0,
-            behaviour=None if acting is None else Table(acting),
-            target=None if target is None else Table(target),
-            weighting=self.weighting,
-            first_visit=self.first_visit,
-        )
-
-    def update(self, key, state: ValueState, t: Transition):
-        learner, _ = self.control(state.acting, state.target).update(key, state.learner, t)
-        state = state._replace(learner=learner)
-        return state, self.policy(key, state, t.s_next)
-
-
-@pytree
 class _OfStates(OffPolicyMonteCarlo):
     """Off-policy Monte Carlo with one entry a state, of which the ratio of its own action is a part."""
 
@@ -294,6 +250,36 @@ class _OfStates(OffPolicyMonteCarlo):
         return jnp.zeros_like(a)
 
 
+@pytree
+class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
+    """Monte Carlo with importance sampling (book, section 5.5): the mean of returns G of b, weighted.
+
+    "ordinary" averages rho_{t:T-1} G (book, equation 5.5): unbiased, and its variance may be infinite.
+    "weighted" divides by the sum of the ratios (equation 5.6): biased, and far closer. "per-decision" weighs
+    each reward by the ratios up to it (section 5.9).
+    """
+
+    alpha: Rate = field(
+        default=sample_average(), help="Step size. By default 1/N(s): what is averaged counts equally."
+    )
+    weighting: Weighting = static(default="weighted", help="The kind of importance sampling.")
+    first_visit: bool = static(default=False, help=_FIRST_VISIT)
+
+    acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
+    method: ClassVar[type] = _OfStates
+
+    @property
+    def multiplies_returns(self) -> bool:
+        return self.weighting != "weighted"
+
+    def update(self, key, state: ValueState, t: Transition):
+        control = self.control(behaviour=Table(state.acting), target=Table(state.target))
+        learner, _ = control.update(key, state.learner, t)
+        state = state._replace(learner=learner)
+        return state, self.policy(key, state, t.s_next)
+
+
 def _as_table(obj: Any, name: str) -> None:
     """Makes the probabilities in field `name` a Table."""
     value, who = getattr(obj, name), type(obj).__name__
@@ -307,7 +293,7 @@ def _as_table(obj: Any, name: str) -> None:
         raise error.renamed(who, name) from None
 
 
-def _among(table: Table | None, available: Bool[Array, "S A"]) -> Table:
+def _among(table: Table | None, available: Available) -> Table:
     return policies.uniform(available) if table is None else restricted(table, available)
 
 
@@ -326,7 +312,8 @@ PREDICTION: dict[str, type] = {
     "off-policy-td": OffPolicyTD,
     "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,
 }
-METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)  # of control first: see ChainMap.__iter__
+# The methods of control come first, for a ChainMap begins with its last map.
+METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)
 
 
 METHOD = names.Kind(

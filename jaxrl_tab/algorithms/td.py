@@ -1,20 +1,21 @@
 """What the one-step temporal-difference methods share: everything but the target."""
 
 import dataclasses
-from typing import Any, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import clock, policies, tables
 from jaxrl_tab.core.checks import InputError, concrete
 from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy
 from jaxrl_tab.core.pytree import field, pytree
-from jaxrl_tab.core.types import Transition, restricted
+from jaxrl_tab.core.types import Available, Transition, restricted
 
 
+@runtime_checkable
 class Learner(Protocol):
     """What every state of a learner has: a NamedTuple with Q and a clock."""
 
@@ -57,8 +58,8 @@ class TDControl:
     )
 
     def __post_init__(self):
-        given = concrete(self.epsilon)
-        if self.behaviour is not None and given is not None and np.any(given != TDControl.epsilon):
+        epsilon = concrete(self.epsilon)
+        if self.behaviour is not None and epsilon is not None and np.any(epsilon != TDControl.epsilon):
             raise InputError("give epsilon or behaviour, not both", who=type(self).__name__, field="epsilon")
 
     @property
@@ -71,7 +72,7 @@ class TDControl:
         """All policies that it acts by or learns about."""
         return (self.selection,)
 
-    def restricted_to(self, available: Bool[Array, "S A"], **more: Any) -> Self:
+    def restricted_to(self, available: Available, **more: Any) -> Self:
         """The method where states have these actions only: it takes no other, and counts no other.
 
         Args:

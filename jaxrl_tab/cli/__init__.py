@@ -9,11 +9,11 @@ import os
 import sys
 from collections.abc import Sequence
 
-from jaxrl_tab.cli.common import PROG, known_name
+from jaxrl_tab.cli.common import PROG, checked_name
 from jaxrl_tab.cli.figure import figure_command
 from jaxrl_tab.cli.listing import list_command
 from jaxrl_tab.cli.solve import solve_command
-from jaxrl_tab.cli.streams import complain, give_up, notes_of, prepare_streams
+from jaxrl_tab.cli.streams import complain, give_up, prepare_streams
 from jaxrl_tab.cli.sweep import resume_command, sweep_command
 from jaxrl_tab.core.checks import InputError, RunError, as_path, one_line, reason
 from jaxrl_tab.core.version import __version__
@@ -63,24 +63,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         give_up(sys.stdout)
         return 1
-    except InputError as error:
-        return complain(str(error), code=2)
-    except RunError as error:
-        return complain(str(error))
+    except (InputError, RunError) as error:
+        return complain(str(error), error, code=2 if isinstance(error, InputError) else 1)
     except KeyboardInterrupt as stop:
-        return complain("; ".join(["interrupted", *map(str, stop.args)]), code=130)
+        return complain("interrupted", stop, code=130)
     except MemoryError as error:
-        return complain("; ".join(["there is not enough memory", *notes_of(error)]))
+        return complain("there is not enough memory", error)
     except OSError as error:
         give_up(sys.stdout)
         what = f"{error.filename}: " if error.filename else "reading or writing failed: "
-        return complain("; ".join([what + reason(error), *notes_of(error)]))
+        return complain(what + reason(error), error)
     except Exception as error:
         if os.environ.get(TRACEBACK) == "1":
             raise
+        error.add_note(f"please report it with what {TRACEBACK}=1 shows, set before the command")
         what = f"this is a defect of {PROG}: {type(error).__name__}: {one_line(str(error))}"
-        how = f"please report it with what {TRACEBACK}=1 shows, set before the command"
-        return complain("; ".join([what, *notes_of(error), how]))
+        return complain(what, error)
 
 
 def _dispatch(argv: list[str]) -> int:
@@ -99,4 +97,4 @@ def _dispatch(argv: list[str]) -> int:
     if argv[0] == "--version":
         print(f"{PROG} {__version__}")
         return 0
-    return commands[known_name("a command", argv[0], commands)](argv[1:])
+    return commands[checked_name("a command", argv[0], commands)](argv[1:])

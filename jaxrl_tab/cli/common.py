@@ -3,23 +3,20 @@
 import contextlib
 import itertools
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Annotated, Any
 
 import jax
-from tyro.conf import FlagCreatePairsOff, arg
 
 from jaxrl_tab import envs
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHOD, METHODS, PREDICTION
-from jaxrl_tab.cli.options import Group, parameters, values
+from jaxrl_tab.cli.options import Group
 from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, nearest, one_line, shown
 from jaxrl_tab.engine import batch, programs
 from jaxrl_tab.envs import ENVS
-
-Switch = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
+from jaxrl_tab.experiment import storage
 
 PROG = "jaxrl-tab"
 
@@ -50,7 +47,7 @@ def start_jax() -> None:
         raise InputError(f"JAX cannot start: {one_line(str(error))}") from None
 
 
-def known_name(kind: str, name: str, choices: Collection[str]) -> str:
+def checked_name(kind: str, name: str, choices: Collection[str]) -> str:
     """`name`, which must be one of `choices`."""
     if not name:
         raise InputError(f"name {kind}: {', '.join(choices)}")
@@ -61,12 +58,11 @@ def known_name(kind: str, name: str, choices: Collection[str]) -> str:
 
 def with_own(group: Group, words: Sequence[str]) -> Group:
     """The group with the classes from outside of its registry that some words name, before the others."""
+    assert group.kind
     own = {}
     for word in words:
         if not any(word in kind.registry for kind in names.KINDS) and not word.endswith(".toml"):
-            with contextlib.suppress(
-                InputError
-            ):  # it may be a value; if it is a name, `find` says what is wrong
+            with contextlib.suppress(InputError):  # it may be a value; a wrong name `find` refuses
                 own[word] = names.find(group.kind, word).cls
     return group._replace(registry=own | dict(group.registry))
 
@@ -82,44 +78,17 @@ def named_in(argv: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
 
 def find(group: Group, name: str) -> type:
     """The class that a word names, which must be of the kind of this group."""
+    assert group.kind
     if not name:
         raise InputError(f"name {group.kind.noun}: {', '.join(group.registry)}")
     return group.registry[name] if name in group.registry else names.find(group.kind, name).cls
 
 
-def parameters_of(name: str, typed: Mapping[str, tuple[str, ...]], group: Group) -> dict[str, Any]:
-    """The parameters of an environment that were typed, with their values."""
-    chosen = values([name], typed, group)[name]
-    defaults = {p.name: p.default for p in parameters(group.registry[name])}
-    return {n: tuple(v) if isinstance(defaults[n], tuple) else v[0] for n, v in chosen.items()}
+def new_folder(path: Path | None) -> contextlib.AbstractContextManager[Path | None]:
+    """A new folder to write into, which gets the name `path` when all is written; none where `path` is None.
 
-
-@contextlib.contextmanager
-def new_folder(path: Path | None) -> Iterator[Path | None]:
-    """A new folder to write into, which gets the name `path` when all is written.
-
-    Until then, and if anything fails, it stands beside as `path.unfinished-...`, and keeps what was finished.
+    If anything fails, what was finished stays in a folder beside it.
     """
     if path is None:
-        yield None
-        return
-    path = Path(os.path.normpath(path))
-    try:
-        if path.exists() or path.is_symlink():
-            raise InputError(f"--out: {one_line(str(path))} exists already; name a new folder")
-        unfinished = path.with_name(f"{path.name}.unfinished-{os.getpid()}")
-        unfinished.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"--out: {one_line(str(path))} cannot be made: {error.strerror}") from None
-    try:
-        yield unfinished
-        unfinished.rename(path)
-    except BaseException as error:
-        if not any(unfinished.iterdir()):
-            unfinished.rmdir()
-            raise
-        kept = f"what was finished is in {unfinished}"
-        if isinstance(error, KeyboardInterrupt):
-            raise KeyboardInterrupt(kept) from None
-        error.add_note(kept)
-        raise
+        return contextlib.nullcontext()
+    return storage.new_folder(Path(os.path.normpath(path)), keep=True)

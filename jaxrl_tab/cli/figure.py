@@ -1,19 +1,18 @@
 """`jaxrl-tab figure`: published figures again, and their numbers checked."""
 
-import dataclasses
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 from rich.table import Table
-from tyro.conf import Positional, arg
 
-from jaxrl_tab.cli.common import PROG, Switch, known_name, new_folder, prepare, start_jax
-from jaxrl_tab.cli.options import parse, place
+from jaxrl_tab.cli.common import PROG, checked_name, new_folder, prepare, start_jax
+from jaxrl_tab.cli.options import parse, word
 from jaxrl_tab.cli.screen import busy, console, print_json, say_where
 from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.pytree import checked_dataclass
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine.results import save
 from jaxrl_tab.experiment import storage
@@ -48,7 +47,7 @@ def make_runs(
     return datasets
 
 
-@dataclasses.dataclass
+@checked_dataclass
 class Figure:
     """Runs the setting of a published figure again, draws it, and checks its numbers; or of all figures.
 
@@ -59,26 +58,28 @@ class Figure:
       jaxrl-tab figure windy-gridworld --out runs/windy-figure
       jaxrl-tab figure cliff-walking --json
       jaxrl-tab figure --all --out runs/figures
+
+    Attributes:
+        name: Name of the figure; see `jaxrl-tab list`.
+        all: Make all figures; with --out, also index.html, which shows them.
+        out: New folder for the picture, as PNG and as PDF, and the data.
+        json: Print the numbers as JSON.
+        quiet: Show no progress.
     """
 
-    name: Annotated[Positional[str], arg(metavar="NAME", help_behavior_hint="")] = ""
-    """Name of the figure; see `jaxrl-tab list`."""
-    all: Switch = False
-    """Make all figures; with --out, also index.html, which shows them."""
-    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
-    """New folder for the picture, as PNG and as PDF, and the data."""
-    json: Switch = False
-    """Print the numbers as JSON."""
-    quiet: Switch = False
-    """Show no progress."""
+    name: str = word("NAME")
+    all: bool = False
+    out: Path | None = None
+    json: bool = False
+    quiet: bool = False
 
 
 def figure_command(argv: list[str]) -> int:
     prepare()
-    options = parse(f"{PROG} figure", Figure, argv)
+    options, _ = parse(Figure, argv)
     if options.all and options.name:
         raise InputError("name a figure or give --all, not both")
-    names = tuple(FIGURES) if options.all else (known_name("a figure", options.name, FIGURES),)
+    names = tuple(FIGURES) if options.all else (checked_name("a figure", options.name, FIGURES),)
     start_jax()
     checked, groups = {}, []
     with new_folder(options.out) as folder:
@@ -97,11 +98,11 @@ def figure_command(argv: list[str]) -> int:
             (folder / "index.html").write_text(page(checked, __version__), encoding="utf-8")
 
     if options.json:
-        found = [
+        results = [
             {"figure": name, "numbers": [c._asdict() | {"ok": c.ok} for c in checks]}
             for name, (_, checks) in checked.items()
         ]
-        print_json({"figures": found} if options.all else found[0])
+        print_json({"figures": results} if options.all else results[0])
     elif options.out:
         say_where(options.out, groups[0])
     return 0 if all(c.ok for _, checks in checked.values() for c in checks) else 1

@@ -58,13 +58,13 @@ def _watch(signals: socket.socket, heard: threading.Event) -> None:
 
 
 def _next(signals: socket.socket) -> bool:
-    """Waits for the next signal that interrupts; False where there will be none any more."""
+    """Waits for the next signal that interrupts; False when the socket is closed, so that none will come."""
     while byte := signals.recv(1):
         if byte[0] in (signal.SIGINT, signal.SIGTERM):
             return True
     return False
 
 
-def _quit(said: str) -> None:
-    print(f"\njaxrl-tab: {said}", file=sys.stderr, flush=True)
+def _quit(what: str) -> None:
+    print(f"\njaxrl-tab: {what}", file=sys.stderr, flush=True)
     os._exit(CODE)

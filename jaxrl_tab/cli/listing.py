@@ -10,30 +10,33 @@ from rich.table import Table
 
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import PREDICTION
-from jaxrl_tab.cli.common import HYPERPARAMETERS, PROG, Switch
+from jaxrl_tab.cli.common import HYPERPARAMETERS
 from jaxrl_tab.cli.options import about, option_of, parameters, parse, words
 from jaxrl_tab.cli.screen import console, print_json
 from jaxrl_tab.core import describe, names
+from jaxrl_tab.core.pytree import checked_dataclass
 from jaxrl_tab.engine.results import label
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.figures import FIGURES
 
 
-@dataclasses.dataclass
+@checked_dataclass
 class List:
     """The environments and the methods, with their parameters, defaults, and one line each; the figures.
 
     Examples:
       jaxrl-tab list
       jaxrl-tab list --json
+
+    Attributes:
+        json: Print JSON.
     """
 
-    json: Switch = False
-    """Print JSON."""
+    json: bool = False
 
 
 def list_command(argv: list[str]) -> int:
-    options = parse(f"{PROG} list", List, argv)
+    options, _ = parse(List, argv)
     complaints = [line for kind in names.KINDS for line in names.add_entry_points(kind)]
     registries = {"environments": ENVS, "methods": ALGORITHMS, "prediction": PREDICTION}
     figures = {name: f"{figure.title} ({figure.source})" for name, figure in FIGURES.items()}
@@ -71,7 +74,9 @@ def _shared(registry: Mapping[str, type]) -> list[describe.Parameter]:
     everywhere = [parameters(cls) for cls in registry.values()]
     names = [{p.name for p in ps} for ps in everywhere]
     counts = Counter(p for ps in everywhere for p in ps)
-    return [p for p, n in counts.items() if 2 * n > len(registry) and all(p.name in known for known in names)]
+    return [
+        p for p, n in counts.items() if 2 * n > len(registry) and all(p.name in of_one for of_one in names)
+    ]
 
 
 def _parameter_table(shown: Sequence[describe.Parameter]) -> Table:

@@ -35,7 +35,7 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> i
         return 0
     for environment, methods in outcome.methods.items():
         with busy("summing up"):
-            _ = methods.rows
+            _ = methods.rows  # worked out now, while the line is shown; kept for the tables
         print_summary(environment, methods)
     if outcome.fresh:
         _print_selection(outcome.selection)
@@ -63,6 +63,7 @@ def _print_selection(table: "pd.DataFrame") -> None:
     for column in view.columns[-4:]:
         column.justify = "right"
     for row in table.to_dict("records"):
+        # NaN, which is not equal to itself, stands where a method does not have the hyperparameter.
         setting = [f"{h} {words(row[h])}" for h in hyperparameters if row[h] == row[h]]
         cells = []
         for kind in ("chosen", "fresh"):
@@ -124,8 +125,8 @@ def print_summary(environment: str, methods: "Methods") -> None:
                     f"the {kind} is {cell(x[0], digits)} ({_interval(x[1], x[2], digits)})"
                     for kind, x in (("median", row["median"]), ("interquartile mean", row["iqm"]))
                 ]
-                wanted = f"{row['seeds_wanted']} seeds would be needed to trust the mean"
-                notes.append(f"! {title_of(method)}: {', '.join(ends)}; {wanted}.")
+                needed = f"{row['seeds_wanted']} seeds would be needed to trust the mean"
+                notes.append(f"! {title_of(method)}: {', '.join(ends)}; {needed}.")
         view.add_section()
         edges += [edge_warning(name, method, end) for name, end in own.edges.items() if choice]
     out = console()
@@ -179,11 +180,11 @@ def _cells(column: "Column", x: Any, digits: Any) -> list[str]:
 
 def _soft_optima(methods: "Methods") -> dict[str, float]:
     """What the best policy earns that explores as the best settings do: "ε = 0.1" -> value."""
-    found = {}
+    optima = {}
     for own in methods.settings.values():
         name = " and ".join(f"{symbol(key)} = {words(value)}" for key, value in own.exploration.items())
-        found[name] = own.soft
-    return {name: value for name, value in found.items() if not np.isnan(value)}
+        optima[name] = own.soft
+    return {name: value for name, value in optima.items() if not np.isnan(value)}
 
 
 def _interval(low: float, high: float, digits: Any) -> str:
@@ -200,7 +201,7 @@ def say_where(folder: Path, group: str | None = None) -> None:
 
 
 def console() -> Console:
-    """Where tables are printed, :100: as it is; a pipe or a file is wide enough for all of them."""
+    """Where tables are printed. Text such as :100: is no emoji; a pipe or a file has room for all columns."""
     return Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 160)
 
 

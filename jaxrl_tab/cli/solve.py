@@ -1,37 +1,26 @@
 """`jaxrl-tab solve`: the exact values and an optimal policy of an environment."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
-from tyro.conf import Positional, arg
 
-from jaxrl_tab.cli.common import (
-    ENVIRONMENT,
-    PROG,
-    Switch,
-    find,
-    named_in,
-    new_folder,
-    parameters_of,
-    start_jax,
-    with_own,
-)
-from jaxrl_tab.cli.options import parse, place, real, words
+from jaxrl_tab.cli.common import ENVIRONMENT, find, named_in, new_folder, start_jax, with_own
+from jaxrl_tab.cli.options import parse, values_of, word, words
 from jaxrl_tab.cli.screen import busy, console, print_json, say_where
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.envs.base import Grid, Panel
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.words import short_number, six_digits
 
 
-@dataclasses.dataclass
+@checked_dataclass
 class Solve:
     """The exact values of an environment and its optimal actions.
 
@@ -40,25 +29,28 @@ class Solve:
       jaxrl-tab solve windy-gridworld --moves king --epsilon 0.1 --out runs/king
       jaxrl-tab solve mdp.npz
       jaxrl-tab solve random-walk --states 5 --left-reward 0 --json
+
+    Attributes:
+        env: Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv, mdp.npz,
+            gymnasium:NAME.
+        gamma: Discount rate.
+        epsilon: Also find the best policy among those that take a random action with this probability.
+        out: New folder for a picture (PNG).
+        json: Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A].
     """
 
-    env: Annotated[Positional[str], arg(metavar="ENV", help_behavior_hint="")] = ""
-    """Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv, mdp.npz, gymnasium:NAME."""
-    gamma: Annotated[float, real(0, 1)] = 1.0
-    """Discount rate, in [0, 1]."""
-    epsilon: Annotated[float | None, real(0, 1), arg(help_behavior_hint="")] = None
-    """Also find the best policy among those that take a random action with this probability."""
-    out: Annotated[Path | None, place("DIR"), arg(help_behavior_hint="")] = None
-    """New folder for a picture (PNG)."""
-    json: Switch = False
-    """Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A]."""
+    env: str = word("ENV")
+    gamma: float = field(default=1.0, at_least=0, at_most=1)
+    epsilon: float | None = field(default=None, at_least=0, at_most=1)
+    out: Path | None = None
+    json: bool = False
 
 
 def solve_command(argv: list[str]) -> int:
     group = with_own(ENVIRONMENT, named_in(argv)[0])
-    options = parse(f"{PROG} solve", Solve, argv, environment=group)
+    options, typed = parse(Solve, argv, environment=group)
     cls = find(group, options.env)
-    env = build(cls, options.env, parameters_of(options.env, options.environment, group))
+    env = build(cls, options.env, values_of(options.env, typed["environment"], group))
     start_jax()
     with new_folder(options.out) as folder, busy("solving"):
         solutions = {"optimal": planning.policy_iteration(env, options.gamma)}
@@ -69,7 +61,7 @@ def solve_command(argv: list[str]) -> int:
             _draw_solutions(env, solutions, folder)
     if options.json:
         keys = ("optimal", "epsilon_soft")
-        found = {
+        numbers = {
             key: {
                 "start_value": planning.start_value(env, v),
                 "v": v.tolist(),
@@ -78,7 +70,7 @@ def solve_command(argv: list[str]) -> int:
             }
             for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
         }
-        print_json({"environment": options.env, "gamma": options.gamma, "epsilon": options.epsilon} | found)
+        print_json({"environment": options.env, "gamma": options.gamma, "epsilon": options.epsilon} | numbers)
         return 0
     out = console()
     for title, (_, v, q) in solutions.items():

@@ -44,19 +44,18 @@ codecs.register_error("lookalikes", _lookalikes)
 
 
 def give_up(stream: TextIO) -> None:
-    """Python flushes stdout and stderr once more at its end: what cannot be written goes nowhere."""
+    """Discards what cannot be written to a stream: Python would flush it once more at its end, and fail."""
     with contextlib.suppress(OSError, ValueError):  # as where a test has put something else in its place
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def complain(line: str, code: int = 1) -> int:
-    """Prints one line on stderr, if that is possible. Returns the exit code."""
+def complain(what: str, error: BaseException, code: int = 1) -> int:
+    """Prints one line on stderr, with the notes of the error, if that is possible. Returns the exit code."""
     try:
+        # JAX adds a note of several lines, on its own frames, to whatever is raised within its functions.
+        notes = [note for note in getattr(error, "__notes__", ()) if "\n" not in note]
+        line = "; ".join([what, *notes])
         print(f"{PROG}: {line}", file=sys.stderr, flush=True)
     except OSError:
         give_up(sys.stderr)
     return code
-
-
-def notes_of(error: BaseException) -> list[str]:
-    return list(getattr(error, "__notes__", ()))

@@ -1,1 +1,23 @@
-"""What everything stands on: the vocabulary, tables, random numbers, schedules, policies."""
+"""What everything stands on.
+
+Its modules, from the ground up:
+
+    version     the version of the package
+    checks      checks of the values that users give, and the wording of the messages about them
+    pytree      frozen dataclasses that are JAX pytrees, whose fields say what they take
+    describe    the parameters of a class and what they are, for help and lists
+    modules     files of somebody's own, loaded by their checksum, with the files that they import
+    names       what the name of an environment or a method stands for, somebody's own included
+    declared    what methods and environments declare about themselves
+    types       the vocabulary: what an environment answers, what a method learns from
+    rng         random numbers for the loop, one word a decision
+    tables      reading and writing a table of values, and how lanes batch that
+    clock       step sizes and exploration rates as a method uses them, and the clock that they read
+    schedules   numbers that change with experience
+    optax       schedules of optax, and functions of one's own
+    policies    the exact probabilities of the actions, and one way to draw from them
+    coverage    whether a behaviour policy takes every action that a target policy may take
+    episode     the memory of the current episode, for methods that learn when it is over
+    experience  logged experience, as arrays, checked
+    memory      how many bytes things take, and where large results go
+"""

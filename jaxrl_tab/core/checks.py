@@ -1,4 +1,4 @@
-"""What is asked of values that people give, and how a message names them."""
+"""Checks of the values that users give, and the wording of the messages about them."""
 
 import copy
 import dataclasses
@@ -20,17 +20,20 @@ from jaxtyping import Array
 
 T = TypeVar("T")
 
+Marks: TypeAlias = np.ndarray | np.bool_
+"""Where something is so. What NumPy finds of one number has no axes, and is a scalar."""
+
 
 class InputError(ValueError):
     """Something that the user gave is wrong; the message is one line that says what would be right.
 
     Attributes:
-        problem: the message, but for the name with which it begins.
-        who: what refuses it, a class or an option; None where the message names nothing.
+        problem: the message without the name at its beginning.
+        who: what refuses the value, a class or an option; None where the message names neither.
         field: the field, or parameter, that is wrong; None where it is not one.
         wanted: what the field takes, in words; None where it is not the value alone that is wrong.
         value: what was given instead.
-        path: the keys, and places in lists, that lead there in the tables of an experiment.
+        path: the keys and the positions in lists that lead to the value in the tables of an experiment.
     """
 
     def __init__(
@@ -49,8 +52,8 @@ class InputError(ValueError):
     def __str__(self) -> str:
         return self.problem if self.who is None else f"{self.who}: {self.problem}"
 
-    def renamed(self, who: str, field: str | None = None) -> Self:
-        """The same said by another; of what is inside its `field`, where that is given."""
+    def renamed(self, who: str | None, field: str | None = None) -> Self:
+        """The same error under the name `who`; as an error about a part of its `field`, if one is given."""
         error = copy.copy(self)
         error.who = who
         if field is not None:
@@ -65,7 +68,7 @@ def unfit(who: str | None, field: str, wanted: str, value: Any, hint: str = "") 
 
 
 class RunError(RuntimeError):
-    """What was asked for is right, and could not be finished here; the message is one line that says why."""
+    """A valid request that could not be completed here; the message is one line that says why."""
 
 
 def concrete(x: Any) -> np.ndarray | None:
@@ -87,7 +90,7 @@ def assign(obj: Any, **values: Any) -> None:
         object.__setattr__(obj, field, value)
 
 
-def numbers(name: str, what: str, value: Any) -> Any:
+def numbers(name: str | None, what: str, value: Any) -> Any:
     """`value` as a NumPy array; a tracer, which has no value to check yet, as it is.
 
     Raises InputError unless it is numbers in a rectangular array.
@@ -147,7 +150,7 @@ def nearest(name: Any, names: Iterable[str]) -> str:
     return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
 
 
-def check_choice(name: str, what: str, value: Any, choices: Iterable[str]) -> None:
+def check_choice(name: str | None, what: str, value: Any, choices: Iterable[str]) -> None:
     """Raises InputError unless `value` is one of the texts in `choices`; the message names the nearest."""
     if not isinstance(value, str) or value not in choices:
         problem = f"{what} {shown(value)} is unknown; {nearest(value, choices)}"
@@ -162,12 +165,12 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
         InputError: a parameter is unknown, with the nearest right one, or missing; or `cls` refuses a value.
     """
     fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
-    known = [f.name for f in fields]
+    names = [f.name for f in fields]
     for parameter in parameters:
-        if parameter not in known:
-            wanted = nearest(parameter, known)
+        if parameter not in names:
+            wanted = nearest(parameter, names)
             problem = f"{name} has no parameter {shown(parameter)}; {wanted}"
-            raise InputError(problem, field=parameter, wanted=wanted)
+            raise InputError(problem, field=str(parameter), wanted=wanted)
     is_ours = cls.__module__.partition(".")[0] == __name__.partition(".")[0]
     try:
         return cls(**parameters)
@@ -179,19 +182,19 @@ def build(cls: type[T], name: str, parameters: Mapping[str, Any]) -> T:
         except TypeError as missing:
             raise InputError(f"{name}: {missing}") from None
         if is_ours:
-            raise  # a defect
+            raise  # an error in this package, not in the input
         raise InputError(f"{name} refuses its parameters: {type(error).__name__}: {reason(error)}") from error
 
 
-def as_path(what: str, given: Any) -> Path:
-    """`given` as a path. Raises InputError unless it is one that the system can be asked for."""
+def as_path(what: str, value: Any) -> Path:
+    """`value` as a path. Raises InputError unless it is one that the system can be asked for."""
     try:
-        known = isinstance(given, str | os.PathLike) and b"\0" not in os.fsencode(given)
+        can_be_one = isinstance(value, str | os.PathLike) and b"\0" not in os.fsencode(value)
     except UnicodeEncodeError:
-        known = False
-    if not known:
-        raise InputError(f"{what} must be named by a text, or a Path, not {shown(given)}")
-    return Path(given)
+        can_be_one = False
+    if not can_be_one:
+        raise InputError(f"{what} must be named by a text, or a Path, not {shown(value)}")
+    return Path(value)
 
 
 TOLERANCE = 1e-6  # of a sum of probabilities: tables in float32 pass, thirds written as 0.333 do not
@@ -202,15 +205,16 @@ def is_distribution(prob: np.ndarray) -> Any:
     return (prob >= 0).all(-1) & (abs(prob.sum(-1) - 1) < TOLERANCE)
 
 
-def first(wrong: np.ndarray) -> Any:
+def first(wrong: Marks) -> Any:
     """The index of the first True, as a tuple of int, or None: what a message about an array names."""
     return tuple(int(i) for i in np.argwhere(wrong)[0]) if wrong.any() else None
 
 
 def repeated(values: Iterable[Any]) -> list[Any]:
-    """Those of `values` that were there before, in their order."""
+    """Those of `values` that equal an earlier one, in their order."""
     seen, again = set(), []
     for value in values:
+        # A list cannot be in a set, so its text stands for it.
         key = value if type(value).__hash__ else repr(value)
         if key in seen:
             again.append(value)
@@ -218,8 +222,15 @@ def repeated(values: Iterable[Any]) -> list[Any]:
     return again
 
 
+def is_list(value: Any) -> bool:
+    """Whether `value` is a list, a tuple or an array with an axis; a string is not one."""
+    if isinstance(value, np.ndarray | jax.Array):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
+
+
 def is_whole(value: Any, least: int = 1) -> bool:
-    """Whether `value` is a whole number, `least` to 2**31 - 1; True and False are none."""
+    """Whether `value` is a whole number, `least` to 2**31 - 1; True and False are not."""
     return isinstance(value, Integral) and not isinstance(value, bool) and least <= int(value) < 2**31
 
 
@@ -285,13 +296,13 @@ class Kind(NamedTuple):
     """What fields of one type take.
 
     Attributes:
-        check: gives the value as the field keeps it, from the name of the class, the field, and what was
-            given; raises InputError where that is not right.
+        check: returns the value as the field keeps it, from the name of the class, the field, and the value
+            as it was passed; raises InputError where that is wrong.
         noun: what it is, for the help: "a number"; the limits of the field follow.
-        otherwise: what it may also be.
+        otherwise: what else a field of this type may hold, for the help.
     """
 
-    check: Callable[[str, dataclasses.Field, Any], Any]
+    check: Callable[[str | None, dataclasses.Field, Any], Any]
     noun: str = ""
     otherwise: str = ""
 
@@ -304,21 +315,32 @@ def check_fields(obj: Any) -> None:
             object.__setattr__(obj, field.name, kept)
 
 
-def checked(who: str, field: dataclasses.Field, value: Any) -> Any:
+def checked(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     """`value` as a field of the class `who` keeps it. A field of a plain annotation takes anything."""
     rule = field.metadata
     if rule.get("static") and get_origin(field.type) is Literal:
         check_choice(who, field.name, value, get_args(field.type))
     elif "limits" in rule or (rule.get("static") and field.type is bool):
-        kind = KINDS.get(field.type)
-        return value if kind is None else kind.check(who, field, value)
+        is_left_out = value is None and field.type not in KINDS
+        kind = _kind(field)
+        return value if kind is None or is_left_out else kind.check(who, field, value)
     return value
+
+
+def _kind(field: dataclasses.Field) -> Kind | None:
+    return KINDS.get(field.type) or KINDS.get(but_none(field.type))
+
+
+def but_none(annotation: Any) -> Any:
+    """`X` of the annotation `X | None`; any other annotation as it is."""
+    others = [x for x in get_args(annotation) if x is not type(None)]
+    return others[0] if len(others) == 1 and type(None) in get_args(annotation) else annotation
 
 
 def explained(field: dataclasses.Field) -> str:
     """The help of a field, with what it takes."""
     limits, takes = in_words(field.metadata.get("limits", {})), ""
-    if limits and (kind := KINDS.get(field.type)):
+    if limits and (kind := _kind(field)):
         takes = f"{kind.noun} {limits}{kind.otherwise}"
     if get_origin(field.type) is Literal:
         *others, last = (f'"{choice}"' for choice in get_args(field.type))
@@ -334,17 +356,30 @@ def in_words(limits: Mapping[str, float]) -> str:
     return " and ".join(f"{words} {limits[name]}" for name, (words, _) in LIMITS.items() if name in limits)
 
 
-def within(limits: Mapping[str, float], number: np.ndarray) -> np.ndarray:
+def within(limits: Mapping[str, float], number: np.ndarray) -> Marks:
     """Where numbers are finite and within the limits, bool of their shape."""
     return np.logical_and.reduce(
         [np.isfinite(number), *(LIMITS[name][1](number, limit) for name, limit in limits.items())]
     )
 
 
-def check_number(who: str, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
+RATE = {"at_least": 0, "at_most": 1}
+FRACTION = {"greater_than": 0, "less_than": 1}
+
+
+def check_within(name: str, value: Any, limits: Mapping[str, float]) -> None:
+    """Raises InputError unless `value` is one finite number within limits as a field has them, such as `RATE`."""
+    number = np.asarray(value) if isinstance(value, int | float | np.number) else None
+    # NumPy has no type for the longest whole numbers, so they become objects.
+    if number is None or number.dtype == object or not within(limits, number):
+        raise unfit(None, name, in_words(limits), value)
+
+
+def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: str = "a number") -> Any:
     """`value`, unless it is neither a number, nor an array of them, nor a tracer.
 
-    All must be within the limits, and still be it in the precision in which JAX computes.
+    All must be within the limits, and stay within them in the precision in which JAX computes. Arrays of other
+    libraries become arrays of NumPy, for JAX takes no others.
     """
     name, limits = field.name, field.metadata["limits"]
     number = np.empty(0, object) if isinstance(value, list | tuple) else as_array(value)
@@ -369,20 +404,20 @@ def check_number(who: str, field: dataclasses.Field, value: Any, kinds: str = "a
         problem = f"{name} must be {wanted}, and {shown(value)} is not when rounded to {dtype}"
     if problem:
         raise InputError(problem, who=who, field=name, wanted=wanted, value=value)
-    return value
+    return value if isinstance(value, float | int | np.generic | np.ndarray | Array) else number
 
 
-def _whole(who: str, field: dataclasses.Field, value: Any) -> int:
+def _whole(who: str | None, field: dataclasses.Field, value: Any) -> int:
     return whole(who, field.name, value, field.metadata["limits"]["at_least"])
 
 
-def _switch(who: str, field: dataclasses.Field, value: Any) -> bool:
+def _switch(who: str | None, field: dataclasses.Field, value: Any) -> bool:
     if not isinstance(value, bool | np.bool_):
-        raise unfit(who, field.name, "True or False", value)
+        raise unfit(who, field.name, "true or false", value)
     return bool(value)
 
 
-def _numbers(who: str, field: dataclasses.Field, value: Any) -> Any:
+def _numbers(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     array = numbers(who, field.name, value)
     if not isinstance(array, np.ndarray):
         return array

@@ -1,6 +1,6 @@
 """Step sizes and exploration rates as a method uses them: numbers or schedules, and the clock that these read."""
 
-from typing import Literal, NamedTuple, Protocol, TypeAlias, get_args, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, get_args, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -22,7 +22,7 @@ class Schedule(Protocol):
     def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]: ...
 
 
-Rate: TypeAlias = "float | Float[Array, ''] | Schedule"
+Rate: TypeAlias = float | Float[Array, ""] | Schedule
 
 
 class Clock(NamedTuple):
@@ -45,8 +45,8 @@ def start(num_states: int, num_actions: int, by_visit: bool) -> Clock:
     return Clock(jnp.int32(0), jnp.int32(0), visits)
 
 
-def goes_by_visit(rate: Rate) -> bool:
-    """Whether `rate` needs the table of visits."""
+def goes_by_visit(rate: Any) -> bool:
+    """Whether a Rate, or a batch of them, needs the table of visits."""
     return isinstance(rate, Schedule) and rate.clock == "visit"
 
 

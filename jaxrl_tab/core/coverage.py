@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxrl_tab.core import clock
-from jaxrl_tab.core.checks import InputError, concrete, first
+from jaxrl_tab.core.checks import InputError, Marks, concrete, first
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Policy, Softmax, Table
 
 
@@ -22,7 +22,7 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
         behaviour: b, which acts.
     """
     if isinstance(behaviour, EpsilonGreedy) and not isinstance(target, Table | EpsilonGreedy):
-        behaviour = EpsilonGreedy(behaviour.epsilon)  # to all others what is not available is plain from Q
+        behaviour = EpsilonGreedy(behaviour.epsilon)  # other policies see from Q what is not available
     out = _left_out(behaviour)
     if out is None or (_is_greedy(behaviour) and _is_greedy(target)):
         return
@@ -32,9 +32,9 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
             return
         can = pi > 0
     if isinstance(target, EpsilonGreedy):
-        if (there := _there(target)) is None:
+        if (available := _available(target)) is None:
             return
-        can = there
+        can = available
     if can.ndim and out.ndim and can.shape != out.shape:
         problem = f"target is a table {can.shape}, and behaviour one {out.shape}"
     elif at := first(can & out):
@@ -52,10 +52,11 @@ def check_coverage(what: str, target: Policy, behaviour: Policy) -> None:
     raise InputError(problem, who=what, field="behaviour")
 
 
-def _left_out(policy: Policy) -> np.ndarray | None:
-    """Where a policy has, or for some Q can have, probability 0: bool [S, A], or [] where it says nothing
+def _left_out(policy: Policy) -> Marks | None:
+    """Where the probability of a policy is 0, or can be 0 for some Q, bool [S, A].
 
-    about single entries. None where the numbers given do not decide it.
+    The answer is a single bool [] for all entries where they do not differ, and None where the numbers that
+    are given do not decide it.
     """
     match policy:
         case Table():
@@ -64,8 +65,8 @@ def _left_out(policy: Policy) -> np.ndarray | None:
         case EpsilonGreedy() if isinstance(policy.epsilon, clock.Schedule):
             return None
         case EpsilonGreedy():
-            epsilon, there = concrete(policy.epsilon), _there(policy)
-            return None if epsilon is None or there is None else ~there | (epsilon == 0).any()
+            epsilon, available = concrete(policy.epsilon), _available(policy)
+            return None if epsilon is None or available is None else ~available | (epsilon == 0).any()
         case Softmax():
             return np.array(False)
         case Greedy() | UCB():
@@ -73,10 +74,10 @@ def _left_out(policy: Policy) -> np.ndarray | None:
     return None
 
 
-def _there(policy: EpsilonGreedy) -> np.ndarray | None:
-    """The actions that there are, bool [S, A], or [] where there are all; None where that is traced."""
-    there = np.array(True) if policy.available is None else concrete(policy.available)
-    return None if there is None else there > 0
+def _available(policy: EpsilonGreedy) -> Marks | None:
+    """The available actions, bool [S, A], or True [] where all are; None where they are traced."""
+    available = np.array(True) if policy.available is None else concrete(policy.available)
+    return None if available is None else available > 0
 
 
 def _is_greedy(policy: Policy) -> bool:

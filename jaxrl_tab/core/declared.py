@@ -91,7 +91,7 @@ class OfEnvironment(NamedTuple):
 
 
 def of_method(method: Any) -> OfMethod:
-    """What a method declares, or its class (of which no properties are known, such as `multiplies_returns`).
+    """What a method declares, or its class, which has no value yet of a property like `multiplies_returns`.
 
     Raises:
         InputError: what it learns, or learns from, is none of the texts that there are for it.

@@ -1,6 +1,6 @@
 """What an environment or a method says about itself: its parameters, from its fields.
 
-And what a person may give for one of them: a number, or text such as "glie" and "softmax:0.5".
+`value` makes a parameter of what a person writes for it: of a number, or a text such as "softmax:0.5".
 """
 
 import contextlib
@@ -10,6 +10,7 @@ import sys
 import typing
 from fractions import Fraction
 from numbers import Integral, Real
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxrl_tab.core import clock, policies, schedules
@@ -61,23 +62,24 @@ def takes_policy(parameter: Parameter) -> bool:
 
 
 def kind(parameter: Parameter) -> type:
-    """The type of its value, or of the entries of its value: that of its default; float for a schedule."""
-    if takes_schedule(parameter):
-        return float
-    if parameter.default is dataclasses.MISSING:  # it must be given
-        return parameter.type if parameter.type in _KINDS else float
+    """The type in which its value, or each entry of its value, is written; a policy is written as text."""
+    if takes_schedule(parameter) or takes_policy(parameter):
+        return float if takes_schedule(parameter) else str
+    if parameter.default is dataclasses.MISSING or parameter.default is None:  # its annotation says it
+        named = [x for x in (parameter.type, *typing.get_args(parameter.type)) if x in _KINDS]
+        return named[0] if named else float
     entry = parameter.default
     while isinstance(entry, tuple):
         entry = entry[0] if entry else 0.0
     return type(entry)
 
 
-def value(what: str, given: Any, parameter: Parameter) -> Any:
-    """`given` as a value of a parameter, or as an entry of one that is a tuple.
+def value(what: str, written: Any, parameter: Parameter) -> Any:
+    """`written` as a value of a parameter, or as an entry of one that is a tuple.
 
     Args:
         what: what the person calls the parameter.
-        given: a number, a switch or a text, as it is typed: "glie", "softmax:0.5"; schedules and policies
+        written: a number, a switch or a text, as it is typed: "glie", "softmax:0.5"; schedules and policies
             stay as they are.
         parameter: which parameter it is for.
 
@@ -85,24 +87,24 @@ def value(what: str, given: Any, parameter: Parameter) -> Any:
         InputError: it is of the wrong type, or a text that means nothing.
     """
     if parameter.type == Plain:
-        return given
+        return written
     rate, policy = takes_schedule(parameter), takes_policy(parameter)
     try:
         if policy:
-            return given if isinstance(given, policies.Policy) else policies.parse(given)
-        if rate and isinstance(given, str):
-            given = schedules.read(given)
+            return written if isinstance(written, policies.Policy) else policies.parse(written)
+        if rate and isinstance(written, str):
+            written = schedules.read(written)
     except InputError as error:
         raise error.renamed(what) from None
-    if rate and isinstance(given, clock.Schedule):
-        return given
+    if rate and isinstance(written, clock.Schedule):
+        return written
     wanted, fits = _KINDS[kind(parameter)]
-    wrong = not isinstance(given, fits) or (isinstance(given, bool) and fits is not bool)
-    if wrong or (isinstance(given, int | Fraction) and abs(given) > sys.float_info.max):
+    wrong = not isinstance(written, fits) or (isinstance(written, bool) and fits is not bool)
+    if wrong or (isinstance(written, int | Fraction) and abs(written) > sys.float_info.max):
         wanted += f" or a schedule ({schedules.forms()})" if rate else ""
-        problem = f"{what} takes {wanted}, not {shown(given)}"
-        raise InputError(problem, field=what, wanted=wanted, value=given)
-    return kind(parameter)(given)
+        problem = f"{what} takes {wanted}, not {shown(written)}"
+        raise InputError(problem, field=what, wanted=wanted, value=written)
+    return kind(parameter)(written)
 
 
 _KINDS: dict[type, tuple[str, type]] = {
@@ -110,4 +112,5 @@ _KINDS: dict[type, tuple[str, type]] = {
     int: ("a whole number", Integral),
     float: ("a number", Real),
     str: ("text", str),
+    Path: ("the name of a file", str),
 }

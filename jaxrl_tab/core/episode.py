@@ -38,31 +38,31 @@ def start(max_steps: int, step: Any) -> Episode:
 
 
 def learn(
-    walk: Callable[..., T], learned: T, episode: Episode, step: Any, last: Bool[Array, ""], *given: Any
+    walk: Callable[..., T], learned: T, episode: Episode, step: Any, last: Bool[Array, ""], *inputs: Any
 ) -> tuple[T, Episode]:
     """Remembers `step`; where the episode is over, changes `learned` by `walk` and forgets the episode.
 
     Args:
-        walk: `walk(lane, learned, steps, length, *given) -> learned`, as in `tables.lane_by_lane`: all arrays
+        walk: `walk(lane, learned, steps, length, *inputs) -> learned`, as in `tables.lane_by_lane`: all arrays
             have a leading axis of lanes, but for `length`, the number of steps of this lane: 0 where its
             episode goes on. See `backward`.
         learned: a pytree of tables.
         episode: the steps before this one.
         step: this one.
         last: whether the episode ends with it.
-        given: pytrees of what `walk` reads.
+        inputs: pytrees of what `walk` reads.
     """
     body = partial(_write_and_walk, walk)
-    learned, steps = tables.lane_by_lane(body, (learned, episode.steps), step, episode.length, last, *given)
+    learned, steps = tables.lane_by_lane(body, (learned, episode.steps), step, episode.length, last, *inputs)
     return learned, Episode(steps, jnp.where(last, 0, episode.length + 1))
 
 
-def _write_and_walk(walk, lane, changed, step, at, last, *given):
+def _write_and_walk(walk, lane, changed, step, at, last, *inputs):
     learned, steps = changed
     here = tables.entry(at, lane)
     steps = jax.tree.map(lambda xs, x: tables.write(xs, tables.entry(x, lane), lane, here), steps, step)
     length = jnp.where(tables.entry(last, lane), here + 1, 0)
-    return walk(lane, learned, steps, length, *given), steps
+    return walk(lane, learned, steps, length, *inputs), steps
 
 
 def backward(step: Callable[[Int[Array, ""], T], T], length: Int[Array, ""], carry: T) -> T:
@@ -73,7 +73,7 @@ def backward(step: Callable[[Int[Array, ""], T], T], length: Int[Array, ""], car
 def count(
     visits: Int[Array, "L S A"] | None, counts: Bool[Array, ""], *at: Int[Array, ""]
 ) -> tuple[Int[Array, "L S A"] | None, Int[Array, ""] | None]:
-    """N <- N + 1 where it `counts`, on the walk back; and N as it then is. None where nobody counts."""
+    """N <- N + 1 where it `counts`, on the walk back, and N after that; None where no visits are counted."""
     if visits is None:
         return None, None
     visits = tables.write(visits, tables.entry(visits, *at) + counts.astype(visits.dtype), *at)

@@ -1,16 +1,17 @@
-"""Logged experience: what somebody did, as arrays, checked."""
+"""Logged experience: the transitions that somebody recorded, as checked arrays."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int, Num
+from numpy.typing import ArrayLike
 
 from jaxrl_tab.core.checks import InputError, assign, concrete, first, numbers, shown, whole
 from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.pytree import pytree
-from jaxrl_tab.core.types import Transition
+from jaxrl_tab.core.types import Available, Transition
 
 NAME = "Experience"
 WHOLE, REAL = ("iu", "whole numbers"), ("iuf", "numbers")  # kinds of dtypes
@@ -41,16 +42,16 @@ class Experience:
 
     s: Int[Any, " N"]
     a: Int[Any, " N"]
-    r: Float[Any, " N"]
+    r: Num[Any, " N"]
     s_next: Int[Any, " N"]
     terminal: Bool[Any, " N"]
     last: Bool[Any, " N"] | Any = None
 
     def __post_init__(self):
-        given = vars(self) | {"last": _ends(self.terminal) if self.last is None else self.last}
+        values = vars(self) | {"last": _ends(self.terminal) if self.last is None else self.last}
         fields = {
             name: _truth(name, x) if KINDS[name] is TRUTH else numbers(NAME, name, x)
-            for name, x in given.items()
+            for name, x in values.items()
         }
         if any(concrete(x) is None for x in fields.values()):
             return
@@ -83,7 +84,7 @@ class Experience:
 
     @classmethod
     def from_episodes(
-        cls, episodes: Sequence[tuple[Any, Any, Any]], terminal: bool | Bool[Any, " E"] = True
+        cls, episodes: Sequence[tuple[Any, Any, Any]], terminal: ArrayLike = True
     ) -> "Experience":
         """The experience of E episodes S_0, A_0, R_1, S_1, A_1, R_2, ..., S_T.
 
@@ -111,8 +112,8 @@ class Experience:
                 raise InputError(
                     f"{NAME}: episode {e} must be (states, actions, rewards), not {shown(episode)}"
                 ) from None
-            given = {"s": s, "a": a, "r": r}
-            s, a, r = (numbers(NAME, f"{name} of episode {e}", x) for name, x in given.items())
+            arrays = {"s": s, "a": a, "r": r}
+            s, a, r = (numbers(NAME, f"{name} of episode {e}", x) for name, x in arrays.items())
             if a.ndim != 1 or not len(a) or r.shape != a.shape or s.shape != (len(a) + 1,):
                 raise InputError(
                     f"{NAME}: episode {e} must have T actions, T rewards and T + 1 states, the last one "
@@ -123,9 +124,7 @@ class Experience:
         return cls(s, a, r, s_next, _terminal_ends(terminal, last), last)
 
     @classmethod
-    def from_padded(
-        cls, s: Any, a: Any, r: Any, lengths: Int[Any, " E"], terminal: bool | Bool[Any, " E"] = True
-    ) -> "Experience":
+    def from_padded(cls, s: Any, a: Any, r: Any, lengths: Any, terminal: ArrayLike = True) -> "Experience":
         """The experience of E episodes in arrays as long as the longest of them.
 
         Args:
@@ -138,8 +137,8 @@ class Experience:
         Raises:
             InputError: as `Experience`.
         """
-        given = {"s": s, "a": a, "r": r, "lengths": lengths}
-        s, a, r, lengths = (numbers(NAME, name, x) for name, x in given.items())
+        arrays = {"s": s, "a": a, "r": r, "lengths": lengths}
+        s, a, r, lengths = (numbers(NAME, name, x) for name, x in arrays.items())
         shape = a.shape
         if a.ndim != 2 or (r.shape, s.shape, lengths.shape) != (shape, (shape[0], shape[1] + 1), shape[:1]):
             raise InputError(
@@ -150,10 +149,10 @@ class Experience:
         if (e := first((lengths < 1) | (lengths > shape[1]))) is not None:
             raise InputError(f"{NAME}: lengths[{e[0]}] is {lengths[e]}, and must be from 1 to {shape[1]}")
         steps = np.arange(shape[1])
-        there = steps < lengths[:, None]
-        last = (steps == lengths[:, None] - 1)[there]
+        taken = steps < lengths[:, None]
+        last = (steps == lengths[:, None] - 1)[taken]
         return cls(
-            s[:, :-1][there], a[there], r[there], s[:, 1:][there], _terminal_ends(terminal, last), last
+            s[:, :-1][taken], a[taken], r[taken], s[:, 1:][taken], _terminal_ends(terminal, last), last
         )
 
     def check(self, num_states: int, num_actions: int, behaviour: Table | None = None) -> None:
@@ -182,12 +181,12 @@ class Experience:
                 "behaviour policy never does; it is not the policy that acted"
             )
 
-    def check_available(self, available: Bool[Any, "S A"]) -> None:
+    def check_available(self, available: Available) -> None:
         """Raises InputError where an action was taken that its state does not have; traced ones pass."""
-        there, s, a = (concrete(x) for x in (available, self.s, self.a))
-        if there is None or s is None or a is None:
+        is_available, s, a = (concrete(x) for x in (available, self.s, self.a))
+        if is_available is None or s is None or a is None:
             return
-        if (i := first(~there.astype(bool)[s, a])) is not None:
+        if (i := first(~is_available.astype(bool)[s, a])) is not None:
             raise InputError(
                 f"{NAME}: transition {i[0]} takes action {a[i]} in state {s[i]}, which does not have it; see available"
             )
@@ -221,7 +220,7 @@ def _ends(terminal: Any) -> Any:
     """The ends of episodes where only terminal states end them, and the end of the log."""
     terminal = _truth("terminal", terminal)
     if terminal.ndim != 1 or terminal.dtype != bool:
-        return terminal  # which is refused later
+        return terminal  # `Experience` refuses it with a message
     return terminal | (np.arange(terminal.size) == terminal.size - 1)
 
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.checks import unfit
 
 UNITS = {"B": 1} | {f"{k}B": 1000**i for i, k in enumerate("kMGT", 1)}
 BLOCK = 2**24  # bytes of results that are looked at at a time, after they are computed
@@ -29,13 +29,13 @@ UNITS |= {f"{k}iB": 1024**i for i, k in enumerate("KMGT", 1)}
 class Call(NamedTuple):
     """The bytes that one call of the program takes on one device.
 
-    Blocks of lanes go one after another. What a block was given and what it gave stay until the call ends;
-    what it worked with serves the next one.
+    Blocks of lanes run one after another. The arguments and the results of a block stay in memory until the
+    call ends; the memory that it works in serves the next block.
 
     Attributes:
         shared: what all lanes read: the environment.
-        kept: of a lane, the arguments and the results.
-        working: of a lane, what its loop carries from step to step.
+        kept: the arguments and the results of one lane.
+        working: what the loop of one lane carries from step to step.
     """
 
     shared: int
@@ -47,7 +47,7 @@ class Call(NamedTuple):
 
 
 class Results:
-    """What many runs give: arrays with a leading axis of runs, written piece by piece.
+    """The results of many runs: arrays with a leading axis of runs, written piece by piece.
 
     Where they are `on_disk`, each array is a file without a name in the temporary folder (`TMPDIR`), mapped
     into memory; it is gone when nobody holds the array any more, or with the process.
@@ -63,19 +63,19 @@ class Results:
         make = self._in_a_file if on_disk else np.empty
         self.arrays = jax.tree.map(lambda x: make((runs, *x.shape), x.dtype), like)
 
-    def write(self, runs: np.ndarray, given: Any) -> None:
-        """Writes what these runs gave: `runs` int [n], `given` a pytree of arrays [n, ...]."""
+    def write(self, runs: np.ndarray, values: Any) -> None:
+        """Writes the results of these runs: `runs` int [n], `values` a pytree of arrays [n, ...]."""
 
         def put(array: np.ndarray, x: np.ndarray) -> None:
             array[runs] = x
 
-        jax.tree.map(put, self.arrays, given)
+        jax.tree.map(put, self.arrays, values)
         let_go()
 
     def _in_a_file(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
         size = max(1, int(np.prod(shape)) * np.dtype(dtype).itemsize)
         with tempfile.TemporaryFile() as file:
-            if hasattr(os, "posix_fallocate"):  # holds the room: else a full disk would kill the process
+            if hasattr(os, "posix_fallocate"):  # reserves the space, or a full disk would kill the process
                 os.posix_fallocate(file.fileno(), 0, size)
             file.truncate(size)
             mapped = mmap.mmap(file.fileno(), size)
@@ -83,16 +83,20 @@ class Results:
         return np.ndarray(shape, dtype, buffer=mapped)
 
 
-def blocks(count: int, each: int) -> Iterator[slice]:
-    """Slices of `count` things of `each` bytes, to look at one after another: no larger than a block."""
-    most = max(1, BLOCK // max(1, each))
-    for first in range(0, count, most):
-        yield slice(first, min(first + most, count))
+def blocks(count: int, each: int, most: int = BLOCK) -> Iterator[slice]:
+    """Slices of about equal length that cover `count` items of `each` bytes: about `most` bytes or less."""
+    number = max(1, min(count, -(-count * each // most)))
+    size, larger = divmod(count, number)
+    first = 0
+    for i in range(number):
+        last = first + size + (i < larger)
+        yield slice(first, last)
         let_go()
+        first = last
 
 
 def let_go() -> None:
-    """Frees the memory in which results in files were looked at; where they are needed again they are read again."""
+    """Frees the memory that reading results in files took; what is needed again is read again."""
     if hasattr(mmap, "MADV_DONTNEED"):
         for file in list(_MAPPED):
             file.madvise(mmap.MADV_DONTNEED)
@@ -106,7 +110,7 @@ def size(tree: Any) -> int:
 def free(devices: Sequence[Any] = ()) -> int:
     """The bytes that are free on each of these devices; on a CPU, or without any, in the machine.
 
-    There is no limit on a device that does not say.
+    A device that does not tell has no limit.
     """
     if devices and devices[0].platform != "cpu":
         stats = [device.memory_stats() or {} for device in devices]
@@ -123,16 +127,16 @@ def disk() -> tuple[str, int]:
 
 
 def words(count: int) -> str:
-    """So many bytes for people: three digits and a unit."""
+    """A number of bytes as people read it: three digits and a unit."""
     unit = max((u for u in ("B", "kB", "MB", "GB", "TB") if UNITS[u] <= max(count, 1)), key=UNITS.__getitem__)
     return f"{count / UNITS[unit]:.3g} {unit}"
 
 
 def parse(text: str) -> int:
-    """So many bytes, from text such as "4GB" or "1.5 GiB". Raises InputError where it is something else."""
-    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z]+)", text.strip(), re.IGNORECASE)
+    """The bytes that a text such as "4GB" or "1.5 GiB" stands for. Raises InputError where it is none."""
+    match = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z]+)", text.strip(), re.IGNORECASE)
     units = {unit.lower(): factor for unit, factor in UNITS.items()}
-    count = int(float(found[1]) * units.get(found[2].lower(), 0)) if found else 0
+    count = int(float(match[1]) * units.get(match[2].lower(), 0)) if match else 0
     if count < 1:
-        raise InputError(f"must be a number with a unit ({', '.join(UNITS)}), such as 4GB, not {shown(text)}")
+        raise unfit(None, "memory", f"a number with a unit ({', '.join(UNITS)}), such as 4GB", text)
     return count

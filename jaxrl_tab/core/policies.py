@@ -43,10 +43,10 @@ from jaxrl_tab.core.checks import (
 )
 from jaxrl_tab.core.clock import Clock, Rate, exploration, goes_by_visit, of_state
 from jaxrl_tab.core.pytree import field, pytree
-from jaxrl_tab.core.types import check_available
+from jaxrl_tab.core.types import Available, check_available
 
-# The value of an action that a state does not have: no maximum is there, and no softmax. It is finite, for 0
-# times it must be 0, and nobody learns about it, so it stays.
+# The value of an action that a state does not have: never the maximum, and of weight 0 in a softmax. It is
+# finite because 0 times it must be 0. Nothing is learned about such an action, so the value never changes.
 UNAVAILABLE = -1e30
 
 UNROLLED = 16  # rows up to this length are worked through entry by entry
@@ -115,9 +115,10 @@ def coin(key: Key[Array, ""]) -> Bool[Array, ""]:
 
 
 def _reduce(op: Any, x: Array) -> Array:
-    """Under `vmap` a row of A is one of many, and a reduction along so short an axis cannot be vectorised;
+    """`op` over all entries of x [A], written out entry by entry where A is small.
 
-    entry by entry, each operation runs over all lanes at once.
+    Under `vmap` a row is one of many, and a reduction along so short an axis cannot be vectorised. Entry by
+    entry, each operation runs over all lanes at once.
     """
     return reduce(op, list(x)) if len(x) <= UNROLLED else op.reduce(x)
 
@@ -145,7 +146,7 @@ class Policy(Protocol):
         ...
 
 
-def _check_policy(who: str, field: dataclasses.Field, value: Any) -> Any:
+def _check_policy(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     """`value` where it is a policy, or None; text as `parse` reads it."""
     if isinstance(value, str):
         try:
@@ -175,8 +176,8 @@ def check_among(what: str, probabilities: Any, available: Any) -> None:
 
     Traced ones are let through.
     """
-    pi, there = concrete(probabilities), concrete(available)
-    if pi is not None and there is not None and (at := first((pi > 0) & ~there)):
+    pi, is_available = concrete(probabilities), concrete(available)
+    if pi is not None and is_available is not None and (at := first((pi > 0) & ~is_available)):
         *_, s, a = at
         raise InputError(
             f"{what}: state {s} does not have action {a}, so its probability must be 0, not {pi[at]}"
@@ -186,8 +187,8 @@ def check_among(what: str, probabilities: Any, available: Any) -> None:
 class _Anywhere:
     """What policies share that fit every task and, unless they say so, count nothing.
 
-    Their `str` is what is typed for them. Unless they say so, that an action is not available is plain to
-    them from its value.
+    Their `str` is what one types for them. Where they do not define `restricted_to`, the value UNAVAILABLE
+    alone keeps them from an action.
     """
 
     @property
@@ -197,7 +198,7 @@ class _Anywhere:
     def check(self, num_states: int, num_actions: int) -> None:
         pass
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         return self
 
     def __str__(self) -> str:
@@ -231,27 +232,27 @@ class EpsilonGreedy(_Anywhere):
     )
 
     def __post_init__(self):
-        if self.available is None or (there := as_array(self.available)) is None:
+        if self.available is None or (is_available := as_array(self.available)) is None:
             return
-        if there.ndim != 2:
-            problem = f"available must be booleans [S, A], not of shape {there.shape}"
+        if is_available.ndim != 2:
+            problem = f"available must be booleans [S, A], not of shape {is_available.shape}"
             raise InputError(problem, who="EpsilonGreedy", field="available")
-        check_available("EpsilonGreedy: available", there, *there.shape)
-        object.__setattr__(self, "available", there)  # rows of a list would be leaves by themselves
+        check_available("EpsilonGreedy: available", is_available, *is_available.shape)
+        object.__setattr__(self, "available", is_available)  # rows of a list would be leaves by themselves
 
     @property
     def by_visit(self) -> bool:
         return goes_by_visit(self.epsilon)
 
     def __str__(self) -> str:
-        there = "" if self.available is None else f", available {_brief(self.available)}"
-        return super().__str__() + there
+        suffix = "" if self.available is None else f", available {_brief(self.available)}"
+        return super().__str__() + suffix
 
     def check(self, num_states: int, num_actions: int) -> None:
         if self.available is not None:
             _check_table("EpsilonGreedy", "available", self.available, num_states, num_actions)
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         if self.available is not None:
             _check_table("EpsilonGreedy", "available", self.available, *np.shape(available))
             available = (jnp.asarray(self.available) > 0) & available
@@ -261,10 +262,10 @@ class EpsilonGreedy(_Anywhere):
         epsilon = exploration(self.epsilon, clock, s)
         if self.available is None:
             return epsilon_greedy(q, epsilon)
-        # A hyperparameter is a float in a sweep, whatever it was.
-        there = tables.row(jnp.asarray(self.available, float), s)
-        best = greedy(jnp.where(there > 0, q, -jnp.inf))
-        return epsilon * there / _reduce(jnp.add, there) + (1 - epsilon) * best
+        # As floats, because a sweep makes floats of all hyperparameters, of booleans too.
+        is_available = tables.row(jnp.asarray(self.available, float), s)
+        best = greedy(jnp.where(is_available > 0, q, -jnp.inf))
+        return epsilon * is_available / _reduce(jnp.add, is_available) + (1 - epsilon) * best
 
 
 @pytree
@@ -332,13 +333,13 @@ class Table:
     def check(self, num_states: int, num_actions: int) -> None:
         _check_table("Table", "probabilities", self.probabilities, num_states, num_actions)
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         self.check(*np.shape(available))
         check_among("Table: probabilities", self.probabilities, available)
         return self
 
-    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
-        return tables.row(jnp.asarray(self.probabilities, float), s)
+    def probs(self, q: Float[Array, " _"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return tables.row(jnp.asarray(self.probabilities, float), s)  # where v is learned, `q` is v(s) alone
 
 
 def as_table(name: str, policy: Any, shape: tuple[int, ...] | None = None) -> Table:
@@ -356,10 +357,10 @@ def as_table(name: str, policy: Any, shape: tuple[int, ...] | None = None) -> Ta
     return table
 
 
-def uniform(available: Bool[Array, "S A"]) -> Table:
+def uniform(available: Available) -> Table:
     """The policy that takes all actions of a state that are available with equal probability."""
-    there = jnp.asarray(available, float)
-    return Table(there / there.sum(1, keepdims=True))
+    is_available = jnp.asarray(available, float)
+    return Table(is_available / is_available.sum(1, keepdims=True))
 
 
 POLICIES: dict[str, type] = {
@@ -411,12 +412,12 @@ def form(name: str) -> str:
 
 
 def _brief(table: Any) -> str:
-    """The size of a table and a checksum: tables that are not equal do not look so."""
-    there = concrete(table)
-    if there is None:
+    """The size and a checksum of a table, so that tables that differ look different."""
+    numbers = concrete(table)
+    if numbers is None:
         return "traced"
-    size = "x".join(map(str, there.shape))
-    return f"{size}:{zlib.crc32(there.astype(np.float64).tobytes()):08x}"
+    size = "x".join(map(str, numbers.shape))
+    return f"{size}:{zlib.crc32(numbers.astype(np.float64).tobytes()):08x}"
 
 
 def _number_of(name: str) -> dataclasses.Field | None:

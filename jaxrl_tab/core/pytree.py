@@ -21,13 +21,13 @@ def field(default: Any = dataclasses.MISSING, *, static: bool = False, help: str
 
         alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
 
-    What is given is checked by that before `__post_init__` runs, by the type of the field: see `checks.KINDS`.
-    A field that gives another default to that of a base class keeps what was said of it there.
+    Its value is checked against that before `__post_init__` runs, by the field's type: see `checks.KINDS`.
+    A field that only gives another default to a field of a base class keeps the help and the limits of that.
 
     Args:
         default: its value where none is given.
         static: whether it shapes the program (a size, a rule), and so is not a leaf.
-        help: what it is. What it takes need not be said: it is added.
+        help: what it is. What it takes is added by itself.
         more: the limits of a number: at_least, greater_than, at_most, less_than; and what
             `dataclasses.field` takes.
     """
@@ -46,17 +46,16 @@ def static(default: Any = dataclasses.MISSING, **more: Any) -> Any:
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field, static, dataclasses.field))
-def pytree(cls: type[T]) -> type[T]:
-    """Makes `cls` a frozen dataclass and a JAX pytree: its fields are leaves, but for the `static` ones.
+def checked_dataclass(cls: type[T], *, eq: bool = True) -> type[T]:
+    """Makes `cls` a frozen dataclass whose fields are checked against what they say that they take.
 
-    What each field takes is checked first; what involves several fields `__post_init__` may check. JAX
-    rebuilds an instance without calling `__init__`, so both see only what a person wrote (`concrete` tells a
-    number from a tracer). The docstring gets a section on all fields that say what they are.
+    `__post_init__` may check afterwards what involves several fields. The docstring gets an entry for every
+    field that has a help; an entry that it has already is the help of its field.
     """
-    said, inherited = vars(cls).get("__doc__"), getattr(cls, "__dataclass_fields__", {})
-    documented = _attributes(said or "")
+    doc, inherited = vars(cls).get("__doc__"), getattr(cls, "__dataclass_fields__", {})
+    documented = _attributes(doc or "")
     _check_first(cls)
-    cls = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    cls = dataclasses.dataclass(frozen=True, eq=eq)(cls)
     fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
     for f in fields:
         if f.name in inspect.get_annotations(cls):
@@ -65,8 +64,20 @@ def pytree(cls: type[T]) -> type[T]:
             # Limits are kept where none are given: MonteCarlo has another default and help for alpha.
             own = {key: x for key, x in f.metadata.items() if x or key not in before}
             f.metadata = MappingProxyType(before | help | own)
-    told = {f.name: explained(f) for f in fields if f.name not in documented and "help" in f.metadata}
-    cls.__doc__ = _with_attributes(said, told) if told else cls.__doc__
+    undocumented = {f.name: explained(f) for f in fields if f.name not in documented and "help" in f.metadata}
+    cls.__doc__ = _with_attributes(doc, undocumented) if undocumented else cls.__doc__
+    return cls
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field, static, dataclasses.field))
+def pytree(cls: type[T]) -> type[T]:
+    """Makes `cls` a `checked_dataclass` and a JAX pytree: its fields are leaves, but for the `static` ones.
+
+    JAX rebuilds an instance without calling `__init__`, so only what a person wrote is checked (`concrete`
+    tells a number from a tracer).
+    """
+    cls = checked_dataclass(cls, eq=False)
+    fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
     leaves = [f.name for f in fields if not f.metadata.get("static")]
     statics = [f.name for f in fields if f.metadata.get("static")]
 
@@ -99,12 +110,12 @@ def _check_first(cls: Any) -> None:
     cls.__post_init__ = __post_init__
 
 
-def _with_attributes(doc: str | None, told: Mapping[str, str]) -> str:
+def _with_attributes(doc: str | None, entries: Mapping[str, str]) -> str:
     """A docstring with these entries in its section "Attributes", which is made where there is none."""
     before, _, after = inspect.cleandoc(doc or "").partition(_SECTION)
     lines = [
         textwrap.fill(f"{name}: {help}", 110, initial_indent=" " * 4, subsequent_indent=" " * 8)
-        for name, help in told.items()
+        for name, help in entries.items()
     ]
     return "\n".join([before.rstrip() + "\n" + _SECTION.rstrip(), *lines, after])
 

@@ -19,7 +19,7 @@ import jax
 import jax.extend as jex
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Int, Key, UInt32
+from jaxtyping import Array, Bool, Int, Key, PRNGKeyArray, UInt32
 
 from jaxrl_tab.core.checks import InputError, shown
 
@@ -116,7 +116,7 @@ def check_key(key: Any) -> None:
         )
 
 
-def stream(key: Key[Array, ""]) -> Stream:
+def stream(key: PRNGKeyArray) -> Stream:
     """The two words that name a run's random stream, from a JAX key of any kind.
 
     (Threefry has two ways to draw several words; it is always the newer one, whatever JAX is set to.)
@@ -126,9 +126,10 @@ def stream(key: Key[Array, ""]) -> Stream:
     return word0, word1
 
 
-def word(stream: Stream, step: Int[Array, ""], decision: int) -> UInt32[Array, ""]:
-    """The word of a decision in a step, uint32 []. Decisions are numbered by whoever makes them."""
+def word(stream: Stream, step: Int[Array, "*k"], decision: int) -> UInt32[Array, "*k"]:
+    """The word of a decision in each step, uint32 of their shape. Decisions are numbered by whoever makes them."""
     step = step.astype(jnp.uint32)
+    # Reversed, for `where` takes first what holds for odd steps.
     return jnp.where(step & 1 == 1, *reversed(_call(stream, step >> 1, decision)))
 
 

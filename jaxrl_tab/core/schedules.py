@@ -110,7 +110,7 @@ def _tail_at(level: float, otherwise: str) -> Tail:
 
 
 class Family:
-    """A schedule that a few numbers say completely. Its `str` is what is typed for it: harmonic:100:visit."""
+    """A schedule that a few numbers describe. Its `str` is what one types for it: harmonic:100:visit."""
 
     clock: ClockName
 
@@ -252,14 +252,14 @@ def parse(text: str) -> Family | Optax:
         return build(Optax, name, dict(zip(("schedule", "clock"), numbers, strict=False)))
     fields, clock = _numbers(FAMILIES[name]), numbers.pop() if numbers else None
     try:
-        given = dict(zip(fields, map(float, numbers), strict=False))
+        values = dict(zip(fields, map(float, numbers), strict=False))
     except ValueError:
-        given = {}
+        values = {}
     needed = list(fields.values()).count(dataclasses.MISSING)
-    if clock not in CLOCKS or len(given) < max(len(numbers), needed):
+    if clock not in CLOCKS or len(values) < max(len(numbers), needed):
         missing = "" if clock in CLOCKS else ": no clock stands at its end"
         raise InputError(wrong + missing)
-    return build(FAMILIES[name], name, {**given, "clock": clock})
+    return build(FAMILIES[name], name, {**values, "clock": clock})
 
 
 def read(text: str) -> float | Family | Optax:
@@ -284,7 +284,7 @@ def forms() -> str:
     return f"one of {written}, where CLOCK is one of {', '.join(CLOCKS)}"
 
 
-def typed(rate: Rate) -> str | None:
+def typed(rate: Any) -> str | None:
     """A number or a schedule as it is typed, "0.1"; None where it is a batch of numbers, or traced."""
     if isinstance(rate, Schedule):
         return str(rate)
@@ -311,7 +311,7 @@ def _numbers(cls: type[Family]) -> dict[str, Any]:
 
 
 # --- what a method takes ------------------------------------------------------------------------------
-def _check_rate(who: str, field: dataclasses.Field, value: Any) -> Any:
+def _check_rate(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     """`value` where it is a schedule, a tracer, or numbers within the limits of the field; text as it is read."""
     if isinstance(value, Schedule) and not isinstance(value, type):
         return value
@@ -397,7 +397,7 @@ def is_glie(epsilon: Rate) -> Verdict:
         return Verdict(False, f"epsilon {words}: it explores for ever, but it never becomes greedy")
     if order > 1:
         return Verdict(False, f"epsilon {words}, so its sum is finite: from some time on it never explores")
-    assert isinstance(epsilon, Family)  # numbers are judged by now
+    assert isinstance(epsilon, Family)  # of a number the order is 0 or infinite, which returned above
     everywhere = (
         "every state that is visited for ever"
         if epsilon.clock == "visit"
@@ -434,7 +434,7 @@ def is_robbins_monro(alpha: Rate) -> Verdict:
         return Verdict(False, f"alpha {words}, so the sum of its squares is infinite: noise never dies down")
     if order > 1:
         return Verdict(False, f"alpha {words}, so its sum is finite: it may stop short of its goal")
-    assert isinstance(alpha, Family)  # numbers are judged by now
+    assert isinstance(alpha, Family)  # of a number the order is 0 or infinite, which returned above
     pairs = "that is visited for ever" if alpha.clock == "visit" else _assumption(alpha)
     why = f"alpha {words}, so its sum is infinite and that of its squares is finite"
     return Verdict(True, f"{why}, for every pair (s, a) {pairs}")
@@ -454,10 +454,10 @@ def _tail(asker: str, rate: Any, fits: Callable[[float], bool], wanted: str) -> 
         return rate.tail()
     if callable(rate):
         kind = "a class" if isinstance(rate, type) else f"an arbitrary function ({type(rate).__name__})"
-        known = ", ".join(cls.__name__ for cls in FAMILIES.values())
+        families = ", ".join(cls.__name__ for cls in FAMILIES.values())
         raise InputError(
             f"{asker} cannot tell of {kind}: no number of its values decides about a limit; "
-            f"give a number or a schedule of the families {known}"
+            f"give a number or a schedule of the families {families}"
         )
     number = as_array(rate)
     if number is None or number.ndim or number.dtype.kind not in "fiu" or not fits(float(number)):

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
-from jaxtyping import Array, Int, Num, UInt32
+from jaxtyping import Array, Int, Shaped, UInt32
 
 T = TypeVar("T")
 
@@ -25,59 +25,59 @@ GROUP = 8  # lanes in one turn of a loop over lanes: fewer do not hide what a tu
 LONG_ROW = 16  # rows with more entries than this are left to XLA
 
 
-def row(table: Num[Array, "S A"], s: Int[Array, ""]) -> Num[Array, " A"]:
+def row(table: Shaped[Array, "S A"], s: Int[Array, ""]) -> Shaped[Array, " A"]:
     """`table[s]`, [A]. `s` must be a state: it is not checked."""
     return entry(table, s)
 
 
-def entry(table: Num[Array, "..."], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def entry(table: Shaped[Array, "..."], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     """`table[index]`, [] where there is an index for each axis. They must be in range: it is not checked."""
     return _read(jnp.asarray(table), *index)
 
 
 def add(
-    table: Num[Array, "S A"], s: Int[Array, ""], a: Int[Array, ""], x: Num[Array, ""]
-) -> Num[Array, "S A"]:
+    table: Shaped[Array, "S A"], s: Int[Array, ""], a: Int[Array, ""], x: Shaped[Array, ""]
+) -> Shaped[Array, "S A"]:
     """`table` with `x` added to entry (s, a). Both must be in range: they are not checked."""
     return put(table, entry(table, s, a) + x.astype(table.dtype), s, a)
 
 
-def put(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def put(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     """`table` with entry `index` set to `x`. The index must be in range: it is not checked."""
     return _write(table, x.astype(table.dtype), *index)
 
 
-def write(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def write(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     """`table` with entry `index` set to `x`, inside the body of `lane_by_lane` and other plain loops."""
     block = x.astype(table.dtype).reshape((1,) * table.ndim)
     index = tuple(x.astype(jnp.int32) for x in index)  # of one type, also under x64
     return lax.dynamic_update_slice(table, block, index, allow_negative_indices=False)
 
 
-def lane_by_lane(body: Callable[..., T], tables: T, *given: Any) -> T:
+def lane_by_lane(body: Callable[..., T], tables: T, *inputs: Any) -> T:
     """`tables` changed by `body`, for one run; under `vmap`, for one lane after another, in place.
 
     Where lanes differ in what they do, in how many entries they write or how long they loop, `vmap` makes all
     of them do the longest and select. Here each does its own, as in a program written in C.
 
     Args:
-        body: `body(lane, tables, *given) -> tables`, written with a leading axis of lanes in all arrays: it
+        body: `body(lane, tables, *inputs) -> tables`, written with a leading axis of lanes in all arrays: it
             reads with `entry(x, lane, ...)` and `write`s at `lane` and nowhere else. It must not close over
             anything that is traced. What it needs of a table it has written it should read from the new one:
             a use of the old one after the write makes XLA copy the whole table, every time.
         tables: a pytree of arrays.
-        given: pytrees of what the body reads.
+        inputs: pytrees of what the body reads.
     """
 
-    def one(tables, *given):
-        tables, *given = jax.tree.map(lambda x: jnp.asarray(x)[None], (tables, *given))
-        return jax.tree.map(lambda x: x[0], body(jnp.int32(0), tables, *given))
+    def one(tables, *inputs):
+        tables, *inputs = jax.tree.map(lambda x: jnp.asarray(x)[None], (tables, *inputs))
+        return jax.tree.map(lambda x: x[0], body(jnp.int32(0), tables, *inputs))
 
-    def lanes(tables, *given):
+    def lanes(tables, *inputs):
         if not _lane_by_lane():
-            return jax.vmap(one)(tables, *given)
+            return jax.vmap(one)(tables, *inputs)
         count = jnp.int32(jax.tree.leaves(tables)[0].shape[0])
-        return lax.fori_loop(jnp.int32(0), count, lambda lane, tables: body(lane, tables, *given), tables)
+        return lax.fori_loop(jnp.int32(0), count, lambda lane, tables: body(lane, tables, *inputs), tables)
 
     def one_rule(axis_size, batched, *args):
         return _with_lanes(lanes, lanes_rule)(*_broadcast(axis_size, batched, args)), _all_true(tables)
@@ -89,7 +89,7 @@ def lane_by_lane(body: Callable[..., T], tables: T, *given: Any) -> T:
         split = jax.tree.map(lambda x, like: x.reshape(like.shape), merged, args[0])
         return split, _all_true(tables)
 
-    return _with_lanes(one, one_rule)(tables, *given)
+    return _with_lanes(one, one_rule)(tables, *inputs)
 
 
 def _lane_by_lane() -> bool:
@@ -118,7 +118,7 @@ def _all_true(tables: Any) -> Any:
 
 
 @custom_vmap
-def _read(table: Num[Array, "..."], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def _read(table: Shaped[Array, "..."], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
@@ -130,7 +130,7 @@ def _read_rule(axis_size, batched, table, *index):
 
 
 @custom_vmap
-def _write(table: Num[Array, "..."], x: Num[Array, ""], *index: Int[Array, ""]) -> Num[Array, "..."]:
+def _write(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     return write(table, x, *index)
 
 
@@ -166,7 +166,7 @@ def _merge(axis_size: int, has_lanes: bool, entries: Array, at: Array) -> tuple[
 
 
 @custom_vmap
-def _read_list(entries: Num[Array, "N ..."], at: UInt32[Array, "..."]) -> Num[Array, "..."]:
+def _read_list(entries: Shaped[Array, "N ..."], at: UInt32[Array, "..."]) -> Shaped[Array, "..."]:
     """`entries[at]`."""
     if _lane_by_lane() and math.prod(entries.shape[1:]) <= LONG_ROW:
         return _read_lanes(entries, at.ravel()).reshape(*at.shape, *entries.shape[1:])
@@ -181,8 +181,8 @@ def _read_list_rule(axis_size, batched, entries, at):
 
 @custom_vmap
 def _write_list(
-    entries: Num[Array, " N"], at: UInt32[Array, "..."], x: Num[Array, "..."]
-) -> Num[Array, " N"]:
+    entries: Shaped[Array, " N"], at: UInt32[Array, "..."], x: Shaped[Array, "..."]
+) -> Shaped[Array, " N"]:
     """`entries` with `x` at `at`."""
     if _lane_by_lane():
         return _write_lanes(entries, at.ravel(), x.ravel())
@@ -195,11 +195,13 @@ def _write_list_rule(axis_size, batched, entries, at, x):
     return _write_list(*_merge(axis_size, True, entries, at), x).reshape(entries.shape), True
 
 
-def _read_one(entries: Num[Array, "N ..."], at: UInt32[Array, ""]) -> Num[Array, "..."]:
+def _read_one(entries: Shaped[Array, "N ..."], at: UInt32[Array, ""]) -> Shaped[Array, "..."]:
     return lax.dynamic_index_in_dim(entries, at, keepdims=False, allow_negative_indices=False)
 
 
-def _write_one(entries: Num[Array, " N"], at: UInt32[Array, ""], x: Num[Array, ""]) -> Num[Array, " N"]:
+def _write_one(
+    entries: Shaped[Array, " N"], at: UInt32[Array, ""], x: Shaped[Array, ""]
+) -> Shaped[Array, " N"]:
     return lax.dynamic_update_slice(entries, x[None], (at,), allow_negative_indices=False)
 
 
@@ -209,10 +211,10 @@ def _read_lanes(entries: Array, at: Array) -> Array:
     put = partial(lax.dynamic_update_slice, allow_negative_indices=False)
 
     def read(first, group, out):
-        got = [_read_one(entries, i)[..., None] for i in group[0]]
-        if not rest:
-            return put(out, jnp.concatenate(got), (first,))
-        for k, column in enumerate(got):
+        columns = [_read_one(entries, i)[..., None] for i in group[0]]
+        if not rest:  # single numbers are written together
+            return put(out, jnp.concatenate(columns), (first,))
+        for k, column in enumerate(columns):
             out = put(out, column, (*rest, first + jnp.uint32(k)))
         return out
 
@@ -229,15 +231,15 @@ def _write_lanes(entries: Array, at: Array, x: Array) -> Array:
     return _over_lanes(write, entries, at, x)
 
 
-def _over_lanes(body: Callable[..., Array], carry: Array, *given: Array) -> Array:
-    """`carry = body(first lane, what is given of the group, carry)` for one group of lanes after another."""
-    lanes = len(given[0])
+def _over_lanes(body: Callable[..., Array], carry: Array, *vectors: Array) -> Array:
+    """`carry = body(first lane, the entries of its lanes, carry)` for one group of lanes after another."""
+    lanes = len(vectors[0])
     size = math.gcd(lanes, GROUP)
 
     def turn(g, carry):
         first = g * jnp.uint32(size)
         of_group = partial(lax.dynamic_slice_in_dim, start_index=first, slice_size=size)
-        group = [of_group(x, allow_negative_indices=False) for x in given]
+        group = [of_group(x, allow_negative_indices=False) for x in vectors]
         return body(first, [[x[k] for k in range(size)] for x in group], carry)
 
     return lax.fori_loop(jnp.uint32(0), jnp.uint32(lanes // size), turn, carry)

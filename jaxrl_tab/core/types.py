@@ -5,7 +5,7 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 """
 
 import inspect
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,9 @@ from jaxrl_tab.core.declared import of_environment
 T = TypeVar("T")
 
 L = TypeVar("L")
+
+Available: TypeAlias = Bool[Array, "S A"] | Bool[np.ndarray, "S A"]
+"""Which actions there are in each state."""
 
 
 # --- what environments and methods exchange ----------------------------------------------------------
@@ -121,6 +124,7 @@ class FiniteEnvironment(Environment, Protocol):
         ...
 
 
+@runtime_checkable
 class Algorithm(Protocol[L]):
     """A control method: a frozen pytree. The instance *is* its hyperparameters, so `vmap` batches them.
 
@@ -163,20 +167,20 @@ def init_learner(algorithm: Algorithm[L], task: Environment | Task) -> L:
 
 
 def available_actions(env: Any) -> Bool[Array, "S A"] | None:
-    """Which actions there are in each state, or None where the environment does not say: then it is all.
+    """Which actions are available in each state, or None where the environment does not say, which means all.
 
     Raises:
         InputError: what `available` gives has the wrong shape, or a state has no action.
     """
     if (available := of_environment(env).available) is None:
         return None
-    there = jax.vmap(available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
-    check_available(f"{type(env).__name__}: available", there, env.num_states, env.num_actions)
-    return there
+    is_available = jax.vmap(available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
+    check_available(f"{type(env).__name__}: available", is_available, env.num_states, env.num_actions)
+    return is_available
 
 
-def stand_ins(available: Bool[Array, "S A"]) -> Int[Array, "S A"]:
-    """What is done where an action is asked for: itself where it is available, else the first that is, [S, A]."""
+def stand_ins(available: Available) -> Int[Array, "S A"]:
+    """What replaces each action, int32 [S, A]: itself where it is available, else the first that is."""
     actions = jnp.arange(available.shape[1], dtype=jnp.int32)
     return jnp.where(
         available, actions, jnp.where(available, actions, len(actions) - 1).min(1, keepdims=True)
@@ -185,22 +189,22 @@ def stand_ins(available: Bool[Array, "S A"]) -> Int[Array, "S A"]:
 
 def check_available(what: str, available: Any, num_states: int, num_actions: int) -> None:
     """Raises InputError unless these are booleans [S, A], with an action in every state."""
-    there = concrete(available)
+    is_available = concrete(available)
     if (shape := np.shape(available)) != (num_states, num_actions):
         raise InputError(f"{what} must be booleans [S, A] = [{num_states}, {num_actions}], not {list(shape)}")
-    if there is None:
+    if is_available is None:
         return
-    if not np.isin(there, (0, 1)).all():
-        raise InputError(f"{what} must be True or False in each place, not {shown(there)}")
-    if (s := first(np.asarray(~there.any(1)))) is not None:
+    if not np.isin(is_available, (0, 1)).all():
+        raise InputError(f"{what} must be True or False in each place, not {shown(is_available)}")
+    if (s := first(np.asarray(~is_available.any(1)))) is not None:
         raise InputError(f"{what} must name an action in every state, in terminal ones too; {s[0]} has none")
 
 
-def restricted(chooser: T, available: Bool[Array, "S A"] | None) -> T:
-    """A method or a policy that takes these actions only; as it is where `available` is None: there are all.
+def restricted(chooser: T, available: Available | None) -> T:
+    """A method or a policy that takes these actions only; unchanged where `available` is None, meaning all.
 
     Raises:
-        InputError: it cannot be told, for it has no method `restricted_to`; or it takes another action.
+        InputError: it cannot be restricted, for it has no method `restricted_to`; or it takes another action.
     """
     if available is None:
         return chooser

@@ -13,11 +13,12 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from jaxrl_tab.core.checks import InputError, is_whole, shown
+from jaxrl_tab.core.pytree import checked_dataclass, field
 
 DRAW = "draw"  # the axis of trials; each of its values is a dict of what is drawn together
 MOST = 1e100  # so large an end may be; and so small, where its logarithm is taken
@@ -41,78 +42,81 @@ class Random:
 
 
 @dataclass(frozen=True)
-class LinearGrid(Grid):
+class _Between:
+    """All numbers from `low` to `high`, in equal differences, or in equal ratios where it is `logarithmic`."""
+
+    low: float
+    high: float
+
+    logarithmic: ClassVar[bool] = False
+
+    def __post_init__(self):
+        for end in (self.low, self.high):
+            if not isinstance(end, int | float | np.number) or isinstance(end, bool) or not abs(end) <= MOST:
+                raise InputError(f"the ends must be numbers, {MOST:g} at most, not {shown(end)}")
+        if self.logarithmic and self.low < 1 / MOST:
+            raise InputError(f"the ends must be above 0 on a logarithmic scale, not {shown(self.low)}")
+        if not self.low < self.high:
+            raise InputError(
+                f"the low end, {shown(self.low)}, must be below the high end, {shown(self.high)}"
+            )
+
+    def at(self, share: float) -> float:
+        """The number that lies this share of the way from `low` to `high`, rounded to DIGITS."""
+        if self.logarithmic:
+            x = self.low * (self.high / self.low) ** share
+        else:
+            x = self.low + (self.high - self.low) * share
+        return float(f"{x:.{DIGITS}g}")
+
+
+@checked_dataclass
+class LinearGrid(_Between, Grid):
     """So many points from `low` to `high` with equal differences; whole numbers where all of them are."""
 
-    low: float
-    high: float
-    points: int
+    points: int = field(at_least=2)
 
     def __post_init__(self):
-        _check_grid(self)
+        super().__post_init__()
+        check_settings(self.points, f"{self.points} points")
 
     def values(self) -> list[Any]:
-        return _spaced(self, lambda share: self.low + (self.high - self.low) * share)
+        # The ends are as they were given: `at` would round them.
+        inner = [self.at(i / (self.points - 1)) for i in range(1, self.points - 1)]
+        values = [self.low, *inner, self.high]
+        if all(float(x).is_integer() for x in values) and is_whole(self.low, -(2**31)):
+            return [int(x) for x in values]
+        return [float(x) for x in values]
 
 
-@dataclass(frozen=True)
-class LogGrid(Grid):
+@checked_dataclass
+class LogGrid(LinearGrid):
     """So many points from `low` to `high`, both above 0, with equal ratios."""
 
-    low: float
-    high: float
-    points: int
-
-    def __post_init__(self):
-        _check_grid(self, positive=True)
-
-    def values(self) -> list[Any]:
-        return _spaced(self, lambda share: self.low * (self.high / self.low) ** share)
+    logarithmic: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
-class Uniform(Random):
+class Uniform(_Between, Random):
     """A number from `low` to `high`."""
 
-    low: float
-    high: float
-
-    def __post_init__(self):
-        _check_ends(self)
-
     def value(self, u: float) -> float:
-        return _rounded(self.low + (self.high - self.low) * u)
+        return self.at(u)
 
 
 @dataclass(frozen=True)
-class LogUniform(Random):
+class LogUniform(Uniform):
     """A number from `low` to `high`, both above 0, whose logarithm is uniform."""
 
-    low: float
-    high: float
-
-    def __post_init__(self):
-        _check_ends(self, positive=True)
-
-    def value(self, u: float) -> float:
-        return _rounded(self.low * (self.high / self.low) ** u)
+    logarithmic: ClassVar[bool] = True
 
 
-@dataclass(frozen=True)
-class Integers(Random):
+@checked_dataclass
+class Integers(_Between, Random):
     """A whole number from `low` to `high`, both included."""
 
-    low: int
-    high: int
-
-    def __post_init__(self):
-        for name in ("low", "high"):
-            value = getattr(self, name)
-            if not is_whole(value, -(2**31)):
-                raise InputError(
-                    f"the {name} end of whole numbers must be a whole number, not {shown(value)}"
-                )
-        _check_ends(self)
+    low: int = field(at_least=-(2**31))
+    high: int = field(at_least=-(2**31))
 
     def value(self, u: float) -> int:
         return int(self.low + math.floor(u * (self.high - self.low + 1)))
@@ -148,8 +152,8 @@ def spread(grid: Mapping[str, Any], num_draws: int | None, seed: int, method: st
         InputError: something is random and `num_draws` is missing, or the other way round.
     """
     random = {name: values for name, values in grid.items() if isinstance(values, Random)}
-    found = {n: v.values() if isinstance(v, Grid) else v for n, v in grid.items() if n not in random}
-    trials = found.pop(DRAW, None)
+    listed = {n: v.values() if isinstance(v, Grid) else v for n, v in grid.items() if n not in random}
+    trials = listed.pop(DRAW, None)
     if num_draws is not None and not is_whole(num_draws):
         raise InputError(f"the number of draws must be a whole number of at least 1, not {shown(num_draws)}")
     check_settings(num_draws or 1, f"{num_draws} draws of {method}")
@@ -163,9 +167,9 @@ def spread(grid: Mapping[str, Any], num_draws: int | None, seed: int, method: st
         share = lambda name, i: _share(seed, method, name, i)
         trials = [{name: x.value(share(name, i)) for name, x in random.items()} for i in range(num_draws)]
     if trials is not None:
-        _check_trials(trials, found)
-        found[DRAW] = trials
-    return found
+        _check_trials(trials, listed)
+        listed[DRAW] = trials
+    return listed
 
 
 def check_settings(number: int, what: str) -> None:
@@ -182,6 +186,7 @@ def swept_names(axes: Mapping[str, tuple]) -> list[str]:
 def _share(seed: int, method: str, name: str, i: int) -> float:
     """A number in [0, 1) for each draw, from a hash: NumPy does not promise the same stream for ever."""
     digest = hashlib.sha256(json.dumps([int(seed), method, name, i]).encode()).digest()
+    # 53 of the 64 bits: as many as a float holds, so that no rounding gives 1.
     return (int.from_bytes(digest[:8], "big") >> 11) * 2.0**-53
 
 
@@ -193,36 +198,6 @@ def _check_trials(trials: Any, others: Mapping[str, Any]) -> None:
         raise InputError(f"draw {i} has other hyperparameters than draw 0")
     if both := names & set(others):
         raise InputError(f"{min(both)} is given both in the draws and beside them")
-
-
-def _spaced(grid: Any, at: Any) -> list[Any]:
-    inner = [_rounded(at(i / (grid.points - 1))) for i in range(1, grid.points - 1)]
-    values = [grid.low, *inner, grid.high]
-    if all(float(x).is_integer() for x in values) and is_whole(grid.low, -(2**31)):
-        return [int(x) for x in values]
-    return [float(x) for x in values]
-
-
-def _rounded(x: float) -> float:
-    return float(f"{x:.{DIGITS}g}")
-
-
-def _check_grid(grid: Any, positive: bool = False) -> None:
-    _check_ends(grid, positive)
-    if not is_whole(grid.points, 2):
-        raise InputError(f"points must be a whole number of at least 2, not {shown(grid.points)}")
-    check_settings(grid.points, f"{grid.points} points")
-
-
-def _check_ends(spec: Any, positive: bool = False) -> None:
-    ends = (spec.low, spec.high)
-    for end in ends:
-        if not isinstance(end, int | float | np.number) or isinstance(end, bool) or not abs(end) <= MOST:
-            raise InputError(f"the ends must be numbers, {MOST:g} at most, not {shown(end)}")
-    if positive and spec.low < 1 / MOST:
-        raise InputError(f"the ends must be above 0 on a logarithmic scale, not {shown(spec.low)}")
-    if not spec.low < spec.high:
-        raise InputError(f"the low end, {shown(spec.low)}, must be below the high end, {shown(spec.high)}")
 
 
 # How each is written in a file: {log = [0.01, 1], points = 5}, {uniform = [0, 1]}, {choice = [1, 2]}.

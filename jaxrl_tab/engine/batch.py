@@ -19,7 +19,9 @@ Two settings must be made before JAX starts its backend:
 - `use_all_cores`, by the command line, or by you before anything is computed: one JAX device per core.
 """
 
+import dataclasses
 import functools
+import math
 import os
 import re
 import sys
@@ -127,46 +129,82 @@ def run(
     seeds = np.asarray(seeds, np.uint32)
     runs = np.arange(seeds.size) if runs is None else runs
 
-    def of(run: np.ndarray) -> Any:
-        """The seed and the algorithm of these runs."""
-        place = np.unravel_index(runs[np.minimum(run, len(runs) - 1)], seeds.shape)
-        broadcast = lambda x: np.broadcast_to(x, seeds.shape + x.shape[seeds.ndim :])
-        return jax.tree.map(lambda x: broadcast(x)[place], (seeds, algorithms))
-
-    def arguments(first: int, blocks: int) -> tuple:
-        """For each device `blocks` blocks, from run `first` on: [devices, most, lanes]. Copies fill it up."""
-        run = first + np.arange(len(devices) * blocks * lanes).reshape(len(devices), blocks, lanes)
-        seed, algorithm = of(run[:, np.minimum(np.arange(most), blocks - 1)])
-        return program_arguments(budget, root, seed, algorithm, env)
-
     begun = time.perf_counter()
-    one_seed, one_algorithm = of(np.array(0))
-    call = needs_of(budget, signature(program_arguments(budget, root, one_seed, one_algorithm, env))).call
-    lanes, most = width_of_call(call, len(runs), room, devices)
-    program = _compiled(devices, budget, signature(arguments(0, 1)))
+    calls = _Calls(env, algorithms, root, seeds, budget, runs, devices, room)
     compiled = time.perf_counter()
 
     done, blocks = 0, 1
     while done < len(runs):
         called = time.perf_counter()
-        blocks = min(blocks, -(-(len(runs) - done) // (len(devices) * lanes)))
+        blocks = min(blocks, -(-(len(runs) - done) // (len(devices) * calls.lanes)))
         try:
-            output = jax.block_until_ready(program(np.int32(blocks), *arguments(done, blocks)))
+            output = calls.run(done, blocks)
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
             if isinstance(error, jax.errors.JaxRuntimeError) and _NO_MEMORY not in str(error):
                 raise
-            lanes, most = smaller_call(call, lanes, most, devices)
-            blocks, program = 1, _compiled(devices, budget, signature(arguments(0, 1)))
+            calls.shrink()
+            blocks = 1
             continue
         for i in range(len(devices)):
-            finished = np.arange(done, min(done + blocks * lanes, len(runs)))
+            finished = np.arange(done, min(done + blocks * calls.lanes, len(runs)))
             part = lambda x, i=i: np.asarray(x.addressable_shards[i].data)[0].reshape(-1, *x.shape[3:])
             keep(finished, jax.tree.map(lambda x: part(x)[: len(finished)], output))  # noqa: B023
             done += len(finished)
         del output  # before the next is made
         progress(done)
-        blocks = max(1, min(most, int(blocks * CALL_SECONDS / (time.perf_counter() - called))))
+        # The first call has one block, and tells how many of them fill the time that a call shall take.
+        blocks = max(1, min(calls.most, int(blocks * CALL_SECONDS / (time.perf_counter() - called))))
     return Seconds(time.perf_counter() - compiled, compiled - begun)
+
+
+@dataclasses.dataclass
+class _Calls:
+    """Calls of the compiled program: arguments as in `run`.
+
+    Attributes:
+        lanes: how many runs go side by side on each device.
+        most: how many blocks of them a call takes there, at most, one after another.
+    """
+
+    env: Environment
+    algorithms: Algorithm
+    root: jax.Array
+    seeds: np.ndarray
+    budget: Budget
+    runs: np.ndarray
+    devices: tuple[Any, ...]
+    room: int
+
+    def __post_init__(self):
+        _, algorithm = self._of(np.array(0))
+        self._bytes = needs_of(self.env, algorithm, self.root, self.budget).call
+        self._resize(*width_of_call(self._bytes, len(self.runs), self.room, self.devices))
+
+    def run(self, first: int, blocks: int) -> Any:
+        """What the runs from number `first` on give, so many blocks of them on each device."""
+        return jax.block_until_ready(self._program(np.int32(blocks), *self._arguments(first, blocks)))
+
+    def shrink(self) -> None:
+        """From now on makes smaller calls. Raises RunError where there are none."""
+        self._resize(*smaller_call(self._bytes, self.lanes, self.most, self.devices))
+
+    def _resize(self, lanes: int, most: int) -> None:
+        self.lanes, self.most = lanes, most
+        self._program = _compiled(self.devices, self.budget, signature(self._arguments(0, 1)))
+
+    def _of(self, run: np.ndarray) -> Any:
+        """The seed and the algorithm of these runs; of the last one where there are no more."""
+        shape = self.seeds.shape
+        place = np.unravel_index(self.runs[np.minimum(run, len(self.runs) - 1)], shape)
+        broadcast = lambda x: np.broadcast_to(x, shape + x.shape[len(shape) :])
+        return jax.tree.map(lambda x: broadcast(x)[place], (self.seeds, self.algorithms))
+
+    def _arguments(self, first: int, blocks: int) -> tuple:
+        """For each device `blocks` blocks, from run `first` on: [devices, most, lanes]. Copies fill it up."""
+        shape = len(self.devices), blocks, self.lanes
+        run = first + np.arange(math.prod(shape)).reshape(shape)
+        seed, algorithm = self._of(run[:, np.minimum(np.arange(self.most), blocks - 1)])
+        return program_arguments(self.budget, self.root, seed, algorithm, self.env)
 
 
 def _started() -> bool:
@@ -234,7 +272,7 @@ def _compile(called: str, devices: tuple[Any, ...], budget: Budget, signature: S
 
         return jax.tree.map(lambda x: x[None], lax.fori_loop(0, blocks, put, empty))
 
-    device.__name__ = called
+    device.__name__ = called  # JAX calls the program so, see `programs.kept`
     split, shared = PartitionSpec("devices"), PartitionSpec()
     program = jax.shard_map(
         device,

@@ -6,9 +6,16 @@ from typing import Any, TypeAlias
 
 from jaxtyping import Array
 
+from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, is_whole, shown
 
 Record: TypeAlias = Callable[[Any], dict[str, Array]]
+
+NO_RECORDER = "record must be a function from the state of the learner to a dict of arrays"
+RECORDER = names.Functions(
+    "a function that records",
+    hint="give a function, or its name, 'file.py:function' or 'package.module:function'",
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +30,8 @@ class Budget:
         record: a function from the state of the learner to a dict of arrays, recorded there as well.
 
     Raises:
-        InputError: neither or both of the lengths are given, or a number is not whole or below 1.
+        InputError: neither or both of the lengths are given, a number is not whole or below 1, or `record` is
+            no function.
     """
 
     num_steps: int | None = None
@@ -34,10 +42,12 @@ class Budget:
 
     def __post_init__(self):
         if (self.num_steps is None) == (self.num_episodes is None):
-            raise InputError("give either num_steps or num_episodes")
+            raise InputError("give either a number of steps or one of episodes: how long a run is")
         for name in ("num_steps", "num_episodes", "log_every"):
             if (value := getattr(self, name)) is not None and not is_whole(value):
                 raise InputError(f"{name} must be a whole number of at least 1, not {shown(value)}")
+        if self.record is not None and not callable(self.record):
+            raise InputError(NO_RECORDER)
 
     @property
     def row(self) -> int:

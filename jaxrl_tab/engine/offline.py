@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.algorithms.td import TDControl
@@ -29,6 +29,7 @@ from jaxrl_tab.core.policies import Policy, Table, as_table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import (
     Algorithm,
+    Available,
     Environment,
     Task,
     Transition,
@@ -45,7 +46,7 @@ L = TypeVar("L")
 
 # --- learning from it --------------------------------------------------------------------------------
 def learn(
-    key: Key[Array, ""],
+    key: PRNGKeyArray,
     algorithm: Algorithm[L],
     experience: Experience,
     num_states: int,
@@ -86,7 +87,7 @@ def learn(
 
 
 def replay(
-    key: Key[Array, ""],
+    key: PRNGKeyArray,
     algorithm: Algorithm[L],
     experience: Experience,
     num_states: int,
@@ -147,28 +148,33 @@ def _checked(algorithm: Any, experience: Any, num_states: int, num_actions: int,
     experience.check(num_states, num_actions, behaviour)
     if available is None:
         return algorithm
-    there = numbers("learn", "available", available)
-    check_available("learn: available", there, num_states, num_actions)
-    experience.check_available(there)
-    return restricted(algorithm, there.astype(bool))
+    is_available = numbers("learn", "available", available)
+    check_available("learn: available", is_available, num_states, num_actions)
+    experience.check_available(is_available)
+    return restricted(algorithm, is_available.astype(bool))
 
 
 def _longest_episode(experience: Experience) -> int:
     last = concrete(experience.last)
     if last is None:
-        return experience.last.shape[-1]  # not known, but no longer than the log
+        return experience.last.shape[-1]  # a tracer has no values yet; no episode is longer than the log
     return int(np.diff(np.flatnonzero(last), prepend=-1).max())
 
 
 UPDATE, DRAW = 0, 1  # decisions, as `rng` numbers them
 
 
-# How often is no constant of the programs, so another number needs no new one.
-@partial(jax.jit, static_argnums=3, inline=True)
-def _learn(key, algorithm, experience, task, passes):
+def _beginning(algorithm: Any, experience: Experience, task: Task) -> tuple[Any, Transition, int]:
+    """The learner before it learns, the transitions that it learns from, and how many there are."""
     learner = init_learner(algorithm, task)
     transitions = experience.transitions(algorithm.gamma, learner.q.dtype)
-    stream, size = rng.stream(key), len(transitions.s)
+    return learner, transitions, len(transitions.s)
+
+
+# `passes` and `num_updates` are not static: another number of them needs no new program.
+@partial(jax.jit, static_argnums=3, inline=True)
+def _learn(key, algorithm, experience, task, passes):
+    stream, (learner, transitions, size) = rng.stream(key), _beginning(algorithm, experience, task)
 
     def update(learner, numbered):
         i, t = numbered
@@ -183,9 +189,7 @@ def _learn(key, algorithm, experience, task, passes):
 
 @partial(jax.jit, static_argnums=3, inline=True)
 def _replay(key, algorithm, experience, task, num_updates):
-    learner = init_learner(algorithm, task)
-    transitions = experience.transitions(algorithm.gamma, learner.q.dtype)
-    stream, size = rng.stream(key), len(transitions.s)
+    stream, (learner, transitions, size) = rng.stream(key), _beginning(algorithm, experience, task)
 
     def update(i, learner):
         update_key, draw_key = (rng.as_key(rng.word(stream, i, decision)) for decision in (UPDATE, DRAW))
@@ -199,7 +203,7 @@ def _replay(key, algorithm, experience, task, num_updates):
 
 # --- logging a run -----------------------------------------------------------------------------------
 def collect(
-    key: Key[Array, ""], behaviour: Algorithm | Table | Float[Any, "S A"], env: Environment, num_steps: int
+    key: PRNGKeyArray, behaviour: Algorithm | Table | Float[Any, "S A"], env: Environment, num_steps: int
 ) -> Experience:
     """Logs what a method or a fixed policy does in an environment.
 
@@ -277,7 +281,7 @@ class _Logged:
     def exploring_starts(self) -> bool:
         return of_method(self.method).exploring_starts
 
-    def restricted_to(self, available: Bool[Array, "S A"]) -> Self:
+    def restricted_to(self, available: Available) -> Self:
         return self  # its method was, before it began
 
     def init(self, num_states: int, num_actions: int) -> _LoggedState:

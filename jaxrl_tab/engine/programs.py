@@ -8,7 +8,7 @@ the code behind anybody else's may change without a trace in the name.
 A program is code, and it is run. So it is read only where nobody else can have put it: the file and its folder
 are the user's own, and no link, and only the user may write them. And only as it was written: it begins with
 the SHA-256 of its name and its content. (That finds all damage. Nothing helps against somebody who can write as
-the user.) Where any of it is not so a line says it, and the program is made again.
+the user.) Otherwise one line of the log says what is wrong, and the program is compiled again.
 
 Off until `keep` is called, which the command line does.
 """
@@ -36,7 +36,7 @@ from jaxrl_tab.engine import provenance
 
 T = TypeVar("T")
 
-AT_MOST = 512  # programs; when there are more, those that were not used for longest go
+AT_MOST = 512  # programs; of more, those that were unused for longest are removed
 UNFINISHED_SECONDS = 3600  # what was begun so long ago was left by a process that died
 _OWN = re.compile(r"[0-9a-f]{64}\.program(?P<unfinished>\.\w+)?")  # the names of our files
 _folder: Path | None = None
@@ -47,7 +47,7 @@ def keep(folder: Path | None = None) -> None:
 
     By default that is where the user's `JAX_COMPILATION_CACHE_DIR` says, or else the user's cache folder
     (`XDG_CACHE_HOME`), and JAX is told to keep there what else it compiles. `JAX_ENABLE_COMPILATION_CACHE=0`
-    turns both off. A folder that cannot be used is said in a line.
+    turns both off. Where the folder cannot be used, one line of the log says why.
     """
     global _folder
     if not jax.config.jax_enable_compilation_cache:  # pyright: ignore[reportAttributeAccessIssue]
@@ -67,16 +67,17 @@ def kept(name: Any, make: Callable[[str], T], pack: Callable[[T], Any], unpack: 
 
     Args:
         name: a pytree of all that it depends on, besides code, versions and settings.
-        make: makes it, under the name in JAX that it is given: one that is kept here has no other's.
+        make: makes it, under the name in JAX that it is given: a program that is kept here is never one that
+            JAX took from its own cache, see `_unknown_to_jax`.
         pack, unpack: to something that can be pickled, and back. `pack` may raise: then it is not kept.
     """
     file = _file(name)
     if file is None or not _is_usable(file.parent):
         return make("program")
     try:
-        found = unpack(pickle.loads(_read(file)))
-        os.utime(file)
-        return found
+        program = unpack(pickle.loads(_read(file)))
+        os.utime(file)  # `_make_room` takes the time for that of the last use
+        return program
     except FileNotFoundError:
         pass
     except Exception as error:  # jaxlib's have no common type
@@ -117,7 +118,7 @@ def _unknown_to_jax() -> Iterator[None]:
 
 
 def _file(name: Any) -> Path | None:
-    """Where it is kept; None where it is not."""
+    """The file in which the program with this name is kept; None where it is not kept."""
     if _folder is None:
         return None
     pickled = io.BytesIO()
@@ -139,13 +140,14 @@ class _Named(pickle.Pickler):
     """Refuses classes and functions whose code is not in this package, in JAX or in NumPy."""
 
     def reducer_override(self, obj: Any) -> Any:
-        of = obj if hasattr(obj, "__qualname__") else type(obj)  # classes and functions have a name
-        if (of.__module__ or "").partition(".")[0] not in _KNOWN:
+        definition = obj if hasattr(obj, "__qualname__") else type(obj)  # classes and functions have a name
+        if (definition.__module__ or "").partition(".")[0] not in _COVERED:
             raise pickle.PicklingError(f"{obj} is not of jaxrl_tab")
         return NotImplemented
 
 
-_KNOWN = ("jaxrl_tab", "jax", "jaxlib", "numpy", "ml_dtypes", "builtins", "copyreg")
+# Packages that a name may refer to: their versions are part of it too, or their code shapes no program.
+_COVERED = ("jaxrl_tab", "jax", "jaxlib", "numpy", "ml_dtypes", "builtins", "copyreg")
 
 
 @cache
@@ -161,7 +163,7 @@ def _code_and_machine() -> bytes:
 
 @cache
 def _is_usable(folder: Path) -> bool:
-    """Whether programs can be kept in `folder`, which is made; said once where they cannot."""
+    """Whether programs can be kept in `folder`, which is created; where they cannot, the log says so once."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _check_own(folder.lstat(), stat.S_ISDIR)
@@ -196,7 +198,7 @@ def _read(file: Path) -> bytes:
 
 
 def _write(file: Path, data: bytes) -> None:
-    """Puts `data` under its name at once and whole; then makes room."""
+    """Writes `data` under its name, so that nobody ever sees a part of it; then makes room."""
     descriptor, unfinished = tempfile.mkstemp(dir=file.parent, prefix=f"{file.name}.")
     try:
         with open(descriptor, "wb") as opened:
@@ -217,9 +219,9 @@ def _make_room(folder: Path) -> None:
         with contextlib.suppress(FileNotFoundError):  # another process makes room, too
             if named := _OWN.fullmatch(file.name):
                 ages[file] = named["unfinished"], time.time() - file.lstat().st_mtime
-    left = [file for file, (unfinished, age) in ages.items() if unfinished and age > UNFINISHED_SECONDS]
+    abandoned = [file for file, (unfinished, age) in ages.items() if unfinished and age > UNFINISHED_SECONDS]
     finished = sorted((age, file) for file, (unfinished, age) in ages.items() if not unfinished)
-    for file in [*left, *(file for _, file in finished[AT_MOST:])]:
+    for file in [*abandoned, *(file for _, file in finished[AT_MOST:])]:
         file.unlink(missing_ok=True)
 
 
@@ -232,5 +234,5 @@ def _checksum(file: Path, data: bytes) -> bytes:
 
 @cache
 def _warn(line: str) -> None:
-    """Says it once."""
+    """Logs the line, the first time only."""
     logging.getLogger(__name__).warning("%s", line)

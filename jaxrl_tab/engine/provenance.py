@@ -17,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -50,8 +51,8 @@ _ABOVE = {
 
 def settings() -> dict[str, Any]:
     """The settings of JAX that change numbers, as they are in this thread: name -> plain value."""
-    found = jax.config.values
-    values = {name: found[name] for name in SETTINGS if name in found}
+    current = jax.config.values
+    values = {name: current[name] for name in SETTINGS if name in current}
     return {name: x.value if isinstance(x, enum.Enum) else x for name, x in values.items()}
 
 
@@ -62,7 +63,8 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
     Raises:
         InputError: JAX does not take one of them, or a block such as `jax.enable_x64` is stronger.
     """
-    with ThreadPoolExecutor(1) as elsewhere:  # not as they are within a block such as `jax.enable_x64`
+    # A new thread sees the settings of the process, without those of a block such as `jax.enable_x64`.
+    with ThreadPoolExecutor(1) as elsewhere:
         before = elsewhere.submit(lambda: jax.config.values).result()
     try:
         for name, value in chosen.items():
@@ -86,12 +88,17 @@ def installed() -> dict[str, Any]:
     return {name: metadata.version(name) for name in names} | {"digest of jaxrl_tab's sources": sources()}
 
 
-def surroundings() -> dict[str, Any]:
-    """All that numbers depend on beside the experiment: name -> plain value. It starts JAX's backend."""
+def surroundings(libraries: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
+    """All that numbers depend on beside the experiment: name -> plain value. It starts JAX's backend.
+
+    Args:
+        libraries: the versions of those from which its environments come.
+    """
     device = jax.local_devices()[0]
     flags = [x for x in os.environ.get("XLA_FLAGS", "").split() if not x.startswith(_DEVICE_COUNT)]
     return {
         **installed(),
+        **libraries,
         **settings(),
         "XLA_FLAGS": " ".join(flags),
         "device": f"{device.platform} {device.device_kind}",
@@ -105,14 +112,14 @@ def digest(surroundings: Mapping[str, Any]) -> str:
 
 
 def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """What of `now` was otherwise, a line for each. `was` may be what an earlier version recorded."""
+    """What of `now` was different before, a line for each. `was` may be what an earlier version recorded."""
     return [_change(name, was.get(name), value) for name, value in now.items() if was.get(name) != value]
 
 
 def _change(name: str, before: Any, after: Any) -> str:
     if not isinstance(before, str):
         return f"{name} was {'not recorded' if before is None else before}, and is {after}"
-    # Of what has many words, those that are not the same.
+    # Of several words, such as the flags of XLA, only those that differ.
     gone, new = (
         " ".join(x for x in a.split() if x not in b.split()) for a, b in ((before, after), (after, before))
     )
@@ -124,20 +131,20 @@ def _change(name: str, before: Any, after: Any) -> str:
 @cache
 def sources() -> str:
     """The digest of this package's sources, as they were when it was first asked for."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for file in sorted(PACKAGE.rglob("*.py")):
         data = file.read_bytes()
-        found.update(f"{file.relative_to(PACKAGE).as_posix()} {len(data)}\n".encode() + data)
-    return found.hexdigest()[:16]
+        digest.update(f"{file.relative_to(PACKAGE).as_posix()} {len(data)}\n".encode() + data)
+    return digest.hexdigest()[:16]
 
 
 @cache
 def cpu(line: str) -> str:
     """What Linux tells of the CPU in a line of this name, a regular expression; nothing where it does not."""
     with contextlib.suppress(OSError):
-        told = Path("/proc/cpuinfo").read_text()
-        if found := re.search(rf"^(?:{line})[ \t]*:(.*)", told, re.MULTILINE):
-            return found[1].strip()
+        lines = Path("/proc/cpuinfo").read_text()
+        if match := re.search(rf"^(?:{line})[ \t]*:(.*)", lines, re.MULTILINE):
+            return match[1].strip()
     return ""
 
 
@@ -161,7 +168,7 @@ def git_commit() -> str | None:
     describe = [*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:  # in somebody else's repository, as in an environment below it, these files are not git's
         for command in ([*git, "ls-files", "--error-unmatch", "__init__.py"], describe):
-            said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+            answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
-    return said
+    return answer

@@ -15,7 +15,7 @@ from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine.axes import DRAW
-from jaxrl_tab.engine.train import Log
+from jaxrl_tab.engine.log import Log
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,7 +34,7 @@ class SweepResult:
         grid: swept hyperparameters in the order of the axes, each with its values. Those that were drawn at
             random go together: they are the axis `draw`, each value a dict of them.
         fixed: the other hyperparameters.
-        log: what happened, NumPy [*grid, seeds, rows] each; see `train.Log`.
+        log: what happened, NumPy [*grid, seeds, rows] each; see `log.Log`.
         q: the final tables, float [*grid, seeds, S, A].
         optimal_value: v* from the start distribution, for prediction v_pi; float64 [gammas] where gamma is
             swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over
@@ -44,8 +44,8 @@ class SweepResult:
         num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
         first_seed: see `root_seed`.
-        largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `sweep.Part`.
-        fresh: whether the root is instead the one that is kept for fresh seeds; see `sweep.Part`.
+        largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `part.Part`.
+        fresh: whether the root is instead the one that is kept for fresh seeds; see `part.Part`.
         learns: whether the method learns action values, as in control, or state values, as in prediction.
     """
 
@@ -145,18 +145,19 @@ def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
 
     There is a NaN or an infinity in one of these; or an entry of the table is larger in size than `largest` [...].
     """
-    found = np.zeros(q.shape[:-2], bool)
-    flat, beyond = found.reshape(-1), np.broadcast_to(largest, found.shape).reshape(-1)
+    diverged = np.zeros(q.shape[:-2], bool)
+    # `flat` is a view: what is written into it is in `diverged`.
+    flat, beyond = diverged.reshape(-1), np.broadcast_to(largest, diverged.shape).reshape(-1)
     nowhere = np.array(UNAVAILABLE, q.dtype)
     for x in (q, *sums):
-        runs = x.reshape(found.size, -1)
-        for block in memory.blocks(found.size, runs[:1].nbytes):
+        runs = x.reshape(diverged.size, -1)
+        for block in memory.blocks(diverged.size, runs[:1].nbytes):
             for extreme in (runs[block].min(-1), runs[block].max(-1)):  # where there is a NaN, both are NaN
                 flat[block] |= ~np.isfinite(extreme)
             if x is q:
                 size = np.max(abs(runs[block]), -1, initial=0, where=runs[block] != nowhere)
                 flat[block] |= size > beyond[block]
-    return found
+    return diverged
 
 
 def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> None:
@@ -165,7 +166,8 @@ def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> 
 
     if not file.exists():
         xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    large = [name for name, x in ds.items() if x.nbytes > memory.BLOCK and name != "diverged"]
+    # xarray encodes bool in a way of its own, which it alone reads again.
+    large = [name for name, x in ds.items() if x.nbytes > memory.BLOCK and x.dtype != bool]
     rest = ds.drop_vars(large)
     encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in rest.items() if x.ndim}
     rest.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
@@ -178,6 +180,7 @@ def _save_large(x: "xr.DataArray", file: Path, group: str) -> None:
     import h5netcdf
 
     before, seeds = x.dims.index("seed"), x.sizes["seed"]
+    # The bytes of one seed in one setting.
     each = max(1, x.nbytes // (x.size // int(np.prod(x.shape[before + 1 :], dtype=int))))
     with h5netcdf.File(file, "a") as whole:
         to = whole[group]
@@ -188,6 +191,7 @@ def _save_large(x: "xr.DataArray", file: Path, group: str) -> None:
         missing = np.nan if x.dtype.kind == "f" else None
         packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "chunks": chunks}
         variable = to.create_variable(x.name, x.dims, x.dtype, fillvalue=missing, **packed)
+        # As xarray writes it, or what was drawn would be no coordinate when the file is read.
         if drawn := [str(name) for name in x.coords if name not in x.dims]:
             variable.attrs["coordinates"] = " ".join(drawn)
         for setting in np.ndindex(x.shape[:before]):
@@ -202,10 +206,10 @@ def label(value: Any) -> Any:
 
 def labels(values: Iterable[Any]) -> list[Any]:
     """The coordinates of an axis. Where any is a schedule or a policy all are as typed: text like "0.1"."""
-    found = [label(value) for value in values]
-    if any(isinstance(x, str) for x in found):
-        return [typed(x) if isinstance(x, float) else str(x) for x in found]
-    return found
+    coordinates = [label(value) for value in values]
+    if any(isinstance(x, str) for x in coordinates):
+        return [typed(x) if isinstance(x, float) else str(x) for x in coordinates]
+    return coordinates
 
 
 def parameters(obj: Any) -> dict[str, Any]:

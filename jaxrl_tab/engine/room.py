@@ -13,13 +13,14 @@ from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.train import bytes_of_words, in_full, unchecked
+from jaxrl_tab.engine.loop import bytes_of_words
+from jaxrl_tab.engine.train import in_full, unchecked
 from jaxrl_tab.exact import planning
 
 LANES = 64
-BLOCKS = 16  # of a device in one call, at most
+BLOCKS = 16  # of lanes that a device works through in one call, at most
 FEWEST_LANES = 8  # on a CPU, where memory runs out: with fewer, exact values would differ in the last bit
-CALL_BYTES = 2**28  # that it takes on a device, at most, unless one block alone is larger
+CALL_BYTES = 2**28  # of a call on a device, at most, unless one block alone is larger
 
 
 class Plan(NamedTuple):
@@ -70,9 +71,7 @@ def plan(
         InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
     """
     devices = tuple(devices or jax.local_devices())
-    needs = [
-        needs_of(budget, signature(program_arguments(budget, root, np.uint32(0), x, env))) for x in algorithms
-    ]
+    needs = [needs_of(env, algorithm, root, budget) for algorithm in algorithms]
     results = needs[0].results
     if any(other.results != results for other in needs):
         raise InputError("what record gives must be of the same shape in all runs")
@@ -92,20 +91,22 @@ def plan(
             "they may take: give more memory, or take a larger log_every"
         )
     if on_disk:
-        folder, there = memory.disk()
-        room = f"there is room for {memory.words(machine)} in memory"
-        said = f"the results of {runs} runs need {memory.words(needed)}; {room}"
-        if needed > there:
+        folder, free = memory.disk()
+        reason = (
+            f"the results of {runs} runs need {memory.words(needed)}; "
+            f"there is room for {memory.words(machine)} in memory"
+        )
+        if needed > free:
             raise InputError(
-                f"{said} and {memory.words(there)} in {folder}: take fewer seeds, or a larger log_every"
+                f"{reason} and {memory.words(free)} in {folder}: take fewer seeds, or a larger log_every"
             )
-        logging.getLogger(__name__).warning("%s, so they are kept in files in %s", said, folder)
+        logging.getLogger(__name__).warning("%s, so they are kept in files in %s", reason, folder)
     return Plan(memory.Results(results, runs, on_disk), device)
 
 
 def gives(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Any:
     """The shapes of what a run gives: its table, and its Log. Nothing is compiled."""
-    return needs_of(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env))).results
+    return needs_of(env, algorithm, root, budget).results
 
 
 def forecast(
@@ -119,7 +120,7 @@ def forecast(
 ) -> Forecast:
     """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
     devices = tuple(devices or jax.local_devices())
-    one = needs_of(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
+    one = needs_of(env, algorithm, root, budget)
     room = memory.free(devices) // 2 if limit is None else limit
     lanes, most = width_of_call(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
     blocks = -(-runs // lanes)
@@ -162,8 +163,9 @@ def smaller_call(call: memory.Call, lanes: int, most: int, devices: Sequence[Any
             f"smallest number possible, which need {memory.words(len(devices) * call.bytes(lanes, 1))}: take a "
             "larger log_every, or a smaller environment"
         )
-    said = f"{lanes} runs at a time, {most} times a call"
-    logging.getLogger(__name__).warning("out of memory with %s; trying again with half", said)
+    logging.getLogger(__name__).warning(
+        "out of memory with %d runs at a time, %d times a call; trying again with half", lanes, most
+    )
     return smaller
 
 
@@ -213,17 +215,22 @@ class _Needs(NamedTuple):
     call: memory.Call
 
 
+def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> _Needs:
+    """What one run of this method needs of memory. Its hyperparameters are arrays, whose values do not matter."""
+    return _needs(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
+
+
 @functools.lru_cache(maxsize=64)
-def needs_of(budget: Budget, signature: Signature) -> _Needs:
+def _needs(budget: Budget, signature: Signature) -> _Needs:
     def make(_: str) -> _Needs:
         traced = traced_program(budget, signature)
-        root, seed, algorithm, given_env = signature.arguments
-        env, _ = given_env
+        root, seed, algorithm, envs = signature.arguments
+        env, _ = envs
         results, _ = traced.out_info
         # The table once, where it is in the state.
         carried = {id(x): x.aval for x in traced.jaxpr.jaxpr.outvars}
         call = memory.Call(
-            shared=memory.size((root, given_env)) + _tables(env),
+            shared=memory.size((root, envs)) + _tables(env),
             kept=memory.size((seed, algorithm, results)),
             working=_working(env, budget, memory.size(carried)),
         )
@@ -235,10 +242,10 @@ def needs_of(budget: Budget, signature: Signature) -> _Needs:
 
 @functools.lru_cache(maxsize=64)
 def traced_program(budget: Budget, signature: Signature) -> Any:
-    """One run, traced: what `_given` gives -> ((table, Log), state of the learner)."""
+    """One run, traced: what `program_arguments` gives -> ((table, Log), state of the learner)."""
 
-    def one(root, seed, given_algorithm, given_env):
-        (algorithm, exact_algorithm), (env, exact_env) = given_algorithm, given_env
+    def one(root, seed, algorithms, envs):
+        (algorithm, exact_algorithm), (env, exact_env) = algorithms, envs
         full = (exact_algorithm, exact_env) if budget.exact else None
         state, log = unchecked(jax.random.fold_in(root, seed), algorithm, env, full, budget)
         return (state.q, log), state
@@ -256,7 +263,7 @@ def _tables(env: Environment) -> int:
 
 def _working(env: Environment, budget: Budget, carried: int) -> int:
     """The bytes with which one run works: what its loop carries, random words, and exact values."""
-    if budget.num_episodes:  # a chunk of steps may have to be taken back: see `train._run_until`
+    if budget.num_episodes:  # a chunk of steps may have to be taken back: see `loop._run_until`
         carried *= 2
     carried += bytes_of_words(budget)
     if not budget.exact:

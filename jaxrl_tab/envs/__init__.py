@@ -6,7 +6,7 @@ ENVS holds those that can be made from their name alone; `FiniteMDP` needs its a
 import re
 from typing import Any
 
-from jaxrl_tab.core import names
+from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build, nearest, shown
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
@@ -67,7 +67,7 @@ def instead(name: Any) -> str:
     return nearest(name, ENVS)
 
 
-def _of_table(file: names.File) -> type:
+def _of_table(file: modules.File) -> type:
     """The class of the table in a file, which has no parameters."""
     mdp = FiniteMDP.load(file.path, file.data)
     return names.made_by(lambda: mdp, "FiniteMDP", {})

@@ -10,15 +10,8 @@ from jaxrl_tab.envs.base import FixedStart
 class Bandit(FixedStart):
     """From state 0 every action leads into the terminal state 1; the rewards differ (book, chapter 2)."""
 
+    num_states, start_state = 2, 0
     max_steps = 1
-
-    @property
-    def num_states(self) -> int:
-        return 2
-
-    @property
-    def start_state(self) -> int:
-        return 0
 
     def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
         """The K possible rewards of action `a`: their probabilities and they themselves, float [K] each."""

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.checks import InputError, unfit
+from jaxrl_tab.core.checks import InputError, assign, is_list, unfit
 from jaxrl_tab.core.types import Outcome
 
 MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so that every episode ends
@@ -42,17 +42,16 @@ class Panel(NamedTuple):
 
 
 class Finite:
-    """A finite MDP: `outcomes` and `initial` say everything, `step` and `reset` sample from them."""
+    """A finite MDP: `outcomes` and `initial` say everything, `step` and `reset` sample from them.
 
+    Attributes:
+        num_states, num_actions, max_steps: as in `types.Environment`.
+    """
+
+    # Of an environment they are a class attribute, a field or a property; no annotation allows for all three.
+    num_states: Any
+    num_actions: Any
     max_steps: int
-
-    @property
-    def num_states(self) -> int:
-        raise NotImplementedError
-
-    @property
-    def num_actions(self) -> int:
-        raise NotImplementedError
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -83,9 +82,8 @@ class Finite:
         prob, outcome = jax.vmap(jax.vmap(self.outcomes, (None, 0)), (0, None))(states, actions)
         count = prob.shape[-1]
         prob, reward = prob.reshape(-1, count), outcome.reward.ravel()
-        entered = (
-            2 * outcome.s_next + outcome.terminal.astype(outcome.s_next.dtype)
-        ).ravel()  # one load for both
+        # S' and whether it is terminal in one number, so that one load gets both.
+        entered = (2 * outcome.s_next + outcome.terminal.astype(outcome.s_next.dtype)).ravel()
 
         def step(key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
             i = s * self.num_actions + a
@@ -102,11 +100,9 @@ def samples_outcomes(env: Any) -> TypeGuard[Finite]:
 
 
 class FixedStart(Finite):
-    """A finite MDP whose episodes all start in the state `start_state`."""
+    """A finite MDP whose episodes all start in the state `start_state`, an int."""
 
-    @property
-    def start_state(self) -> int:
-        raise NotImplementedError
+    start_state: Any
 
     def initial(self) -> Float[Array, " S"]:
         return jnp.zeros(self.num_states, dtype=float).at[self.start_state].set(1)
@@ -126,6 +122,15 @@ class Grid(FixedStart):
     shape: tuple[int, int]
     start: tuple[int, int]
     goal: tuple[int, int]
+
+    def __post_init__(self):
+        """Keeps all three as pairs of int. Raises InputError unless start and goal are two cells of the grid."""
+        who = type(self).__name__
+        shape = check_shape(who, self.shape)
+        start, goal = (check_cell(who, name, getattr(self, name), shape) for name in ("start", "goal"))
+        if start == goal:
+            raise InputError(f"start and goal are the same cell {start}", who=who, field="goal")
+        assign(self, shape=shape, start=start, goal=goal)
 
     @property
     def num_states(self) -> int:
@@ -160,18 +165,6 @@ class Grid(FixedStart):
         return row * columns + column
 
 
-def check_grid(
-    name: str, shape: Sequence[int], start: Sequence[int], goal: Sequence[int]
-) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
-    """`shape`, `start` and `goal` as pairs of int. Raises InputError unless both are cells, and not one."""
-    shape = check_shape(name, shape)
-    start = check_cell(name, "start", start, shape)
-    goal = check_cell(name, "goal", goal, shape)
-    if start == goal:
-        raise InputError(f"start and goal are the same cell {start}", who=name, field="goal")
-    return shape, start, goal
-
-
 def check_shape(name: str, shape: Sequence[int], least: tuple[int, int] = (1, 1)) -> tuple[int, int]:
     """`shape` as (rows, columns). Raises InputError unless both are whole numbers and large enough."""
     pair = _pair(shape)
@@ -193,8 +186,7 @@ def check_cell(name: str, what: str, cell: Sequence[int], shape: tuple[int, int]
 
 def _pair(value: Any) -> tuple[int, int] | None:
     """`value` as two ints, or None where it is anything else."""
-    is_list = value.ndim == 1 if isinstance(value, np.ndarray) else isinstance(value, Sequence)
-    items = list(value) if is_list else []
+    items = list(value) if is_list(value) else []
     if len(items) != 2 or not all(isinstance(n, Integral) for n in items):
         return None
     return int(items[0]), int(items[1])

@@ -109,6 +109,8 @@ def hands_panel(title: str, hands: Sequence[int], sums: Sequence[int], cards: Se
 class CardGame(Finite):
     """Action 0 is to stick, action 1 to hit; all else is read from a `Game`."""
 
+    num_actions = 2
+
     @property
     def game(self) -> Game:
         raise NotImplementedError
@@ -116,10 +118,6 @@ class CardGame(Finite):
     @property
     def num_states(self) -> int:
         return len(self.game.prob)
-
-    @property
-    def num_actions(self) -> int:
-        return 2
 
     @property
     def action_names(self) -> tuple[str, ...]:

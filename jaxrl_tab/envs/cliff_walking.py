@@ -24,7 +24,9 @@ class CliffWalking(Grid):
     )
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
-    def __post_init__(self):
+    num_actions = 4
+
+    def __post_init__(self):  # not that of Grid: start and goal follow from the shape
         assign(self, shape=check_shape(type(self).__name__, self.shape, least=(2, 3)))
 
     @property
@@ -34,10 +36,6 @@ class CliffWalking(Grid):
     @property
     def goal(self) -> tuple[int, int]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.shape[0] - 1, self.shape[1] - 1
-
-    @property
-    def num_actions(self) -> int:
-        return 4
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
         start, goal = jnp.int32(self.start_state), jnp.int32(self.state(self.goal))

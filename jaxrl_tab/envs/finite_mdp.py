@@ -23,6 +23,7 @@ from jaxrl_tab.envs.listed import (
     of_arrays,
     of_other_arrays,
     of_outcomes,
+    refusal,
 )
 from jaxrl_tab.exact.model import spread
 
@@ -78,7 +79,7 @@ class FiniteMDP(Finite):
     ):
         listed = of_arrays(probabilities, rewards)
         is_terminal = _terminal(terminal, listed.num_states)
-        _fill(self, listed, is_terminal, _start(start, is_terminal), max_steps)
+        assign(self, **_fields(listed, is_terminal, _start(start, is_terminal), max_steps))
 
     @classmethod
     def from_arrays(
@@ -110,9 +111,7 @@ class FiniteMDP(Finite):
         """
         listed = of_other_arrays(probabilities, rewards, first_axis)
         is_terminal = _terminal(terminal, listed.num_states)
-        mdp = object.__new__(cls)
-        _fill(mdp, listed, is_terminal, _start(start, is_terminal), max_steps)
-        return mdp
+        return _made(cls, _fields(listed, is_terminal, _start(start, is_terminal), max_steps))
 
     @classmethod
     def from_outcomes(
@@ -138,22 +137,18 @@ class FiniteMDP(Finite):
             InputError: something given is wrong; the message names the first wrong (s, a) or state.
         """
         if is_sparse(outcomes) or (isinstance(outcomes, np.ndarray) and outcomes.ndim == 3):
-            raise InputError(
-                f"{NAME}: outcomes must be lists of (p, s', reward); FiniteMDP.from_arrays takes arrays and matrices"
+            raise refusal(
+                "outcomes must be lists of (p, s', reward); FiniteMDP.from_arrays takes arrays and matrices"
             )
         states = in_order("outcomes", outcomes)
         if not len(states) or not len(in_order("the actions of s = 0", states[0])):
-            raise InputError(
-                f"{NAME}: outcomes must be a list of states, each a list of actions with outcomes"
-            )
+            raise refusal("outcomes must be a list of states, each a list of actions with outcomes")
         is_terminal = _terminal(terminal, len(states))
         start_prob = _start(start, is_terminal)
         listed, ends = of_outcomes(states, is_terminal)
         if ends is not None:
             listed, is_terminal, start_prob = _ended(listed, ends, is_terminal, start_prob)
-        mdp = object.__new__(cls)
-        _fill(mdp, listed, is_terminal, start_prob, max_steps)
-        return mdp
+        return _made(cls, _fields(listed, is_terminal, start_prob, max_steps))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the table to a file, whose name ends in ".npz" and stands for it wherever an environment is named.
@@ -163,13 +158,13 @@ class FiniteMDP(Finite):
         """
         path = as_path("the file of a table", path)
         if path.suffix != ".npz":
-            raise InputError(f"{NAME}: the name of the file must end in .npz, not {shown(str(path))}")
+            raise refusal(f"the name of the file must end in .npz, not {shown(str(path))}")
         path.write_bytes(self.to_bytes())
 
     def to_bytes(self) -> bytes:
         """What `save` writes."""
         if np.ndim(self.successors) != 3:
-            raise InputError(f"{NAME}: a batch of environments cannot be saved; save them one by one")
+            raise refusal("a batch of environments cannot be saved; save them one by one")
         content = io.BytesIO()
         arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in _SAVED}
         np.savez(content, **arrays)
@@ -194,9 +189,7 @@ class FiniteMDP(Finite):
             _check_saved(saved)
         except InputError as error:
             raise InputError(f"{path} is not a table that FiniteMDP.save wrote: {error}") from None
-        mdp = object.__new__(FiniteMDP)
-        assign(mdp, **saved | {"max_steps": int(saved["max_steps"])})
-        return mdp
+        return _made(FiniteMDP, saved | {"max_steps": int(saved["max_steps"])})
 
     @property
     def num_states(self) -> int:
@@ -220,30 +213,37 @@ class FiniteMDP(Finite):
         return prob, Outcome(s_next, reward, jnp.asarray(self.is_terminal)[s_next])
 
 
-def _fill(mdp: Any, listed: Listed, is_terminal: Any, start_prob: Any, max_steps: Any) -> None:
-    """Sets the fields of `mdp`, after all checks of what is listed."""
+def _made(cls: type[FiniteMDP], fields: Mapping[str, Any]) -> FiniteMDP:
+    """An instance with these fields; `__init__` takes other arguments."""
+    mdp = object.__new__(cls)
+    assign(mdp, **fields)
+    return mdp
+
+
+def _fields(listed: Listed, is_terminal: Any, start_prob: Any, max_steps: Any) -> dict[str, Any]:
+    """The fields of the task whose outcomes are listed, after all checks of these."""
     listed = _absorbed(listed, is_terminal)
     _check_outcomes(listed)
     listed = _added_up(listed.of(listed.prob > 0))
     _check_reachable(listed, is_terminal, start_prob)
     shape = listed.num_states, listed.num_actions, -1
     count = np.bincount(listed.row, minlength=listed.num_states * listed.num_actions)
+    # Outcomes of one (s, a) follow one another, so a place in its row of K is that after the row's first.
     at = listed.row, np.arange(len(listed.row)) - (np.cumsum(count) - count)[listed.row]
-    successors = _others(listed, count)
+    successors = _fillers(listed, count)
     prob, reward = np.zeros(successors.shape), np.zeros(successors.shape)
     total = np.bincount(listed.row, listed.prob)[listed.row]
     successors[at], prob[at], reward[at] = listed.s_next, listed.prob / total, listed.reward
     start_states = np.flatnonzero(start_prob)
-    assign(
-        mdp,
-        successors=successors.reshape(shape).astype(np.int32),
-        prob=prob.reshape(shape),
-        reward=reward.reshape(shape),
-        is_terminal=is_terminal,
-        start_states=start_states.astype(np.int32),
-        start_prob=start_prob[start_states],
-        max_steps=whole(NAME, "max_steps", max_steps),
-    )
+    return {
+        "successors": successors.reshape(shape).astype(np.int32),
+        "prob": prob.reshape(shape),
+        "reward": reward.reshape(shape),
+        "is_terminal": is_terminal,
+        "start_states": start_states.astype(np.int32),
+        "start_prob": start_prob[start_states],
+        "max_steps": whole(NAME, "max_steps", max_steps),
+    }
 
 
 def _absorbed(listed: Listed, is_terminal: np.ndarray) -> Listed:
@@ -262,18 +262,18 @@ def _absorbed(listed: Listed, is_terminal: np.ndarray) -> Listed:
 def _added_up(listed: Listed) -> Listed:
     """`listed`, where outcomes of one (s, a), s' and reward are one, in the place of the first."""
     if (np.diff(listed.row * listed.num_states + listed.s_next) > 0).all():
-        return listed  # as of arrays
-    order = np.lexsort((listed.reward, listed.s_next, listed.row))
+        return listed  # strictly rising, as from arrays: there is nothing to add up
+    order = np.lexsort((listed.reward, listed.s_next, listed.row))  # sorted by the last key first
     alike = listed.of(order)
     keys = np.stack([alike.row, alike.s_next, alike.reward])
     is_new = np.append(True, (np.diff(keys) != 0).any(axis=0))
     total = np.bincount(np.cumsum(is_new) - 1, alike.prob)
-    one = order[is_new]
-    place = np.argsort(one)
-    return listed.of(one[place])._replace(prob=total[place])
+    firsts = order[is_new]  # the sort is stable, so it is the first of those that are alike
+    place = np.argsort(firsts)
+    return listed.of(firsts[place])._replace(prob=total[place])
 
 
-def _others(listed: Listed, count: np.ndarray) -> np.ndarray:
+def _fillers(listed: Listed, count: np.ndarray) -> np.ndarray:
     """States [S A, K] to fill rows with whose `count` of outcomes is less than K.
 
     From place `count` on they are those that are not entered, in their order, and s itself where these end.
@@ -299,17 +299,18 @@ def _ended(
     """
     ends = ends | is_terminal[listed.s_next]
     source = listed.row // listed.num_actions
-    on = (listed.prob > 0) & ~ends
-    goes_on = spread(source[on], listed.s_next[on], start_prob > 0)
+    continues = (listed.prob > 0) & ~ends
+    goes_on = spread(source[continues], listed.s_next[continues], start_prob > 0)
     is_end = is_terminal.copy()
     is_end[listed.s_next[(listed.prob > 0) & ends & goes_on[source]]] = True
-    twice = np.flatnonzero(is_end & goes_on)
+    both_ways = np.flatnonzero(is_end & goes_on)
     number = np.arange(listed.num_states)
-    number[twice] = listed.num_states + np.arange(len(twice))
+    number[both_ways] = listed.num_states + np.arange(len(both_ways))
     listed = listed._replace(
-        num_states=listed.num_states + len(twice), s_next=np.where(ends, number[listed.s_next], listed.s_next)
+        num_states=listed.num_states + len(both_ways),
+        s_next=np.where(ends, number[listed.s_next], listed.s_next),
     )
-    more = np.zeros(len(twice))
+    more = np.zeros(len(both_ways))  # the second numbers: terminal, and never the start
     return listed, np.append(is_end & ~goes_on, more == 0), np.append(start_prob, more)
 
 
@@ -336,7 +337,7 @@ def _check_saved(saved: Mapping[str, np.ndarray]) -> None:
             sizes.setdefault(axis, n) == n > 0 for axis, n in zip(axes, shape, strict=True)
         )
         if saved[name].dtype.kind != numbers_of or not fits:
-            raise InputError(f"{NAME}: {name} has the shape {shape} and the type {saved[name].dtype}")
+            raise refusal(f"{name} has the shape {shape} and the type {saved[name].dtype}")
     successors, prob = saved["successors"], saved["prob"]
     _check_states("successor", successors.ravel(), sizes["S"])
     _check_states("start state", saved["start_states"], sizes["S"])
@@ -350,20 +351,20 @@ def _check_saved(saved: Mapping[str, np.ndarray]) -> None:
 
 
 def _terminal(terminal: Any, num_states: int) -> np.ndarray:
-    given = numbers(NAME, "terminal", terminal)
-    if given.dtype == bool and given.shape == (num_states,):
-        return given.copy()
-    if given.ndim != 1 or (given.dtype.kind not in "iu" and given.size):
-        raise InputError(
-            f"{NAME}: terminal must be a list of states, or True or False for each of the {num_states} "
-            f"states, not {kind(given)}"
+    array = numbers(NAME, "terminal", terminal)
+    if array.dtype == bool and array.shape == (num_states,):
+        return array.copy()
+    if array.ndim != 1 or (array.dtype.kind not in "iu" and array.size):
+        raise refusal(
+            f"terminal must be a list of states, or True or False for each of the {num_states} "
+            f"states, not {kind(array)}"
         )
-    states = given.astype(np.int64)
+    states = array.astype(np.int64)
     _check_states("terminal state", states, num_states)
     seen, count = np.unique(states, return_counts=True)
     if (twice := seen[count > 1]).size:
-        raise InputError(
-            f"{NAME}: terminal has state {twice[0]} more than once; give a list of states, "
+        raise refusal(
+            f"terminal has state {twice[0]} more than once; give a list of states, "
             "or True or False for each state"
         )
     return np.isin(np.arange(num_states), states)
@@ -371,23 +372,22 @@ def _terminal(terminal: Any, num_states: int) -> np.ndarray:
 
 def _start(start: Any, is_terminal: np.ndarray) -> np.ndarray:
     """The distribution of the start state, float64 [S]."""
-    given, num_states = numbers(NAME, "start", start), len(is_terminal)
-    if given.ndim == 0 and given.dtype.kind in "iu":
-        _check_states("start state", given[None], num_states)
-        prob = (np.arange(num_states) == given).astype(np.float64)
-    elif given.shape == (num_states,):
-        prob = given.astype(np.float64)
+    array, num_states = numbers(NAME, "start", start), len(is_terminal)
+    if array.ndim == 0 and array.dtype.kind in "iu":
+        _check_states("start state", array[None], num_states)
+        prob = (np.arange(num_states) == array).astype(np.float64)
+    elif array.shape == (num_states,):
+        prob = array.astype(np.float64)
     else:
-        raise InputError(
-            f"{NAME}: start must be a state or the probabilities of the {num_states} states, "
-            f"not {kind(given)}"
+        raise refusal(
+            f"start must be a state or the probabilities of the {num_states} states, not {kind(array)}"
         )
     if (s := first(~((prob >= 0) & np.isfinite(prob)))) is not None:
-        raise InputError(f"{NAME}: the start probability of s = {s[0]} is {prob[s]}, not from 0 to 1")
+        raise refusal(f"the start probability of s = {s[0]} is {prob[s]}, not from 0 to 1")
     if abs(prob.sum() - 1) > TOLERANCE:
-        raise InputError(f"{NAME}: the start distribution adds up to {prob.sum():.6g}, not to 1")
+        raise refusal(f"the start distribution adds up to {prob.sum():.6g}, not to 1")
     if (s := first((prob > 0) & is_terminal)) is not None:
-        raise InputError(f"{NAME}: episodes may start in s = {s[0]}, which is terminal")
+        raise refusal(f"episodes may start in s = {s[0]}, which is terminal")
     return prob / prob.sum()
 
 
@@ -395,20 +395,20 @@ def _check_outcomes(listed: Listed) -> None:
     """Raises InputError unless they are distributions, with finite rewards of what can happen."""
     p, r = listed.prob, listed.reward
     if (at := first(~((p >= 0) & np.isfinite(p)))) is not None:
-        raise InputError(
-            f"{NAME}: the probability of s' = {listed.s_next[at]} {listed.after(*at)} is {p[at]}, not from 0 to 1"
+        raise refusal(
+            f"the probability of s' = {listed.s_next[at]} {listed.after(*at)} is {p[at]}, not from 0 to 1"
         )
     total = np.bincount(listed.row, p, listed.num_states * listed.num_actions)
     if (at := first(abs(total - 1) > TOLERANCE)) is not None:
         where = f"after (s, a) = {divmod(at[0], listed.num_actions)}"
-        raise InputError(f"{NAME}: the probabilities {where} add up to {total[at]:.6g}, not to 1")
+        raise refusal(f"the probabilities {where} add up to {total[at]:.6g}, not to 1")
     if (at := first((p > 0) & ~np.isfinite(r))) is not None:
         hint = (
             "; an action that a state does not have can be a copy of one that it has"
             if r[at] == -np.inf
             else ""
         )
-        raise InputError(f"{NAME}: the reward {listed.after(*at)} is {r[at]}, not a finite number{hint}")
+        raise refusal(f"the reward {listed.after(*at)} is {r[at]}, not a finite number{hint}")
 
 
 def _check_reachable(listed: Listed, is_terminal: np.ndarray, start_prob: np.ndarray) -> None:
@@ -416,12 +416,12 @@ def _check_reachable(listed: Listed, is_terminal: np.ndarray, start_prob: np.nda
     source = listed.row // listed.num_actions
     ends = spread(listed.s_next, source, is_terminal)
     if is_terminal.any() and (s := first((start_prob > 0) & ~ends)) is not None:
-        raise InputError(
-            f"{NAME}: no terminal state can be reached from start state s = {s[0]}; "
+        raise refusal(
+            f"no terminal state can be reached from start state s = {s[0]}; "
             "a task that is meant to go on for ever has no terminal states"
         )
 
 
 def _check_states(what: str, states: np.ndarray, num_states: int) -> None:
     if (i := first((states < 0) | (states >= num_states))) is not None:
-        raise InputError(f"{NAME}: there is no {what} {states[i]}; states are 0 to {num_states - 1}")
+        raise refusal(f"there is no {what} {states[i]}; states are 0 to {num_states - 1}")

@@ -25,21 +25,11 @@ class InfiniteVariance(FixedStart):
     back: Numbers = field(default=0.9, at_least=0, less_than=1, help="Probability that left leads back.")
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
-    @property
-    def num_states(self) -> int:
-        return 2
-
-    @property
-    def num_actions(self) -> int:
-        return 2
+    num_states, num_actions, start_state = 2, 2, 0
 
     @property
     def action_names(self) -> tuple[str, ...]:
         return "left", "right"
-
-    @property
-    def start_state(self) -> int:
-        return 0
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
         over, left = s == 1, a == 0

@@ -32,19 +32,12 @@ class MaximizationBias(FixedStart):
 
     actions: int = static(default=10, at_least=2, help="Number of actions in B.")
 
+    num_states, start_state = 3, A
     max_steps = 2
-
-    @property
-    def num_states(self) -> int:
-        return 3
 
     @property
     def num_actions(self) -> int:
         return self.actions
-
-    @property
-    def start_state(self) -> int:
-        return A
 
     def available(self, s: Int[Array, ""]) -> Bool[Array, " A"]:
         """The actions that there are in `s`, bool [A]: in A the first two, elsewhere all."""

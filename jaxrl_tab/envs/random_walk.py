@@ -28,18 +28,16 @@ class RandomWalk(FixedStart):
     )
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
+    num_actions = 1
+
     def __post_init__(self):
         if self.states % 2 == 0:
-            wanted = "odd, so that there is a middle to start in"
-            raise unfit(type(self).__name__, "states", wanted, self.states)
+            requirement = "odd, so that there is a middle to start in"
+            raise unfit(type(self).__name__, "states", requirement, self.states)
 
     @property
     def num_states(self) -> int:
         return self.states + 2
-
-    @property
-    def num_actions(self) -> int:
-        return 1
 
     @property
     def start_state(self) -> int:

@@ -3,10 +3,9 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import assign
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Grid, check_grid
+from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Grid
 
 
 @pytree
@@ -24,13 +23,7 @@ class TraceGridworld(Grid):
     goal: tuple[int, int] = static(default=(2, 6), help="The terminal cell.")
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
-    def __post_init__(self):
-        shape, start, goal = check_grid(type(self).__name__, self.shape, self.start, self.goal)
-        assign(self, shape=shape, start=start, goal=goal)
-
-    @property
-    def num_actions(self) -> int:
-        return 4
+    num_actions = 4
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
         goal = jnp.int32(self.state(self.goal))

@@ -33,6 +33,8 @@ class TwoDoors(Bandit):
         help="The probability of each prize behind the right door, [K].",
     )
 
+    num_actions = 2
+
     def __post_init__(self):
         who, shape = type(self).__name__, np.shape(self.prizes)
         if not shape or not shape[-1]:
@@ -41,10 +43,6 @@ class TwoDoors(Bandit):
             )
         left, right = (_door(who, what, getattr(self, what), shape[-1]) for what in ("left", "right"))
         assign(self, left=left, right=right)
-
-    @property
-    def num_actions(self) -> int:
-        return 2
 
     @property
     def action_names(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from jaxrl_tab.core.checks import InputError, assign, numbers, unbatched, unfit
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Grid, check_grid
+from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Grid
 
 MOVES = {"four": 4, "king": 8, "king+stay": 9}
 
@@ -40,13 +40,13 @@ class WindyGridworld(Grid):
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     def __post_init__(self):
-        who = type(self).__name__
-        shape, start, goal = check_grid(who, self.shape, self.start, self.goal)
+        super().__post_init__()
+        who, (_, columns) = type(self).__name__, self.shape
         wind = _whole_cells(who, self.wind)
-        if wind.shape[-1:] != (shape[1],):
-            wanted = f"one strength for each of the {shape[1]} columns"
-            raise InputError(f"wind must have {wanted}, not shape {wind.shape}", who=who, field="wind")
-        assign(self, wind=wind, shape=shape, start=start, goal=goal)
+        if wind.shape[-1:] != (columns,):
+            requirement = f"one strength for each of the {columns} columns"
+            raise InputError(f"wind must have {requirement}, not shape {wind.shape}", who=who, field="wind")
+        assign(self, wind=wind)
 
     @property
     def num_actions(self) -> int:

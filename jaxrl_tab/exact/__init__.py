@@ -1,1 +1,10 @@
-"""Exact answers: dynamic programming over the states of an environment, and importance sampling without noise."""
+"""Exact answers, in float64 NumPy unless it says otherwise.
+
+Its modules, from the ground up:
+
+    model       every outcome of every action in every state, and what leads where
+    values      the linear algebra of dynamic programming over a model
+    measure     what a table is worth, worked out inside a compiled program while it is learned
+    planning    the public side of these: values and policies of an environment that states its dynamics
+    importance  importance sampling, judged: exact variances, and what a log is worth
+"""

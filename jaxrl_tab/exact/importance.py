@@ -20,8 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
-from jaxrl_tab.core.checks import InputError, first, shown
+from jaxrl_tab.core.checks import RATE, InputError, check_within, first, shown
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.policies import Table, as_table, check_among
@@ -113,7 +114,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     and likewise for Cov(rho, X) and Var rho; per decision there is no rho' beside X'. So a chain with the
     weights pi rho p carries them from step to step, times 1, gamma and gamma^2.
     """
-    planning.check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     planning.check_finite(env)
     pi, b = _probabilities(target, behaviour, (env.num_states, env.num_actions))
     model = planning.exact_model(env)
@@ -136,7 +137,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     infinite = _infinite(model, pi, chain, squared, gamma)
 
     def later(weight, x):
-        """The sum over outcomes of p weight x', float64 [S, A]; a weight of 0 makes nothing of inf."""
+        """The sum over outcomes of p weight x', float64 [S, A]; where the weight is 0, inf counts as 0."""
         weight = onward * weight
         return np.multiply(weight, x[model.s_next], out=np.zeros_like(weight), where=weight != 0).sum(2)
 
@@ -152,7 +153,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     var_rho = _solve(squared, (b * of_rho**2).sum(1), infinite.ratio)
     finite = np.where(infinite.ratio, 0, var_rho)
     cov = _solve(gamma * squared, (b * of_rho * of_x).sum(1) + carried(later(r, finite)), infinite.ratio)
-    cov[infinite.ratio] = 0  # not asked for, beside an infinite Var rho'
+    cov[infinite.ratio] = 0  # it does not matter beside an infinite Var rho'
     mixed = of_outcome + later(r**2, finite) + 2 * gamma * later(r, cov)
     of_action = (b * of_x**2).sum(1)
     ordinary = _solve(gamma**2 * squared, of_action + carried(mixed), infinite.ordinary)
@@ -164,10 +165,10 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
         of_outcome + later(r**2, var_rho) + 2 * gamma * later(r, cov) + later(gamma**2, ordinary),
         of_outcome + later(gamma**2, per_decision),
     )
-    leads_there = ((onward > 0) & endless[model.s_next]).any(2)
+    without_variance = ((onward > 0) & endless[model.s_next]).any(2)
     if model.available is not None:
-        leads_there |= ~model.available
-    for result, undefined in ((of_states, endless), (of_actions, leads_there)):
+        without_variance |= ~model.available
+    for result, undefined in ((of_states, endless), (of_actions, without_variance)):
         for x in result:
             x[undefined] = np.nan
     return of_states, of_actions
@@ -221,7 +222,7 @@ def _growing(chain: Any) -> Bool[np.ndarray, " S"]:
 
 
 def _solve(chain: Any, constant: Float[np.ndarray, " S"], infinite: Any = False):
-    """Solves x = constant + chain x, float64 [S]; inf where told so, which no other state leads to."""
+    """Solves x = constant + chain x, float64 [S]; inf where `infinite`, to which no other state leads."""
     x = np.full(len(constant), np.inf)
     finite = np.flatnonzero(~np.broadcast_to(infinite, x.shape))
     x[finite] = planning.sparse_solver(chain[finite][:, finite])(constant[finite])
@@ -282,7 +283,7 @@ def ratios(experience: Experience, target: Any, behaviour: Any) -> Float[np.ndar
     return np.multiply.reduceat(rho, np.append(0, ends[:-1] + 1))
 
 
-def effective_sample_size(ratios: Float[Any, " E"]) -> float:
+def effective_sample_size(ratios: ArrayLike) -> float:
     """(sum w)^2 / sum w^2: how many samples of equal weight make as sure a mean (Kong 1992).
 
     From 1, where one ratio outweighs all others, to E, where all are equal; 0 where all are 0.

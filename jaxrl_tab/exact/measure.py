@@ -54,21 +54,21 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         model = _traced_model(env)
         gamma = jnp.asarray(gamma, model.prob.dtype)
         best = iterate_policies(model, 0.0, gamma)
-        found = ~(best.caught.any() | best.better.any())
+        is_solved = ~(best.caught.any() | best.better.any())
         matters = ~terminal_states(model)
 
     def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         if q.shape != model.prob.shape[:2]:
             raise InputError(f"exact values are those of one table [S, A]; this method has {list(q.shape)}")
         counts = matters[:, None] & (q > policies.UNAVAILABLE)
-        # Said by itself: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
+        # NaN is looked for on its own: in compiled code 0 / 0 may be 0 and a maximum may pass over NaN.
         sound = ~jnp.isnan(q).any()
         with doubled():
             exact_q = q.astype(model.prob.dtype)
             v = policy_values(model, greedy_to(exact_q), gamma).v
             error = jnp.where(counts, abs(exact_q - best.q), 0).max().astype(q.dtype)
             value = from_start(model, v).astype(q.dtype)
-        return jnp.where(sound, value, jnp.nan), jnp.where(sound & found, error, jnp.nan)
+        return jnp.where(sound, value, jnp.nan), jnp.where(sound & is_solved, error, jnp.nan)
 
     return measure
 

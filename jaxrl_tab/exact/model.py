@@ -1,7 +1,9 @@
 """The model of an environment: every outcome of every action in every state, and what leads where."""
 
+import functools
+import hashlib
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +13,12 @@ from jaxtyping import Bool, Float, Int
 
 from jaxrl_tab.core import memory, policies
 from jaxrl_tab.core.checks import InputError, check_pytree, first, foreign, is_distribution
-from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
+from jaxrl_tab.core.types import Available, Environment, FiniteEnvironment, available_actions, stand_ins
+
+T = TypeVar("T")
 
 BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
+KEPT_BYTES = 2**27  # of the last models, and what was solved in them, that `once_for_an_environment` keeps
 
 
 class Model(NamedTuple):
@@ -34,7 +39,7 @@ class Model(NamedTuple):
     reward: Float[Any, "S A K"]
     terminal: Bool[Any, "S A K"]
     start: Float[Any, " S"]
-    available: Bool[Any, "S A"] | None = None
+    available: Available | None = None
 
 
 def check_finite(env: Environment) -> None:
@@ -52,6 +57,7 @@ def enumerate_model(env: Any) -> Model:
     available = available_actions(env)
     if available is not None:
         actions = stand_ins(available)
+    # The axis of `actions` that goes with the states: it has one only where these differ in their actions.
     of_states = None if available is None else 0
     prob, outcome = jax.vmap(jax.vmap(env.outcomes, (None, 0)), (0, of_states))(states, actions)
     return Model(
@@ -64,8 +70,47 @@ def enumerate_model(env: Any) -> Model:
     )
 
 
+_kept: dict[Any, Any] = {}
+
+
+def once_for_an_environment(work: Callable[..., T]) -> Callable[..., T]:
+    """`work(env, *numbers)`, done once for an environment: the last results are kept, up to `KEPT_BYTES`.
+
+    They are found again by value, not by identity: by the class of `env`, what is static in it, and a checksum of
+    its arrays. So an environment that is made twice is worked out once, and one whose arrays were written to anew.
+    The results are pytrees of arrays, which nobody may write to.
+    """
+
+    @functools.wraps(work)
+    def remembered(env: Any, *numbers: Any) -> T:
+        try:
+            key = work, _value(env), tuple((type(x), x) for x in numbers)
+            result = _kept.get(key)
+        # A key of JAX in it is no array, not everything can be compared, and a list may hold itself.
+        except (TypeError, ValueError, SystemError):
+            return work(env, *numbers)
+        if result is None:
+            _kept[key] = result = work(env, *numbers)
+            while memory.size(list(_kept.values())) > KEPT_BYTES:
+                _kept.pop(next(iter(_kept)), None)
+        return result
+
+    return remembered
+
+
+def _value(env: Any) -> tuple:
+    """A key for a pytree: equal where structure, types and the contents of all arrays are equal."""
+    leaves, structure = jax.tree.flatten(env)
+    arrays = [np.ascontiguousarray(x) for x in leaves]
+    digests = [hashlib.sha256(x.view(np.uint8).data).digest() for x in arrays]
+    about = zip(map(type, leaves), (x.dtype for x in arrays), map(np.shape, leaves), digests, strict=True)
+    return structure, tuple(about)
+
+
 def exact_model(env: Environment) -> Model:
-    """The Model of a finite environment in float64 NumPy arrays, checked.
+    """The Model of a finite environment in float64 NumPy arrays that cannot be written to, checked.
+
+    It is worked out once: see `once_for_an_environment`.
 
     Raises:
         InputError: `env` can only be sampled, is a batch of environments, or breaks the rules of one; the
@@ -73,10 +118,16 @@ def exact_model(env: Environment) -> Model:
     """
     check_finite(env)
     check_pytree(name_of(env), env)
+    # As views, for a live program that closes over an array makes JAX 0.10 remember its value in 32 bits.
+    return jax.tree.map(np.ndarray.view, _checked_model(env))
+
+
+@once_for_an_environment
+def _checked_model(env: Any) -> Model:
     _check_size(env)
     # In 64 bits from the first operation on, or 1/3 would be a float32 third.
     with jax.enable_x64(), jax.numpy_dtype_promotion("standard"):
-        # A copy, for a live program that closes over an array makes JAX 0.10 remember its value in 32 bits.
+        # A copy, for the reason given above.
         env = jax.tree.map(lambda x: x.copy() if isinstance(x, np.ndarray) else x, env)
         model = jax.tree.map(np.asarray, _enumerate_jit(env))
     _check_model(name_of(env), model)
@@ -142,7 +193,7 @@ def backup(model: Model, v: Float[Any, "... S"], gamma: Any) -> Float[Any, "... 
     `model` and `v` are either NumPy or JAX arrays; gamma' is 0 where the outcome is terminal. The value of an
     action that is not available is UNAVAILABLE.
     """
-    over = model.terminal | (model.prob == 0)  # 0 x -inf is nothing here
+    over = model.terminal | (model.prob == 0)  # so that 0 times -inf counts as 0
     v_next = array_module(model).where(over, 0, v[..., model.s_next])
     return available_only(model, (model.prob * (model.reward + gamma * v_next)).sum(-1))
 
@@ -178,13 +229,13 @@ def available_only(model: Model, q: Float[Any, "... S A"]) -> Float[Any, "... S 
 
 
 def with_sizes(model: Model) -> Model:
-    """The same with all rewards taken as positive: to see how large the numbers are that are added up."""
+    """The model with |r| for every reward r: its values tell how large the numbers are that are added up."""
     return model._replace(reward=abs(model.reward))
 
 
 # What leads where.
 def settle(change: Callable[[Any], Any], states: Any) -> Bool[Any, " S"]:
-    """Applies `change`, which only adds or only removes, to a set of states, bool [S], until it stays."""
+    """Applies `change`, which only adds or only removes states, to a set, bool [S], until nothing changes."""
     carry = states, change(states)
     return lax.while_loop(lambda c: (c[0] != c[1]).any(), lambda c: (c[1], change(c[1])), carry)[1]
 

@@ -23,9 +23,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import InputError, as_array, first, shown
+from jaxrl_tab.core.checks import RATE, InputError, as_array, check_within, first, shown
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (
@@ -38,6 +39,7 @@ from jaxrl_tab.exact.model import (
     exact_model,
     from_state_to_state,
     name_of,
+    once_for_an_environment,
     reachable,
     spread,
     terminal_states,
@@ -91,7 +93,7 @@ PATH_SWEEPS = 100  # of `largest_return`
 
 
 def expectation_backup(
-    env: Environment, q: Float[np.ndarray, "S A"], policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0
+    env: Environment, q: ArrayLike, policy_probs: ArrayLike, gamma: float = 1.0
 ) -> Float[np.ndarray, "S A"]:
     """One sweep of q-policy iteration: q(s, a) <- E[R + gamma q(S', A') | s, a], A' ~ pi, float64 [S, A].
 
@@ -107,47 +109,45 @@ def expectation_backup(
     Raises:
         InputError: a table has the wrong shape, or `policy_probs` is no policy.
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     v = (_checked_policy(model, policy_probs) * checked_values(model, "q", q)).sum(1)
     return backup(model, v, gamma)
 
 
-def optimality_backup(
-    env: Environment, q: Float[np.ndarray, "S A"], gamma: float = 1.0
-) -> Float[np.ndarray, "S A"]:
+def optimality_backup(env: Environment, q: ArrayLike, gamma: float = 1.0) -> Float[np.ndarray, "S A"]:
     """One sweep of q-value iteration: q(s, a) <- E[R + gamma max_a' q(S', a') | s, a], float64 [S, A].
 
     The right-hand side of the Bellman optimality equation for q* (book, equation 3.20). Args and errors: as
     `expectation_backup`.
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     return backup(model, largest(checked_values(model, "q", q)), gamma)
 
 
 def evaluation_backup(
-    env: Environment, v: Float[np.ndarray, " S"], policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0
+    env: Environment, v: ArrayLike, policy_probs: ArrayLike, gamma: float = 1.0
 ) -> Float[np.ndarray, " S"]:
     """One sweep of iterative policy evaluation: v(s) <- E[R + gamma v(S') | s], A ~ pi, float64 [S].
 
     The right-hand side of the Bellman expectation equation for v_pi (book, equation 4.5). Args and errors: as
     `expectation_backup`, but for `v`, the values, [S].
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     probs = _checked_policy(model, policy_probs)
     return (probs * backup(model, checked_values(model, "v", v), gamma)).sum(1)
 
 
-def start_value(env: Environment, v: Float[np.ndarray, " S"]) -> float:
+def start_value(env: Environment, v: ArrayLike) -> float:
     """The mean of the values `v` [S] over the start distribution."""
     model = exact_model(env)
     return float(from_start(model, checked_values(model, "v", v)))
 
 
 # --- policies of a table of action values ------------------------------------------------------------
-def greedy_policy(q: Float[np.ndarray, "... S A"]) -> Float[np.ndarray, "... S A"]:
+def greedy_policy(q: ArrayLike) -> Float[np.ndarray, "... S A"]:
     """The policy that is greedy to `q`: the maximal actions of a state equally likely, float64 [..., S, A].
 
     Args:
@@ -159,19 +159,17 @@ def greedy_policy(q: Float[np.ndarray, "... S A"]) -> Float[np.ndarray, "... S A
     return greedy_to(_checked_table(q))
 
 
-def epsilon_greedy_policy(q: Float[np.ndarray, "... S A"], epsilon: float) -> Float[np.ndarray, "... S A"]:
+def epsilon_greedy_policy(q: ArrayLike, epsilon: float) -> Float[np.ndarray, "... S A"]:
     """The policy that is epsilon-greedy to `q`, ties split equally, float64 [..., S, A] (book, section 5.4).
 
     Args and errors: as `greedy_policy`; and `epsilon` must be in [0, 1].
     """
-    check_rate("epsilon", epsilon)
+    check_within("epsilon", epsilon, RATE)
     return greedy_to(_checked_table(q), epsilon)
 
 
 # --- exact answers -----------------------------------------------------------------------------------
-def evaluate(
-    env: Environment, policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0
-) -> Float[np.ndarray, " S"]:
+def evaluate(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) -> Float[np.ndarray, " S"]:
     """The values of a policy, float64 [S], from its Bellman equations as one sparse linear system.
 
     Args:
@@ -183,7 +181,7 @@ def evaluate(
         InputError: `policy_probs` is no policy; or gamma is 1 and from some state the policy never ends while
             rewards go on, so that its value is not finite. (Where no reward ever comes again it is 0.)
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     v, _, caught = policy_values(model, _checked_policy(model, policy_probs), gamma)
     if caught.any():
@@ -194,7 +192,7 @@ def evaluate(
     return v
 
 
-def policy_value(env: Environment, policy_probs: Float[np.ndarray, "S A"], gamma: float = 1.0) -> float:
+def policy_value(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) -> float:
     """The value of a policy from the start distribution; -inf where it may be caught at gamma = 1.
 
     This is what to ask about a learned Q: `policy_value(env, greedy_policy(q))`. In states that were never
@@ -202,7 +200,7 @@ def policy_value(env: Environment, policy_probs: Float[np.ndarray, "S A"], gamma
 
     Args and errors: as `evaluate`.
     """
-    check_rate("gamma", gamma)
+    check_within("gamma", gamma, RATE)
     model = exact_model(env)
     return float(from_start(model, policy_values(model, _checked_policy(model, policy_probs), gamma).v))
 
@@ -233,11 +231,10 @@ def value_iteration(
         InputError: gamma is 1 and from some state that can be reached no policy ever ends while rewards go
             on, or a round trip earns more than it costs; or `max_sweeps` were not enough.
     """
-    check_rate("gamma", gamma)
-    if not (isinstance(tol, int | float | np.number) and tol > 0):
-        raise InputError(f"tol must be greater than 0, not {shown(tol)}")
-    model, found, out = _solved(env, 0.0, gamma)
-    v, terms = found.v, (found.probs * backup(with_sizes(model), abs(found.v), gamma)).sum(1)
+    check_within("gamma", gamma, RATE)
+    check_within("tol", tol, {"greater_than": 0})
+    model, last, out = _solved(env, 0.0, gamma)
+    v, terms = last.v, (last.probs * backup(with_sizes(model), abs(last.v), gamma)).sum(1)
     rounding = ROUNDING * np.finfo(v.dtype).eps * terms
     old, ratio = np.inf, 1.0
     for _ in range(max_sweeps):
@@ -283,14 +280,14 @@ def epsilon_soft(
     Raises:
         InputError: epsilon is not in [0, 1], or as `value_iteration`.
     """
-    check_rate("epsilon", epsilon)
-    check_rate("gamma", gamma)
-    _, found, out = _solved(env, epsilon, gamma)
-    return found.probs, _unless(out, found.v), _unless(out, found.q)
+    check_within("epsilon", epsilon, RATE)
+    check_within("gamma", gamma, RATE)
+    _, last, out = _solved(env, epsilon, gamma)
+    return last.probs.copy(), _unless(out, last.v), _unless(out, last.q)
 
 
 def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
-    """The largest |R_1 + gamma R_2 + ...| that so many steps or fewer can give, if chance and actions will.
+    """The largest |R_1 + gamma R_2 + ...| that so many steps or fewer can give, by any actions and outcomes.
 
     What the steps after the first `PATH_SWEEPS` can add is bounded by what the last of these could: with each
     step more a path can gain no more than with the step before.
@@ -315,6 +312,7 @@ def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = 
     return float(most[:, begin].max() + change * more)
 
 
+@once_for_an_environment
 def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "Round", Bool[np.ndarray, " S"]]:
     """The model, the last round of policy iteration in it, and which states were left out of both.
 
@@ -322,27 +320,27 @@ def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "Rou
     is no finite answer.
     """
     model = exact_model(env)
-    found, out = iterate_policies(model, epsilon, gamma), np.zeros(len(model.start), bool)
-    if found.caught.any() and not (found.caught & (there := reachable(model))).any():
-        out = ~there
+    last, out = iterate_policies(model, epsilon, gamma), np.zeros(len(model.start), bool)
+    if last.caught.any() and not (last.caught & (is_reachable := reachable(model))).any():
+        out = ~is_reachable
         model = ending_at(model, out)
-        found = iterate_policies(model, epsilon, gamma)
-    if found.caught.any():
+        last = iterate_policies(model, epsilon, gamma)
+    if last.caught.any():
         where, who = (
-            f"{name_of(env)}: from state {first(found.caught)[0]}",
+            f"{name_of(env)}: from state {first(last.caught)[0]}",
             "epsilon-soft " if epsilon else "",
         )
-        said = (
+        why = (
             "a round trip earns more than it costs"
-            if found.n
+            if last.n
             else f"no {who}policy ever ends and rewards go on"
         )
         raise InputError(
-            f"{where} {said}, so at gamma = 1 the optimal value is not finite; take gamma below 1"
+            f"{where} {why}, so at gamma = 1 the optimal value is not finite; take gamma below 1"
         )
-    if found.better.any():
+    if last.better.any():
         raise InputError(f"{name_of(env)}: policy iteration did not settle in {MAX_ROUNDS} rounds")
-    return model, found, out
+    return model, last, out
 
 
 def _unless(out: Bool[np.ndarray, " S"], values: Float[np.ndarray, "S *A"]) -> Float[np.ndarray, "S *A"]:
@@ -374,12 +372,6 @@ def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
         each = f"{shape[0]} states" + "".join(f" and {n} actions" for n in shape[1:])
         raise InputError(f"{name} must have one value for each of the {each}, not {array.shape}")
     return array if name == "v" else available_only(model, array)
-
-
-def check_rate(name: str, value: float) -> None:
-    """Raises InputError unless `value` is a number in [0, 1]."""
-    if not (isinstance(value, int | float | np.number) and 0 <= value <= 1):
-        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
 
 
 def _checked_table(q: Any) -> Float[np.ndarray, "... S A"]:

@@ -58,8 +58,8 @@ def greedy_to(q: Float[Any, "... S A"], epsilon: float = 0.0) -> Float[Any, "...
     greedy = best / best.sum(-1, keepdims=True)
     if not epsilon:
         return greedy
-    there = (q > policies.UNAVAILABLE).astype(q.dtype)
-    return epsilon * there / there.sum(-1, keepdims=True) + (1 - epsilon) * greedy
+    is_available = (q > policies.UNAVAILABLE).astype(q.dtype)
+    return epsilon * is_available / is_available.sum(-1, keepdims=True) + (1 - epsilon) * greedy
 
 
 def _home(model: Model, free: Bool[Any, "S A"]) -> Bool[Any, " S"]:
@@ -121,11 +121,11 @@ def policy_values(model: Model, probs: Float[Any, "S A"], gamma: Any) -> _Values
     return _Values(where(doomed, -np.inf, v), where(doomed, 0, size), caught & (gamma == 1))
 
 
-def _solve(model: Model, probs: Any, gamma: Any, known: Bool[Any, " S"]) -> tuple[Any, Any]:
+def _solve(model: Model, probs: Any, gamma: Any, is_zero: Bool[Any, " S"]) -> tuple[Any, Any]:
     """The values of a policy where those of some states are known to be 0, and their `_Values.size`, [S]."""
     weight = probs[:, :, None] * model.prob
     reward, earned = ((weight * r).sum((1, 2)) for r in (model.reward, abs(model.reward)))
-    where, over = array_module(model).where, known[model.s_next]
+    where, over = array_module(model).where, is_zero[model.s_next]
     onward, leaving = where(over, 0, gamma * weight), where(over, weight, (1 - gamma) * weight).sum((1, 2))
     n = len(reward)
     if array_module(model) is jnp:
@@ -233,12 +233,12 @@ def _solve_dense_rule(axis_size, batched, *args):
 
 # The best policy.
 class Round(NamedTuple):
-    """A policy in policy iteration, and what is better.
+    """A policy in policy iteration, and an improvement on it.
 
     Attributes:
         probs: the policy [S, A].
         v, q: its values [S] and action values [S, A].
-        caught: as in `_Values`; if there are some nothing is improved.
+        caught: as in `_Values`; where it holds for any state, nothing is improved.
         better: where `improved` is better by more than rounding, bool [S].
         improved: a policy [S, A].
         n: how many times it was improved.
@@ -264,7 +264,7 @@ def iterate_policies(model: Model, epsilon: float, gamma: Any) -> Round:
 
     def judged(probs, n):
         v, size, caught = policy_values(model, probs, gamma)
-        q = backup(model, where(v == -np.inf, 0, v), gamma)  # where some are caught it is not looked at
+        q = backup(model, where(v == -np.inf, 0, v), gamma)  # not used where some are caught
         improved = greedy_to(q, epsilon)
         best = (improved * q).sum(-1)
         sizes = (improved * backup(with_sizes(model), size, gamma)).sum(-1)
@@ -276,7 +276,7 @@ def iterate_policies(model: Model, epsilon: float, gamma: Any) -> Round:
     def go_on(last):
         return last.better.any() & ~last.caught.any() & (last.n < MAX_ROUNDS)
 
-    # It begins with the first policy as what is better everywhere, so that `judged` is in a program only once.
+    # A made-up round comes first, whose improvement is the first policy: so a program has `judged` only once.
     probs = _first_policy(model, epsilon, gamma)
     nothing, no = 0 * probs, probs[:, 0] < 0
     return while_loop(
@@ -292,14 +292,14 @@ def _first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]
     "wait for 0" or "take 1, then pay 3" waiting looks worth what the rest is worth.
     """
     namespace = array_module(model)
-    there = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
-    anything = there / there.sum(-1, keepdims=True).astype(model.prob.dtype)
+    is_available = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
+    anything = is_available / is_available.sum(-1, keepdims=True).astype(model.prob.dtype)
     if epsilon:
         return anything
     free = ((model.prob == 0) | (model.reward == 0)).all(-1)
     home = _home(model, free)
     staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
-    staying = (staying & there).astype(model.prob.dtype)
+    staying = (staying & is_available).astype(model.prob.dtype)
     staying = staying / staying.sum(-1, keepdims=True)
     v, _, caught = policy_values(model, anything, gamma)
     mixed = namespace.where((home & (v < 0))[:, None], staying, anything)
@@ -308,4 +308,4 @@ def _first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]
 
 
 def from_start(model: Model, v: Float[Any, " S"]) -> Any:
-    return (model.start * array_module(model).where(model.start > 0, v, 0)).sum()  # 0 x -inf is nothing here
+    return (model.start * array_module(model).where(model.start > 0, v, 0)).sum()  # 0 times -inf counts as 0

@@ -1,1 +1,18 @@
-"""Experiments: described in a file, computed by an executor, kept in a folder."""
+"""Experiments: described in a file, computed by an executor, kept in a folder.
+
+Its modules, from the ground up:
+
+    places     where in a TOML file something is wrong
+    instances  environments and methods that are given as instances
+    sources    the copies of the files that somebody's own classes and tables are in
+    resolve    from what a person wrote to environments, methods and values
+    spec       an experiment as data: environments x methods x hyperparameters x seeds
+    shards     an experiment in pieces that are computed and kept one by one
+    plan       what an experiment will take: runs, shards, memory
+    storage    shards on disk and their manifest
+    records    what a folder says about the sessions that computed it
+    progress   how far an experiment is, and how long it will go on
+    executors  where shards are computed: in this process, or in others, here or on other machines
+    files      the files of results in the folder
+    runner     an experiment in a folder: `run` and `resume`
+"""

@@ -15,9 +15,10 @@ from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.results import save
+from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp
-from jaxrl_tab.experiment.storage import DATA, FRESH_DATA, GIVEN, SELECTION, SUMMARY, Store
+from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, SELECTION, SUMMARY, Store
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,6 +55,17 @@ class Outcome:
 
         return by_environment(self.fresh, self.envs)
 
+    @property
+    def chosen(self) -> dict[str, int]:
+        """For each part the number of the configuration with the best score."""
+        chosen = {}
+        for label, methods in self.methods.items():
+            for name, own in methods.settings.items():
+                place = [own.ds[axis].values.tolist().index(value) for axis, value in own.best.items()]
+                sizes = [own.ds.sizes[axis] for axis in own.best]
+                chosen[f"{label}/{name}"] = int(np.ravel_multi_index(place, sizes)) if place else 0
+        return chosen
+
     @cached_property
     def summary(self) -> "pd.DataFrame":
         """`stats.summary` of all environments; their names are a column where there are several."""
@@ -78,29 +90,19 @@ class Outcome:
         from jaxrl_tab import stats
 
         rows = []
-        for name, fresh in self.fresh.items():
+        for name in self.fresh:
             environment, _, method = name.partition("/")
-            own = self.methods[environment].settings[method]
-            setting, chosen, again, _ = stats.selection(own, fresh)
+            own, fresh = (x[environment].settings[method] for x in (self.methods, self.fresh_methods))
+            setting, chosen, rerun, _ = stats.selection(own, fresh)
             row = {"environment": environment, "method": method, **stats.named(own.ds, setting)}
-            for kind, found in (("chosen", chosen), ("fresh", again)):
-                row |= {f"{kind}_score": float(found.estimate)}
-                row |= {f"{kind}_low": float(found.low), f"{kind}_high": float(found.high)}
+            for kind, interval in (("chosen", chosen), ("fresh", rerun)):
+                row |= {f"{kind}_score": float(interval.estimate)}
+                row |= {f"{kind}_low": float(interval.low), f"{kind}_high": float(interval.high)}
             rows.append(row)
         # Not all methods have all hyperparameters.
         names = dict.fromkeys(name for row in rows for name in row)
         scores = [name for name in names if name.startswith(("chosen_", "fresh_"))]
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
-
-
-def chosen(ds: "xr.Dataset", by: str) -> int:
-    """The number of the configuration that did best, by a function of `stats`."""
-    from jaxrl_tab import stats
-
-    best = stats.best(ds, getattr(stats, by))
-    axes = [str(dim) for dim in ds.diverged.dims if dim != "seed"]
-    place = [ds[axis].values.tolist().index(best[axis]) for axis in axes]
-    return int(np.ravel_multi_index(place, [ds.sizes[axis] for axis in axes])) if axes else 0
 
 
 def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:
@@ -117,14 +119,14 @@ def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> N
     scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
     names = storage.file_names(outcome.envs)
     try:
-        with storage.said(folder):
+        with storage.as_run_error(folder):
             for label, methods in outcome.methods.items():
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
                 plot.save_all(methods, outcome.envs[label], place)
             report.write_methods(scratch, outcome.methods, _about(store, records), outcome.fresh_methods)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
-            with storage.said(goal):
+            with storage.as_run_error(goal):
                 goal.parent.mkdir(parents=True, exist_ok=True)
             with storage.writing(goal) as unfinished:
                 file.replace(unfinished)
@@ -156,23 +158,26 @@ def _write_table(file: Path, table: "pd.DataFrame") -> Path:
 
 def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
     """How the results came about, for the report."""
-    with storage.said(store.path / GIVEN, "read"):
-        given = (store.path / GIVEN).read_text(encoding="utf-8", errors="replace")
+    with storage.as_run_error(store.path / AS_WRITTEN, "read"):
+        as_written = (store.path / AS_WRITTEN).read_text(encoding="utf-8", errors="replace")
     first, last = records["sessions"][0], records["sessions"][-1]
     sessions, origins = len(records["sessions"]), origins_of(store)
     computed = recorded(records, origins)
-    one = (computed or [last])[0]  # the last may have made nothing but files
-    now = one["surroundings"]
+    session = (computed or [last])[0]  # the last session may have computed no shard
+    surroundings = session["surroundings"]
+    packages = (*provenance.installed(), *ENVIRONMENT.libraries)
     return {
         "command": first["command"],
-        "experiment": given,
+        "experiment": as_written,
         "fingerprint": store.fingerprint,
         "started": first["started"],
         "finished": timestamp(),
         **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
         **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
-        "versions": {name: now[name] for name in provenance.installed()} | {"python": one.get("python")},
-        "XLA flags": now["XLA_FLAGS"],
-        "computed on": f"{one.get('processor')}, {one.get('devices')} devices, {one.get('platform')}",
-        **({"git commit": one["git_commit"]} if one.get("git_commit") else {}),
+        "versions": {x: surroundings[x] for x in packages if x in surroundings}
+        | {"python": session.get("python")},
+        "XLA flags": surroundings["XLA_FLAGS"],
+        "computed on": f"{session.get('processor')}, {session.get('devices')} devices, "
+        f"{session.get('platform')}",
+        **({"git commit": session["git_commit"]} if session.get("git_commit") else {}),
     }

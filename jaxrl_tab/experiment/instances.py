@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxrl_tab.core import names
+from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import InputError, build
 from jaxrl_tab.envs import ENVIRONMENT, FiniteMDP
 
@@ -40,9 +40,9 @@ def table_of(kind: names.Kind, instance: Any) -> dict[str, Any]:
         getattr(cls, name) is getattr(FiniteMDP, name) for name in ("reset", "step", "initial", "outcomes")
     ):
         data = instance.to_bytes()
-        file = names.File("FiniteMDP.npz", data)
+        file = modules.File("FiniteMDP.npz", data)
         file = file._replace(path=f"FiniteMDP-{file.sha256[:8]}.npz")
-        names.keep([file])
+        modules.keep([file])
         return {"name": file.path, "label": "FiniteMDP", "sha256": file.sha256}
     label, every = names.reference(kind, cls).label, dataclasses.fields(cls)
     fields = {f.name: value for f in every if (value := getattr(instance, f.name)) is not None}

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from jaxrl_tab.core.checks import InputError, one_line
 
-DEEPEST = 32  # brackets in one another, and parts of a key with dots between them
+DEEPEST = 32  # levels of nested brackets, and parts of a dotted key
 
 
 class Source(NamedTuple):
@@ -33,7 +33,7 @@ class Source(NamedTuple):
 
 @contextlib.contextmanager
 def at(*path: str | int) -> Iterator[None]:
-    """What is refused inside is at `path`."""
+    """Puts `path` before the path of an InputError that is raised inside the block."""
     try:
         yield
     except InputError as error:
@@ -42,8 +42,8 @@ def at(*path: str | int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def blame(names: Collection[str]) -> Iterator[None]:
-    """What is refused inside is at the field that is wrong, where that is one of `names`."""
+def blame(names: Collection[Any]) -> Iterator[None]:
+    """Makes the wrong field the path of an InputError from the block, where that is one of `names`."""
     try:
         yield
     except InputError as error:
@@ -53,7 +53,7 @@ def blame(names: Collection[str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def located(source: Source | None) -> Iterator[None]:
-    """What is refused inside says where in the file it is, if there is a file."""
+    """Adds the file and the line to an InputError that is raised inside the block, if there is a file."""
     try:
         yield
     except InputError as error:
@@ -85,7 +85,7 @@ def split_statements(source: Source) -> list[_Statement]:
     Raises:
         InputError: brackets are in one another, or a key has parts, beyond `DEEPEST`.
     """
-    found, line, first, depth, parts = [], 1, 1, 0, 0
+    statements, line, first, depth, parts = [], 1, 1, 0, 0
     for piece in _PIECE.finditer(source.text):
         text = piece[0]
         depth += (text in ("[", "{")) - (text in ("]", "}"))
@@ -95,31 +95,32 @@ def split_statements(source: Source) -> list[_Statement]:
             raise InputError(f"{source}, line {line}: more than {DEEPEST} {what}")
         line += text.count("\n")
         if text == "\n" and depth <= 0:
-            found.append(_Statement(first, piece.end()))
+            statements.append(_Statement(first, piece.end()))
             first, depth = line, 0
-    if not found or found[-1].end < len(source.text):
-        found.append(_Statement(first, len(source.text)))
-    return found
+    if not statements or statements[-1].end < len(source.text):
+        statements.append(_Statement(first, len(source.text)))
+    return statements
 
 
 def _line(source: Source, path: Sequence[str | int]) -> int | None:
     """The line on which what is at `path` begins, or as much of the way there as there is."""
     data = tomllib.loads(source.text)
-    while path and not _is_there(data, path):
+    while path and not _has_entry(data, path):
         path = path[:-1]
     if not path:
         return None
     # What is at the path stays there as the file goes on: so the first statement with which it is there is found
     # by bisection. To parse the file up to each statement would take half a minute for 2,400 lines.
-    is_there = lambda statement: _is_there(tomllib.loads(source.text[: statement.end]), path)
+    has_entry = lambda statement: _has_entry(tomllib.loads(source.text[: statement.end]), path)
     statements = split_statements(source)
-    return statements[bisect.bisect_left(statements, True, key=is_there)].line
+    return statements[bisect.bisect_left(statements, True, key=has_entry)].line
 
 
-def _is_there(data: Any, path: Sequence[Any]) -> bool:
+def _has_entry(data: Any, path: Sequence[Any]) -> bool:
+    """Whether there is something at `path` in the data."""
     for key in path:
         if isinstance(key, int) and not isinstance(data, list):
-            continue  # a table alone is the first of one
+            continue  # a single table stands for a list of one
         try:
             data = data[key]
         except (LookupError, TypeError):

@@ -7,7 +7,7 @@ import jax
 
 from jaxrl_tab.core import memory
 from jaxrl_tab.engine import room
-from jaxrl_tab.engine.sweep import Part, leaves_as_arrays
+from jaxrl_tab.engine.part import Part, leaves_as_arrays
 
 
 class PartPlan(NamedTuple):
@@ -70,9 +70,9 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
     """
     devices = tuple(devices or jax.devices())
     kind = "core" if devices[0].platform == "cpu" else devices[0].device_kind
-    found = {}
+    plans = {}
     for name, part in parts.items():
-        each = [
+        forecasts = [
             room.forecast(
                 part.env,
                 leaves_as_arrays(part.configs[members[0]]),
@@ -84,13 +84,13 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
             )
             for members in part.programs
         ]
-        found[name] = PartPlan(
-            programs=len(each),
+        plans[name] = PartPlan(
+            programs=len(forecasts),
             runs=part.runs,
-            blocks=sum(x.blocks for x in each),
+            blocks=sum(x.blocks for x in forecasts),
             work=part.runs * (part.budget.num_steps or part.budget.num_episodes or 0),
-            results=sum(x.results for x in each),
-            working=max(x.working for x in each),
+            results=sum(x.results for x in forecasts),
+            working=max(x.working for x in forecasts),
         )
     unit = "steps" if next(iter(parts.values())).budget.num_steps else "episodes"
-    return Plan(found, unit, f"{len(devices)} {kind}{'s' if len(devices) > 1 else ''}")
+    return Plan(plans, unit, f"{len(devices)} {kind}{'s' if len(devices) > 1 else ''}")

@@ -9,7 +9,7 @@ from jaxrl_tab.show.progress import Progress, Report
 
 
 def seconds_left(runs: Mapping[str, int], took: Mapping[str, tuple[int, float]]) -> float | None:
-    """How much longer an experiment will take, as far as what is done tells; None before anything is.
+    """How much longer an experiment will take, judged by what is finished; None before anything is.
 
     A part goes on as fast as it went; one that has not begun, as fast as the others on average, per run.
 
@@ -21,11 +21,11 @@ def seconds_left(runs: Mapping[str, int], took: Mapping[str, tuple[int, float]])
     if not finished:
         return None
     all_runs, all_seconds = map(sum, zip(*finished.values(), strict=True))
-    left = 0.0
+    seconds_to_go = 0.0
     for part, total in runs.items():
         n, seconds = finished.get(part, (0, 0.0))
-        left += (total - n) * (seconds / n if n else all_seconds / all_runs)
-    return left
+        seconds_to_go += (total - n) * (seconds / n if n else all_seconds / all_runs)
+    return seconds_to_go
 
 
 class Meter:
@@ -46,11 +46,11 @@ class Meter:
         self._todo |= {shard.part: 0 for shard in self._missing.values()}
         for shard in self._missing.values():
             self._todo[shard.part] += shard.runs
-        there = [number for number in range(len(job.shards)) if number not in self._missing]
+        finished = [number for number in range(len(job.shards)) if number not in self._missing]
         self._state = self._state._replace(
-            done=sum(job.shards[number].runs for number in there),
+            done=sum(job.shards[number].runs for number in finished),
             total=sum(shard.runs for shard in job.shards) + sum(later.values()),
-            diverged=sum(store.shards[number].diverged for number in there),
+            diverged=sum(store.shards[number].diverged for number in finished),
         )
         self._last = time.perf_counter()
         self.show()

@@ -4,6 +4,7 @@ import contextlib
 import datetime
 import platform
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,8 +12,9 @@ import jax
 
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.engine import provenance
+from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import storage
-from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, Store
+from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, Store
 
 NOT_RECORDED = "what it was computed with is not recorded"
 
@@ -21,9 +23,9 @@ class Origin(NamedTuple):
     """What the numbers of shards depend on beside the experiment, see `provenance`.
 
     Attributes:
-        name: of the surroundings of this process; each shard that it computes keeps it.
-        changed: what was otherwise where shards were computed that are there; empty where nothing was.
-        mixed: whether it is allowed to go on nevertheless.
+        name: the name of this process's surroundings, which each shard that it computes records.
+        changed: how they differ from those in which the shards on disk were computed, a line each.
+        mixed: whether shards may be computed in spite of such differences.
     """
 
     name: str
@@ -31,8 +33,8 @@ class Origin(NamedTuple):
     mixed: bool
 
     @staticmethod
-    def of(store: Store, records: Mapping[str, Any], mixed: bool) -> "Origin":
-        now = provenance.surroundings()
+    def of(store: Store, records: Mapping[str, Any], mixed: bool, libraries: Mapping[str, str]) -> "Origin":
+        now = provenance.surroundings(libraries)
         name = provenance.digest(now)
         others = origins_of(store) - {name}
         if not others:
@@ -46,9 +48,21 @@ class Origin(NamedTuple):
         if self.changed and not self.mixed:
             raise InputError(
                 f"what is missing in {path} would not be computed as the rest was: {'; '.join(self.changed)}; "
-                f"go on with what it was, or begin a new folder with {path / GIVEN}, or allow it with --mixed "
-                "(mixed=True): the report then says so"
+                f"go on with what it was, or begin a new folder with {path / AS_WRITTEN}, or allow it with "
+                "--mixed (mixed=True): the report then says so"
             )
+
+
+def library_versions(data: Any) -> dict[str, str]:
+    """The versions of the libraries from which environments in the data of an experiment come."""
+    tables = data.get("environment", []) if isinstance(data, Mapping) else []
+    names = [str(table.get("name")) for table in tables if isinstance(table, Mapping)]
+    versions = {}
+    for library in sorted({name.partition(":")[0] for name in names} & ENVIRONMENT.libraries.keys()):
+        versions[library] = "not installed"
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[library] = metadata.version(library)
+    return versions
 
 
 def origins_of(store: Store) -> set[str | None]:
@@ -63,7 +77,7 @@ def recorded(records: Mapping[str, Any], origins: Collection[str | None]) -> lis
 
 
 def mixture(sessions: Sequence[Mapping[str, Any]]) -> str:
-    """What was not the same in all of them."""
+    """How the surroundings of these sessions differ, in one line."""
     first, *others = [session["surroundings"] for session in sessions] or [{}]
     lines = [line for other in others for line in provenance.differences(first, other)]
     return "; ".join(dict.fromkeys(lines)) or NOT_RECORDED
@@ -76,36 +90,39 @@ def settings_of(store: Store, records: Mapping[str, Any]) -> contextlib.Abstract
     return provenance.using({name: was[name] for name in provenance.settings() if name in was})
 
 
-def is_session(found: Any) -> bool:
-    """Whether data are the record of a session, with what is looked at later."""
+def is_session(data: Any) -> bool:
+    """Whether data are the record of a session, with the fields that are read later."""
     return (
-        isinstance(found, dict)
-        and isinstance(found.get("command"), str)
-        and isinstance(found.get("started"), str)
+        isinstance(data, dict)
+        and isinstance(data.get("command"), str)
+        and isinstance(data.get("started"), str)
     )
 
 
 @contextlib.contextmanager
-def session(store: Store, records: dict[str, Any], command: str) -> Iterator[None]:
-    """Keeps records of this process, which computes."""
+def session(
+    store: Store, records: dict[str, Any], command: str, libraries: Mapping[str, str]
+) -> Iterator[None]:
+    """Records this process as a session: when it began to compute, and when it ended."""
     file = store.path / PROVENANCE
-    session = {"command": command, "started": timestamp(), "ended": None, **_machine()}
+    session = {"command": command, "started": timestamp(), "ended": None, **_machine(libraries)}
     records["sessions"].append(session)
     storage.write_json(file, records)
     try:
         yield
     finally:
         session["ended"] = timestamp()
-        with contextlib.suppress(RunError):  # the disk may be full, which somebody else says
+        # The disk may be full: an error that says so is under way already.
+        with contextlib.suppress(RunError):
             storage.write_json(file, records)
 
 
-def _machine() -> dict[str, Any]:
-    """What numbers depend on, and more about this process."""
+def _machine(libraries: Mapping[str, str]) -> dict[str, Any]:
+    """What the record of a session says of this process: what its numbers depend on, and more."""
     devices = jax.devices()
     processor = provenance.cpu("model name") or platform.processor() or platform.machine()
     return {
-        "surroundings": provenance.surroundings(),
+        "surroundings": provenance.surroundings(libraries),
         "python": platform.python_version(),
         "processor": devices[0].device_kind if devices[0].platform != "cpu" else processor,
         "devices": len(devices),

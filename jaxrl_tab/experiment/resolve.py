@@ -8,16 +8,18 @@ import math
 import re
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import clock, describe, names, policies, schedules
-from jaxrl_tab.core.checks import InputError, check_choice, nearest, repeated, shown, whole
+from jaxrl_tab.core.checks import InputError, build, nearest, repeated, shown
 from jaxrl_tab.core.declared import Learns, of_method
+from jaxrl_tab.core.pytree import checked_dataclass, field, static
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.axes import DRAW
+from jaxrl_tab.engine.budget import RECORDER
 from jaxrl_tab.engine.sweep import configurations
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment.instances import is_array, made, table_of
@@ -28,60 +30,51 @@ ABOUT = ("name", "label", "sha256")  # in a table, beside parameters; the last i
 References = dict[str, names.Reference]  # what names stand for, as they were typed and as they are recorded
 
 
-@dataclasses.dataclass(frozen=True)
+@checked_dataclass
 class Selection:
     """How the best setting of each method is chosen, to be run again on seeds that had no part in the choice.
 
     Attributes:
         by: "score": the mean return of the last tenth, of prediction the error (see `stats.score`).
-        fresh_seeds: how many seeds it is then run on. They have a root of their own (see `sweep.Part`), so no
+        fresh_seeds: how many seeds it is then run on. They have a root of their own (see `part.Part`), so no
             other sweep has them, be it ever so large.
     """
 
-    by: str = "score"
-    fresh_seeds: int = 100
-
-    def __post_init__(self):
-        with at("by"):
-            check_choice("select", "by", self.by, CRITERIA)
-        with at("fresh_seeds"):
-            whole(None, "fresh_seeds", self.fresh_seeds)
+    by: Literal["score"] = static("score")
+    fresh_seeds: int = field(default=100, at_least=1)
 
 
-CRITERIA = ("score",)
-
-
-def environments(given: Any, source: Source | None, references: References) -> list[dict[str, Any]]:
+def environments(written: Any, source: Source | None, references: References) -> list[dict[str, Any]]:
     """The plain data of each environment: one for each combination of what is listed."""
-    found, places = [], []
-    for i, table in enumerate(_tables("environment", given, ENVIRONMENT, source, references)):
+    resolved, places = [], []
+    for i, table in enumerate(_tables("environment", written, ENVIRONMENT, source, references)):
         with at("environment", i):
-            several = _environment(table, references[table["name"]].cls, len(found))
-            found += several
+            several = _environment(table, references[table["name"]].cls, len(resolved))
+            resolved += several
             places += [i] * len(several)
-    _check_labels("environment", found, places)
-    return found
+    _check_labels("environment", resolved, places)
+    return resolved
 
 
 def _environment(table: Mapping[str, Any], cls: type, others: int) -> list[dict[str, Any]]:
-    """Those that a table describes, beside so many others."""
+    """The environments that a table describes; `others` is how many the tables before it describe."""
     label, about = table["label"], {key: table[key] for key in ABOUT if key in table}
-    wanted = {p.name: p for p in describe.parameters(cls)}
+    parameters = {p.name: p for p in describe.parameters(cls)}
     tried = {}
-    for key, given in _own(table, wanted).items():
+    for key, written in _own(table, parameters).items():
         with at(key):
-            tried[key] = _values_of_environment(key, given, wanted[key])
-    found = []
+            tried[key] = _values_of_environment(key, written, parameters[key])
+    resolved = []
     axes.check_settings(others + math.prod(map(len, tried.values())), "the environments")
     for point in itertools.product(*tried.values()):
         values = dict(zip(tried, point, strict=True))
         with blame(values):
             made(cls, label, values)
         own = [f"{key}={_short(value)}" for key, value in values.items() if len(tried[key]) > 1]
-        data = {key: values.get(key, _listed(p.default)) for key, p in wanted.items()}
+        data = {key: values.get(key, _listed(p.default)) for key, p in parameters.items()}
         data = {key: value for key, value in data.items() if value is not None}
-        found.append(about | {"label": ",".join([label, *own])} | data)
-    return found
+        resolved.append(about | {"label": ",".join([label, *own])} | data)
+    return resolved
 
 
 def _short(value: Any) -> str:
@@ -89,21 +82,21 @@ def _short(value: Any) -> str:
     return re.sub(r'[" ]', "", json.dumps(value))
 
 
-def _values_of_environment(key: str, given: Any, parameter: describe.Parameter) -> list[Any]:
-    """What is to be tried of a parameter of an environment."""
-    if is_array(given):
-        return [given]
-    given = _axis(key, given)
-    if isinstance(given, axes.Random):
+def _values_of_environment(key: str, written: Any, parameter: describe.Parameter) -> list[Any]:
+    """The values of a parameter of an environment that are to be tried."""
+    if is_array(written):
+        return [written]
+    written = _axis(key, written)
+    if isinstance(written, axes.Random):
         raise InputError(f"{key}: an environment can have grids, but nothing random")
-    given = _listed(given.values() if isinstance(given, axes.Grid) else given)
+    written = _listed(written.values() if isinstance(written, axes.Grid) else written)
     depth = _depth_of_value(parameter)
     if parameter.type == describe.Plain and parameter.default is None:
-        return [given]  # a list may be meant as one
-    tried = given if _depth(given) == depth + 1 else [given]
+        return [written]  # a list may be meant as one
+    tried = written if _depth(written) == depth + 1 else [written]
     if any(_depth(x) != depth for x in tried):
         what = "a list, or a list of lists" if depth else "a value, or a list"
-        raise InputError(f"{key} takes {what} to be tried one by one, not {shown(given)}")
+        raise InputError(f"{key} takes {what} to be tried one by one, not {shown(written)}")
     values = [_deep(x, lambda entry: describe.value(key, entry, parameter)) for x in tried]
     if not values:
         raise InputError(f"the grid of {key} is empty")
@@ -113,22 +106,22 @@ def _values_of_environment(key: str, given: Any, parameter: describe.Parameter) 
 
 
 def _depth_of_value(parameter: describe.Parameter) -> int:
-    """How deep lists are in one another in a value of a parameter."""
+    """How deeply lists are nested in a value of a parameter."""
     if parameter.default is dataclasses.MISSING:
         return 1 if typing.get_origin(parameter.type) is tuple else 0
     return _depth(parameter.default) if isinstance(parameter.default, tuple) else 0
 
 
 def _deep(value: Any, change: Callable[[Any], Any]) -> Any:
-    """`change` of all that is in lists in one another."""
+    """Nested lists with `change` applied to each entry."""
     return [_deep(x, change) for x in value] if isinstance(value, list) else change(value)
 
 
 def methods(
-    given: Any, source: Source | None, references: References, seed: int, environments: int
+    written: Any, source: Source | None, references: References, seed: int, environments: int
 ) -> list[dict[str, Any]]:
     """The plain data of each method."""
-    tables = _tables("method", given, METHOD, source, references)
+    tables = _tables("method", written, METHOD, source, references)
     classes = [references[table["name"]].cls for table in tables]
     by_kind: dict[Learns, str] = {}
     for i, (table, cls) in enumerate(zip(tables, classes, strict=True)):
@@ -147,11 +140,11 @@ def methods(
             times = f" in {environments:,} environments" if environments > 1 else ""
             axes.check_settings(settings * environments, f"the methods{times}")
     _check_labels("method", tables, range(len(tables)))
-    found = []
+    resolved = []
     for i, (table, cls, grid) in enumerate(zip(tables, classes, grids, strict=True)):
         with at("method", i):
-            found.append(_method(table, cls, grid))
-    return found
+            resolved.append(_method(table, cls, grid))
+    return resolved
 
 
 def _method(table: Mapping[str, Any], cls: type, grid: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,42 +161,43 @@ def _method(table: Mapping[str, Any], cls: type, grid: Mapping[str, Any]) -> dic
 
 def grid_of(table: Mapping[str, Any], cls: type, seed: int) -> dict[str, Any]:
     """The grid of a method, as `sweep` takes it, in the order of the class; what is random is drawn."""
-    wanted = {p.name: p for p in describe.parameters(cls)}
-    own = _own(table, wanted, "draws", DRAW)
-    given = {}
+    parameters = {p.name: p for p in describe.parameters(cls)}
+    own = _own(table, parameters, "draws", DRAW)
+    written = {}
     for key, x in own.items():
         with at(key):
-            given[key] = _axis(key, x)
+            written[key] = _axis(key, x)
     with at("draws"):
-        grid = axes.spread(given, given.pop("draws", None), seed, table["label"])
+        grid = axes.spread(written, written.pop("draws", None), seed, table["label"])
     trials = grid.pop(DRAW, [])
     with at(DRAW):
         drawn = {name: [trial[name] for trial in trials] for name in (trials[0] if trials else {})}
-        drawn = _own({"label": table["label"], **drawn}, wanted)
+        drawn = _own({"label": table["label"], **drawn}, parameters)
     for key, x in grid.items():
         with at(key):
-            several = _depth(x) > 0 and not (_takes_table(wanted[key]) and _depth(x) == 2)
-            grid[key] = [_value(key, y, wanted[key]) for y in x] if several else _value(key, x, wanted[key])
+            p = parameters[key]
+            several = _depth(x) > 0 and not (_takes_table(p) and _depth(x) == 2)
+            grid[key] = [_value(key, y, p) for y in x] if several else _value(key, x, p)
     for key, x in drawn.items():
         with at(key if key in own else DRAW):
-            drawn[key] = [_value(key, y, wanted[key]) for y in x]
+            drawn[key] = [_value(key, y, parameters[key]) for y in x]
     if drawn:
         grid[DRAW] = [dict(zip(drawn, values, strict=True)) for values in zip(*drawn.values(), strict=True)]
     return grid
 
 
 def _tables(
-    key: str, given: Any, kind: names.Kind, source: Source | None, references: References
+    key: str, written: Any, kind: names.Kind, source: Source | None, references: References
 ) -> list[dict[str, Any]]:
-    """What is given for `key`, as tables with a name, a label, and the checksum of its file where there is one.
+    """What is written for `key`, as tables with a name, a label, and the checksum of its file where there is one.
 
     What the names stand for is added to `references`.
     """
-    several = isinstance(given, Sequence) and not isinstance(given, str)
+    several = isinstance(written, Sequence) and not isinstance(written, str)
     tables = []
     with at(key):
-        axes.check_settings(len(given) if several else 1, f"so many tables [[{key}]]")
-    for i, table in enumerate(given if several else [given]):
+        axes.check_settings(len(written) if several else 1, f"so many tables [[{key}]]")
+    for i, table in enumerate(written if several else [written]):
         with at(key, i):
             if not isinstance(table, Mapping | str | type) and not dataclasses.is_dataclass(table):
                 raise InputError(
@@ -239,9 +233,9 @@ def _find(
         reference = names.find(kind, pinned["name"], None, pinned["sha256"])._replace(label=pinned["label"])
     else:
         reference = names.find(kind, name, source.path.parent if source else None, sha256)
-    for known in (name, reference.name) if isinstance(name, str) else (reference.name,):
-        if references.setdefault(known, reference).file != reference.file:
-            raise InputError(f"{known} is named twice, and its file was changed in between")
+    for spelling in (name, reference.name) if isinstance(name, str) else (reference.name,):
+        if references.setdefault(spelling, reference).file != reference.file:
+            raise InputError(f"{spelling} is named twice, and its file was changed in between")
     return reference
 
 
@@ -268,64 +262,68 @@ def _check_labels(kind: str, tables: Sequence[Mapping[str, Any]], places: Sequen
                 raise InputError(f"the {kind} {label} is named more than once: give each a label of its own")
 
 
-def belongs(key: str) -> str | None:
-    """Below what a parameter belongs that was not written in a table."""
+def belongs(key: Any) -> str | None:
+    """Which kind of table has a parameter that was written outside of any, as a hint."""
     for table, kind in (("method", METHOD), ("environment", ENVIRONMENT)):
         if any(key in keys(cls) for cls in kind.registry.values()):
             return f"write it below a [[{table}]] that has it"
     return None
 
 
-def _own(table: Mapping[str, Any], wanted: Mapping[str, describe.Parameter], *more: str) -> dict[str, Any]:
+def _own(
+    table: Mapping[str, Any], parameters: Mapping[str, describe.Parameter], *more: str
+) -> dict[str, Any]:
     """The parameters of a table, and keys that may be there besides, in the order of the class."""
-    known = [*wanted, *more]
+    allowed = [*parameters, *more]
     for key in table:
-        if key not in (*ABOUT, *known):
+        if key not in (*ABOUT, *allowed):
             with at(key):
                 from jaxrl_tab.experiment.spec import Experiment  # which is made from what is resolved here
 
-                hint = nearest(key, wanted)
+                hint = nearest(key, parameters)
                 if key in keys(Experiment):
                     hint = "it is of the whole experiment: write it above the first table"
                 raise InputError(f"{table['label']} has no parameter {shown(key)}; {hint}")
-    return {key: table[key] for key in known if key in table}
+    return {key: table[key] for key in allowed if key in table}
 
 
-def _axis(key: str, given: Any) -> Any:
-    """`given`; as a grid in steps or a distribution where it is a dict, {"log": [0.01, 1], "points": 5}."""
-    if not isinstance(given, Mapping):
-        return given
-    kinds = [name for name in given if name in axes.WRITTEN]
+def _axis(key: str, written: Any) -> Any:
+    """What is written; as a grid in steps or a distribution where it is a dict, {"log": [0.01, 1], "points": 5}."""
+    if not isinstance(written, Mapping):
+        return written
+    kinds = [name for name in written if name in axes.WRITTEN]
     if len(kinds) != 1:
-        known = ", ".join(axes.WRITTEN)
-        hint = nearest(next(iter(given)), axes.WRITTEN) if given and not kinds else f"one of {known}"
-        raise InputError(f"{key}: {shown(dict(given))} is not a way to give values to try; {hint}")
+        choices = ", ".join(axes.WRITTEN)
+        hint = nearest(next(iter(written)), axes.WRITTEN) if written and not kinds else f"one of {choices}"
+        raise InputError(f"{key}: {shown(dict(written))} is not a way to give values to try; {hint}")
     (kind,) = kinds
-    cls, ends = axes.WRITTEN[kind], given[kind]
-    more = {name: x for name, x in given.items() if name != kind}
-    allowed = {"points"} if issubclass(cls, axes.Grid) else set()
-    if wrong := [name for name in more if name not in allowed]:
-        takes = nearest(wrong[0], allowed) if allowed else f"{kind} takes nothing else"
-        raise InputError(f"{key}: {kind} has no {shown(wrong[0])}; {takes}")
-    if allowed - set(more):
+    cls, ends = axes.WRITTEN[kind], written[kind]
+    more = {name: x for name, x in written.items() if name != kind}
+    if wrong := [name for name in more if name != "points"]:
+        raise InputError(f"{key}: {kind} has no {shown(wrong[0])}; {nearest(wrong[0], ['points'])}")
+    if issubclass(cls, axes.Grid) and not more:
         raise InputError(f"{key}: say how many points, {{{kind} = [0.1, 1], points = 5}}")
-    if cls is not axes.Choice and (not isinstance(ends, Sequence) or isinstance(ends, str) or len(ends) != 2):
+    if cls is axes.Choice:
+        own = {"values": ends}
+    elif isinstance(ends, Sequence) and not isinstance(ends, str) and len(ends) == 2:
+        own = {"low": ends[0], "high": ends[1]}
+    else:
         raise InputError(f"{key}: {kind} must be the two ends, such as [0.1, 1], not {shown(ends)}")
     try:
-        return cls(ends) if cls is axes.Choice else cls(*ends, **more)
+        return build(cls, kind, more | own)
     except InputError as error:
         raise error.renamed(key) from None
 
 
-def _value(key: str, given: Any, parameter: describe.Parameter) -> Any:
-    """`given` as a value of a hyperparameter."""
-    if _takes_table(parameter) and _depth(given) == 2:
-        return policies.Table(_listed(given))
+def _value(key: str, written: Any, parameter: describe.Parameter) -> Any:
+    """`written` as a value of a hyperparameter."""
+    if _takes_table(parameter) and _depth(written) == 2:
+        return policies.Table(_listed(written))
     if _only_table(parameter):
-        if isinstance(given, policies.Table):
-            return given
-        raise InputError(f"{key} takes probabilities, a list for each state, not {shown(given)}")
-    return describe.value(key, given, parameter)
+        if isinstance(written, policies.Table):
+            return written
+        raise InputError(f"{key} takes probabilities, a list for each state, not {shown(written)}")
+    return describe.value(key, written, parameter)
 
 
 def _takes_table(parameter: describe.Parameter) -> bool:
@@ -337,7 +335,7 @@ def _only_table(parameter: describe.Parameter) -> bool:
 
 
 def _plain(key: str, value: Any) -> Any:
-    """A hyperparameter as JSON has it, and as it can be given again."""
+    """A hyperparameter as JSON has it, and as it can be written again."""
     if isinstance(value, Mapping):
         return {name: _plain(name, x) for name, x in value.items()}
     if isinstance(value, list | tuple):
@@ -347,7 +345,7 @@ def _plain(key: str, value: Any) -> Any:
     if not isinstance(value, clock.Schedule | policies.Policy):
         return value
     parse = schedules.parse if isinstance(value, clock.Schedule) else policies.parse
-    with contextlib.suppress(InputError):
+    with contextlib.suppress(InputError):  # its text will do only if that is read as the same value again
         if repr(parse(str(value))) == repr(value):
             return str(value)
     raise InputError(f"{key}: {shown(value)} cannot be written in a file; sweep(...) takes it")
@@ -362,7 +360,7 @@ def _listed(value: Any, depth: int = 0) -> Any:
 
 
 def _depth(value: Any) -> int:
-    """How deep lists are in one another; of lists of unlike entries the deepest."""
+    """How deeply lists are nested, at the deepest place."""
     return _depth_of_lists(_listed(value))
 
 
@@ -370,16 +368,23 @@ def _depth_of_lists(value: Any) -> int:
     return 1 + max(map(_depth_of_lists, value), default=0) if isinstance(value, list) else 0
 
 
-def selection(given: Any, seeds: int) -> dict[str, Any]:
-    if isinstance(given, Selection):
-        return dataclasses.asdict(given)
-    if not isinstance(given, Mapping):
-        raise InputError(f"select must be a table of {', '.join(keys(Selection))}, not {shown(given)}")
-    for key in given:
-        with at(key):
-            if key not in keys(Selection):
-                raise InputError(f"select has no {shown(key)}; {nearest(key, keys(Selection))}")
-    return dataclasses.asdict(Selection(**{"fresh_seeds": seeds, **given}))
+def recorder(record: Any, source: Source | None, references: References) -> dict[str, Any]:
+    """The plain data of a recorder: the name of the function, and the checksum of its file."""
+    table = dict(record) if isinstance(record, Mapping) else {"name": record}
+    if "name" not in table or table.keys() - {"name", "sha256"}:
+        raise InputError(f"record must be a function, or its name, not {shown(record)}")
+    reference = _find(RECORDER, table, source, references)
+    return {"name": reference.name} | ({"sha256": reference.file.sha256} if reference.file else {})
+
+
+def selection(written: Any, seeds: int) -> dict[str, Any]:
+    """The plain data of how the best settings are chosen; by default they are run on `seeds` fresh seeds."""
+    if isinstance(written, Selection):
+        return dataclasses.asdict(written)
+    if not isinstance(written, Mapping):
+        raise InputError(f"select must be a table of {', '.join(keys(Selection))}, not {shown(written)}")
+    with blame(written):
+        return dataclasses.asdict(build(Selection, "select", {"fresh_seeds": seeds, **written}))
 
 
 def keys(cls: type) -> list[str]:

@@ -25,19 +25,20 @@ import numpy as np
 from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import batch, room
+from jaxrl_tab.engine import batch, provenance, room
+from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.engine.sweep import Computed, Part, leaves_as_arrays, result
-from jaxrl_tab.engine.train import Log
+from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import Outcome, chosen, write_files
+from jaxrl_tab.experiment.files import Outcome, write_files
 from jaxrl_tab.experiment.progress import Meter
-from jaxrl_tab.experiment.records import Origin, is_session, session, settings_of
-from jaxrl_tab.experiment.shards import FRESH, Job, Shard, forget_parts, runs, shard_runs
+from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
+from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
-from jaxrl_tab.experiment.storage import GIVEN, PROVENANCE, RESOLVED, Store, warn
+from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report, reporting
 
 if TYPE_CHECKING:
@@ -73,10 +74,10 @@ def run(
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
-            _begin(path, experiment, memory, keep=False)
+            experiment = _begin(path, experiment, memory, keep=False)
             return _go_on(path, experiment, executor, memory, progress, command, keep=False)
     path = _path(folder)
-    _begin(path, experiment, memory)
+    experiment = _begin(path, experiment, memory)
     with storage.lock(path):
         return _go_on(path, experiment, executor, memory, progress, command)
 
@@ -111,8 +112,8 @@ def resume(
     if not os.path.isdir(path):
         name = one_line(str(path))
         raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
-    if not os.path.lexists(path / GIVEN) and not os.path.lexists(path / RESOLVED):
-        raise InputError(f"there is no experiment in {path}: neither {GIVEN} nor {RESOLVED}")
+    if not os.path.lexists(path / AS_WRITTEN) and not os.path.lexists(path / RESOLVED):
+        raise InputError(f"there is no experiment in {path}: neither {AS_WRITTEN} nor {RESOLVED}")
     command = _typed(command)
     with storage.lock(path):
         return _go_on(path, _experiment_in(path), executor, memory, progress, command, mixed=mixed)
@@ -140,30 +141,28 @@ def _go_on(
 ) -> Outcome:
     """All that is still to be done in a folder."""
     store = Store(path, experiment.fingerprint)
-    _warn_of_what_was(store)
+    _warn_of_damage(store)
     records = _records(store)
-    job = Job(json.dumps(experiment.data()), limit, files=experiment.files)
+    libraries = library_versions(experiment.data())
+    job = Job.of(experiment, limit, libraries)
     select = experiment.select
     with settings_of(store, records), reporting(progress) as report:
         meter = Meter(report)
-        origin = Origin.of(store, records, mixed)
+        origin = Origin.of(store, records, mixed, libraries)
         if _missing(store, job):
             origin.check(path)
-        with session(store, records, command):
+        with session(store, records, command, libraries):
             later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
             executor = executor or Local()
             new = _compute(store, job, executor, meter, later, origin)
             datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
             envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-            fresh = {}
+            outcome = Outcome(datasets, {}, envs)
             if select:
-                job = job._replace(
-                    chosen=json.dumps({name: chosen(ds, select["by"]) for name, ds in datasets.items()})
-                )
+                job = job._replace(chosen=json.dumps(outcome.chosen))
                 new |= _compute(store, job, executor, meter, {}, origin)
                 fresh, _ = _collect(store, job, list(later), room)
-                fresh = {name.removeprefix(FRESH): ds for name, ds in fresh.items()}
-            outcome = Outcome(datasets, fresh, envs)
+                outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
             if keep and (new or not store.files):
                 if origin.changed and not new:
                     warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
@@ -194,12 +193,12 @@ def _compute(
 
 def _missing(store: Store, job: Job) -> list[int]:
     """The numbers of the shards that are to be computed."""
-    missing = [number for number, shard in enumerate(job.shards) if not _is_there(store, job, number, shard)]
-    _warn_of_what_was(store)
+    missing = [number for number, shard in enumerate(job.shards) if not _has_shard(store, job, number, shard)]
+    _warn_of_damage(store)
     return missing
 
 
-def _is_there(store: Store, job: Job, number: int, shard: Shard) -> bool:
+def _has_shard(store: Store, job: Job, number: int, shard: Shard) -> bool:
     """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give."""
     if number not in store.shards or store.shards[number].setting != job.setting(shard):
         return False
@@ -210,8 +209,7 @@ def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
     """(shape, dtype) of each array of a shard."""
     method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
     q, log = room.gives(part.env, method, part.root, part.budget)
-    of_one = {"q": q, **{name: x for name, x in log._asdict().items() if x is not None}}
-    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in of_one.items()}
+    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in {"q": q, **log.named()}.items()}
     return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
@@ -235,30 +233,32 @@ def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[
                 room -= needed if needed <= room else 0
             results.write(runs(part, shard), arrays)
         assert results is not None
-        log = {key: x for key, x in results.arrays.items() if key != "q"}
-        computed = Computed(results.arrays["q"], Log(**log), batch.Seconds(*seconds.tolist()))
+        log = Log.of(results.arrays)
+        computed = Computed(results.arrays["q"], log, batch.Seconds(*seconds.tolist()))
         datasets[name] = result(part, computed).to_xarray()
     return datasets, room
 
 
-def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> None:
+def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> Experiment:
     """A new folder with the experiment in it, and no shards. Raises InputError where it cannot be run.
 
-    Where the folder is kept, all is computed with the classes that are in the copies there.
+    Where the folder is kept, it gives the experiment with the classes that are in the copies there.
     """
     source = experiment.source
     with storage.new_folder(path) as new:
         if keep:
             sources.write(new, experiment.references)
+        # The classes are taken from the copies now, as `resume` will take them.
+        if keep and experiment.files:
             names.forget(experiment.files)
-            forget_parts()
             experiment = Experiment(**experiment.data(), source=source)
         _check_room(experiment.parts(), limit, new)
-        storage.write(new / GIVEN, source.text if source else experiment.to_toml())
+        storage.write(new / AS_WRITTEN, source.text if source else experiment.to_toml())
         storage.write_json(new / RESOLVED, experiment.data())
         records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
         storage.write_json(new / PROVENANCE, records)
         Store.begin(new, experiment.fingerprint)
+    return experiment
 
 
 def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> None:
@@ -269,7 +269,7 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
         runs = min(part.runs, shard_runs(part))
         planned = plan(part.env, instances, part.root, runs, part.budget, limit)
         needed += size(planned.results.arrays) // runs * part.runs
-    if 2 * needed > (room := shutil.disk_usage(folder).free):  # shards, and the whole
+    if 2 * needed > (room := shutil.disk_usage(folder).free):  # the shards, and results.nc
         raise InputError(
             f"the results need {words(2 * needed)} on the disk, and there is room for {words(room)} in "
             f"{folder.parent}: take fewer seeds, or a larger log_every"
@@ -287,33 +287,39 @@ def _experiment_in(path: Path) -> Experiment:
         InputError: what the folder says of it, or the file that it was read from, is not what it was.
     """
     manifest = storage.read_manifest(path)
-    begun_with = manifest and manifest["fingerprint"]
+    fingerprint = manifest and manifest["fingerprint"]
     data = storage.read_json(path / RESOLVED)
     pinned = sources.read(path, data)
-    forget_parts()
-    resolved = _understood(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
-    given = None
-    if storage.is_file(path / GIVEN):
-        with storage.said(path / GIVEN, "read"):
-            (path / GIVEN).read_bytes()
-        given = _understood(lambda: Experiment.load(path / GIVEN, pinned))
-    if resolved and begun_with in (None, resolved.fingerprint):
+    resolved = _parsed(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
+    as_written = None
+    if storage.is_file(path / AS_WRITTEN):
+        with storage.as_run_error(path / AS_WRITTEN, "read"):
+            (path / AS_WRITTEN).read_bytes()  # `_parsed` would take a file that cannot be read for damaged
+        as_written = _parsed(lambda: Experiment.load(path / AS_WRITTEN, pinned))
+    if resolved and fingerprint in (None, resolved.fingerprint):
         experiment = resolved
-        if given is None:
-            _warn_of_a_new(path / GIVEN, f"made again, of {RESOLVED}")
-            storage.write(path / GIVEN, experiment.to_toml())
-        elif changed := difference(experiment.data(), given.data()):
-            raise InputError(f"{path / GIVEN} was changed since: {'; '.join(changed)}; put it back to go on")
-    elif given and begun_with in (None, given.fingerprint):
-        experiment = given
-        _warn_of_a_new(path / RESOLVED, f"made again, of {GIVEN}")
+        if as_written is None:
+            _warn_of_remake(path / AS_WRITTEN, f"made again, of {RESOLVED}")
+            storage.write(path / AS_WRITTEN, experiment.to_toml())
+        elif changed := difference(experiment.data(), as_written.data()):
+            raise InputError(
+                f"{path / AS_WRITTEN} was changed since: {'; '.join(changed)}; put it back to go on"
+            )
+    elif as_written and fingerprint in (None, as_written.fingerprint):
+        experiment = as_written
+        _warn_of_remake(path / RESOLVED, f"made again, of {AS_WRITTEN}")
         storage.write_json(path / RESOLVED, experiment.data())
-    elif resolved or given:
+    elif changed := _other_libraries(path, data):  # then an environment may be another one, or none
+        raise InputError(f"{'; '.join(changed)}: install what it was, to go on in {path}")
+    elif resolved or as_written:
         raise InputError(
-            f"{path} was begun with another experiment: {GIVEN} and {RESOLVED} were changed or damaged since"
+            f"{path} was begun with another experiment: {AS_WRITTEN} and {RESOLVED} were changed or damaged "
+            "since"
         )
     else:
-        raise InputError(f"there is no experiment in {path} any more: {GIVEN} and {RESOLVED} are damaged")
+        raise InputError(
+            f"there is no experiment in {path} any more: {AS_WRITTEN} and {RESOLVED} are damaged"
+        )
     source = (_records_in(path) or {}).get("file")
     if source and Path(source).is_file() and (changed := _changed(source, experiment.data(), pinned)):
         raise InputError(
@@ -322,20 +328,28 @@ def _experiment_in(path: Path) -> Experiment:
     return experiment
 
 
-def _understood(read: Callable[[], Experiment]) -> Experiment | None:
-    """The experiment, or None where what is read is none."""
+def _other_libraries(path: Path, data: Any) -> list[str]:
+    """What has another version among the libraries from which environments come, a line for each."""
+    sessions = (_records_in(path) or {"sessions": []})["sessions"]
+    was = sessions[0].get("surroundings", {}) if sessions else {}
+    now = {library: version for library, version in library_versions(data).items() if library in was}
+    return provenance.differences(was, now)
+
+
+def _parsed(read: Callable[[], Experiment]) -> Experiment | None:
+    """The experiment, or None where the data are damaged."""
     try:
         return read()
     except Exception:  # there is no end to what a flipped bit makes of data
         return None
 
 
-def _warn_of_a_new(file: Path, then: str) -> None:
+def _warn_of_remake(file: Path, remedy: str) -> None:
     """Says that a file is made again; what is there now is set aside."""
     if os.path.lexists(file):
-        warn(storage.set_aside(file, file.parent, then))
+        warn(storage.set_aside(file, file.parent, remedy))
     else:
-        warn(f"{file.name} is missing: it is {then}")
+        warn(f"{file.name} is missing: it is {remedy}")
 
 
 def _records_in(path: Path) -> dict[str, Any] | None:
@@ -360,12 +374,12 @@ def _records(store: Store) -> dict[str, Any]:
     """The records of the processes that computed."""
     records = _records_in(store.path)
     if records is None:
-        _warn_of_a_new(store.path / PROVENANCE, "begun anew")
+        _warn_of_remake(store.path / PROVENANCE, "begun anew")
         records = {"file": None, "sessions": []}
     return records
 
 
-def _warn_of_what_was(store: Store) -> None:
+def _warn_of_damage(store: Store) -> None:
     """Warns of what was damaged or missing, once."""
-    while store.found:
-        warn(store.found.pop(0))
+    while store.problems:
+        warn(store.problems.pop(0))

@@ -3,20 +3,27 @@
 import dataclasses
 import functools
 import json
-from collections.abc import Iterator
+import platform
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
+from weakref import WeakValueDictionary
 
+import jax
 import numpy as np
 
-from jaxrl_tab.core import names
-from jaxrl_tab.engine import room
-from jaxrl_tab.engine.sweep import Part, compute
+from jaxrl_tab.core import modules
+from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.engine import provenance, room
+from jaxrl_tab.engine.log import recorded_shapes
+from jaxrl_tab.engine.part import Part, compute
+from jaxrl_tab.experiment.records import library_versions
 from jaxrl_tab.experiment.spec import Experiment
 
-SHARD_STEPS = 2**27  # of the runs in a shard, about: a few seconds on two cores
-SHARD_BYTES = 2**26  # that its runs give, at most, unless one block of lanes gives more
-EPISODE_STEPS = 100  # so long an episode is taken to be, where episodes are the budget
+SHARD_STEPS = 2**27  # of all runs in a shard together, about: a few seconds on two cores
+SHARD_BYTES = 2**26  # of the results in a shard, at most, unless one block of lanes gives more
+EPISODE_STEPS = 100  # the assumed length of an episode, where episodes are the budget
 FRESH = "fresh seeds/"  # before the name of a part that runs a chosen setting again
+_read: WeakValueDictionary[str, Experiment] = WeakValueDictionary()  # by their data
 
 
 class Shard(NamedTuple):
@@ -41,22 +48,32 @@ class Job(NamedTuple):
         chosen: for each part the number of the configuration that is run again on fresh seeds, as JSON; None
             where nothing is.
         files: what the experiment's own classes and tables are in, which need not be on other machines.
+        libraries: the versions of those from which its environments come, where it was started.
     """
 
     experiment: str
     memory: int | None
     chosen: str | None = None
-    files: tuple[names.File, ...] = ()
+    files: tuple[modules.File, ...] = ()
+    libraries: Mapping[str, str] = {}
+
+    @classmethod
+    def of(cls, experiment: Experiment, memory: int | None, libraries: Mapping[str, str]) -> "Job":
+        """All of an experiment. While that lives, this process takes its parts from it."""
+        forget_parts()
+        job = cls(json.dumps(experiment.data()), memory, files=experiment.files, libraries=libraries)
+        _read[job.experiment] = experiment
+        return job
 
     @property
     def parts(self) -> dict[str, Part]:
-        names.keep(self.files)
+        modules.keep(self.files)
         return _parts(self.experiment, self.chosen)
 
     @property
     def shards(self) -> list[Shard]:
         """In the order of their numbers. Those of fresh seeds come last."""
-        names.keep(self.files)
+        modules.keep(self.files)
         return _shards(self.experiment, self.chosen)
 
     def setting(self, shard: Shard) -> int | None:
@@ -66,18 +83,23 @@ class Job(NamedTuple):
         return json.loads(self.chosen)[shard.part.removeprefix(FRESH)]
 
     def __call__(self, number: int) -> dict[str, np.ndarray]:
-        """What the runs of a shard give: `q`, the fields of the log, and the `seconds` it took."""
+        """What the runs of a shard give: `q`, what is in the log, and the `seconds` it took.
+
+        Raises:
+            InputError: this process has another version of a library; or as `sweep.compute`.
+        """
+        if changed := provenance.differences(self.libraries, library_versions(json.loads(self.experiment))):
+            raise InputError(f"{'; '.join(changed)} on {platform.node()}: install the same on all machines")
         shard = self.shards[number]
         part = self.parts[shard.part]
         computed = compute(part, runs(part, shard), memory=self.memory)
-        log = {name: x for name, x in computed.log._asdict().items() if x is not None}
-        return {"q": computed.q, **log, "seconds": np.array(computed.seconds)}
+        return {"q": computed.q, **computed.log.named(), "seconds": np.array(computed.seconds)}
 
 
 @functools.lru_cache(maxsize=4)
 def _parts(experiment: str, chosen: str | None) -> dict[str, Part]:
     if chosen is None:
-        return Experiment.from_data(json.loads(experiment)).parts()
+        return (_read.get(experiment) or Experiment.from_data(json.loads(experiment))).parts()
     parts, seeds = _parts(experiment, None), json.loads(experiment)["select"]["fresh_seeds"]
     again = {FRESH + name: _again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
     return parts | again
@@ -89,13 +111,14 @@ def _shards(experiment: str, chosen: str | None) -> list[Shard]:
 
 
 def forget_parts() -> None:
-    """Parts are made anew from now on, as of classes that are loaded from copies."""
+    """Forgets all parts, which are then made anew, of classes that were loaded from copies since."""
+    _read.clear()
     _parts.cache_clear()
     _shards.cache_clear()
 
 
 def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `sweep.Part`."""
+    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `part.Part`."""
     one = [part.configs[config]]
     return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
 
@@ -117,8 +140,10 @@ def shard_runs(part: Part) -> int:
     steps = budget.num_steps or length * EPISODE_STEPS
     if budget.exact:  # a system of equations in each row, a hundred multiply-adds in the time of a step
         steps += rows * states**3 // 300
-    given = 4 * (states * part.env.num_actions + 7 * rows)  # a table, and at most 7 numbers in a row
-    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // given) // room.LANES) * room.LANES
+    recorded = sum(x.size for x in jax.tree.leaves(recorded_shapes(budget.record, part.configs[0], part.env)))
+    # A table; and in each row at most 7 numbers (sums, and exact values), and those of the recorder.
+    bytes_per_run = 4 * (states * part.env.num_actions + rows * (7 + recorded))
+    return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // bytes_per_run) // room.LANES) * room.LANES
 
 
 def runs(part: Part, shard: Shard) -> np.ndarray:

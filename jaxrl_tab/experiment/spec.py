@@ -27,20 +27,22 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
 import jax
-import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core import memory, names
-from jaxrl_tab.core.checks import InputError, as_path, nearest, one_line, shown, whole
+from jaxrl_tab.core import memory, modules
+from jaxrl_tab.core.checks import InputError, as_path, checked, nearest, one_line, shown
 from jaxrl_tab.core.declared import Learns, of_method
+from jaxrl_tab.core.pytree import field
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.sweep import Part, prepare
+from jaxrl_tab.engine.log import recorded_shapes
+from jaxrl_tab.engine.part import Part
+from jaxrl_tab.engine.sweep import prepare
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.instances import made
 from jaxrl_tab.experiment.places import Source, at, located, split_statements
@@ -52,6 +54,7 @@ from jaxrl_tab.experiment.resolve import (
     grid_of,
     keys,
     methods,
+    recorder,
     selection,
 )
 
@@ -81,6 +84,8 @@ class Experiment:
         log_every: how many steps, or episodes, are summed up in a row of the log.
         seed: the root seed, of runs and of draws.
         exact: whether exact values are recorded at every row; prediction always records its error.
+        record: a function that records more at every row, as in `train`, or its name, "mine.py:function" or
+            "package.module:function"; its arrays are variables of the results.
         select: whether the best setting of each method is run again on fresh seeds, and by what it is chosen:
             a dict as `Selection` has it; None: not.
         source: the file that it was read from; not part of the data.
@@ -89,41 +94,41 @@ class Experiment:
 
     environment: Any
     method: Any
-    seeds: int = 100
-    steps: int | None = None
-    episodes: int | None = None
-    log_every: int | None = None
-    seed: int = 0
-    exact: bool = False
+    seeds: int = field(default=100, at_least=1)
+    steps: int | None = field(default=None, at_least=1)
+    episodes: int | None = field(default=None, at_least=1)
+    log_every: int | None = field(default=None, at_least=1)
+    seed: int = field(default=0, at_least=0)
+    exact: bool = field(default=False)
+    record: Any = None
     select: Any = None
     source: Source | None = dataclasses.field(default=None, repr=False, compare=False)
     references: References = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        names.check_not_importing()
+        modules.check_not_importing()
         with located(self.source):
-            for name, least in (("seeds", 1), ("steps", 1), ("episodes", 1), ("log_every", 1), ("seed", 0)):
-                with at(name):
-                    if name in ("seeds", "seed") or getattr(self, name) is not None:
-                        self._set(name, whole(None, name, getattr(self, name), least))
-            if (self.steps is None) == (self.episodes is None):
-                with at("episodes"):
-                    raise InputError("give either steps or episodes: how long a run is")
-            with at("exact"):
-                if not isinstance(self.exact, bool | np.bool_):
-                    raise InputError(f"exact must be true or false, not {shown(self.exact)}")
+            for f in dataclasses.fields(self):
+                with at(f.name):
+                    self._set(f.name, checked(None, f, getattr(self, f.name)))
+            with at("episodes"):
+                self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
             source, references = self.source, self.references
             self._set("environment", environments(self.environment, source, references))
             count = len(self.environment)
             self._set("method", methods(self.method, source, references, self.seed, count))
             classes = [references[method["name"]].cls for method in self.method]
             prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
-            self._set("exact", bool(self.exact) or prediction)
-            self._set("log_every", Budget(self.steps, self.episodes, self.log_every).row)
+            self._set("exact", self.exact or prediction)
+            with at("record"):
+                self._set(
+                    "record", None if self.record is None else recorder(self.record, source, references)
+                )
             with at("select"):
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
 
     def _set(self, name: str, value: Any) -> None:
+        # The class is frozen for all others.
         object.__setattr__(self, name, value)
 
     @classmethod
@@ -179,7 +184,7 @@ class Experiment:
         return hashlib.sha256(_canonical(self.data()).encode()).hexdigest()
 
     @property
-    def files(self) -> tuple[names.File, ...]:
+    def files(self) -> tuple[modules.File, ...]:
         """The files that its own classes and tables are in."""
         files = {x.file.sha256: x.file for x in self.references.values() if x.file}
         return tuple(files.values())
@@ -190,8 +195,13 @@ class Experiment:
         Raises:
             InputError: a method does not fit an environment.
         """
-        found = {}
-        budget = Budget(self.steps, self.episodes, self.log_every, self.exact)
+        return self._parts
+
+    @cached_property
+    def _parts(self) -> dict[str, Part]:
+        parts = {}
+        record = self.references[self.record["name"]].cls if self.record else None
+        budget = Budget(self.steps, self.episodes, self.log_every, self.exact, record)
         with located(self.source):
             for environment in self.environment:
                 values = {key: x for key, x in environment.items() if key not in ABOUT}
@@ -209,8 +219,10 @@ class Experiment:
                         )
                         for config, *_ in part.programs:  # policies in tables must be of the task's size
                             jax.eval_shape(partial(init_learner, part.configs[config], env))
-                    found[f"{environment['label']}/{method['label']}"] = part
-        return found
+                    with at("record"):
+                        recorded_shapes(record, part.configs[0], env)
+                    parts[f"{environment['label']}/{method['label']}"] = part
+        return parts
 
     def to_toml(self) -> str:
         """The data as a file, which `load` reads as the same experiment."""
@@ -286,8 +298,8 @@ def _read(source: Source) -> dict[str, Any]:
         return tomllib.loads(source.text)
     except tomllib.TOMLDecodeError as error:
         what, _, place = str(error).partition(" (at ")
-        found = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
-        line = found[1] if found else statements[-1].line
+        numbered = re.match(r"line (\d+)", place)  # if not, it is the end: something was left open
+        line = numbered[1] if numbered else statements[-1].line
         raise InputError(f"{source}, line {line}: {one_line(what[0].lower() + what[1:])}") from None
     except ValueError:
         raise InputError(f"{source}: a whole number has more digits than Python reads") from None

@@ -1,11 +1,11 @@
-"""Shards on disk and their manifest: what has a name is whole, and what is damaged is found.
+"""Shards on disk and their manifest: a file is complete or not there, and damage is found out.
 
 A shard is a file of arrays. Every file is written under another name in the same folder, brought to the disk,
 and only then renamed, so that a process can be killed at any moment. The manifest has the sha256 of each
 file, and its own.
 
-Nothing that is read is trusted: folders are damaged by disks, and sent by others. A manifest whose entries
-are not such as are written here is no manifest, and only files that lie in the folder itself are looked at.
+Nothing that is read is trusted: folders are damaged by disks, and sent by others. A manifest with entries
+that this module does not write counts as damaged, and only files in the folder itself are looked at.
 """
 
 import contextlib
@@ -29,43 +29,43 @@ import numpy as np
 from jaxrl_tab.core.checks import InputError, RunError, is_whole, one_line, reason
 
 MANIFEST, SHARDS, PICTURES, ASIDE, LOCK = "manifest.json", "shards", "pictures", "set-aside", ".lock"
-UNFINISHED = ".unfinished"  # the end of the name of what is being written, which begins with a dot
-ABOUT = "about"  # in a shard: which it is, of which experiment, and more facts
+UNFINISHED = ".unfinished"  # while NAME is being written, it is called .NAME.unfinished
+ABOUT = "about"  # the array in a shard that tells its number, its experiment, and its `Facts`
 RESERVED = r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)"  # names that are devices to Windows
 
 
 def file_names(labels: Iterable[str]) -> dict[str, str]:
-    """The name of the file or folder of each label: short, valid on any system, and of no two the same.
+    """The name of the file or folder of each label: short, valid on any system, and different for each.
 
-    It is the label where that will do; else what will do of it, with some digits of its checksum.
+    It is the label itself where that is such a name; else its valid characters, with digits of its checksum.
     """
-    found = {}
+    plain_names = {}
     for label in labels:
         plain = unicodedata.normalize("NFKD", label).encode("ascii", "ignore").decode()
         plain = re.sub(r"[^\w=,.+-]+", "_", plain).lstrip(".-")[:60].rstrip(".")
-        found[label] = f"_{plain}" if not plain or re.match(RESERVED, plain, re.IGNORECASE) else plain
-    often = Counter(name.lower() for name in found.values())
+        plain_names[label] = f"_{plain}" if not plain or re.match(RESERVED, plain, re.IGNORECASE) else plain
+    often = Counter(name.lower() for name in plain_names.values())
     digits = {
-        label: hashlib.sha256(label.encode("utf-8", "surrogatepass")).hexdigest()[:8] for label in found
+        label: hashlib.sha256(label.encode("utf-8", "surrogatepass")).hexdigest()[:8] for label in plain_names
     }
     return {
         label: name
         if name == label and often[name.lower()] == 1 and not re.search(r"-[0-9a-f]{8}$", name, re.IGNORECASE)
         else f"{name}-{digits[label]}"
-        for label, name in found.items()
+        for label, name in plain_names.items()
     }
 
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[Path]:
-    """Where to write what shall be the file `path`, which it becomes when all is written and on the disk.
+    """A temporary path to write to. At the end of the block the file is synced, and renamed to `path`.
 
     Raises:
         RunError: it cannot be written, as where the disk is full; nothing of it is left.
     """
     unfinished = _unfinished(path)
-    with said(path):
-        unfinished.unlink(missing_ok=True)  # a link would be followed
+    with as_run_error(path):
+        unfinished.unlink(missing_ok=True)  # were it a link, we would write to where it leads
         try:
             yield unfinished
             with unfinished.open("rb+") as file:
@@ -87,8 +87,8 @@ def write_json(path: Path, data: Any) -> None:
 
 
 @contextlib.contextmanager
-def said(path: Path, done: str = "written") -> Iterator[None]:
-    """An error of the system while something is `done` to `path` is a RunError of one line."""
+def as_run_error(path: Path, done: str = "written") -> Iterator[None]:
+    """Turns an OSError inside the block into a RunError of one line: `path` could not be `done`."""
     try:
         yield
     except OSError as error:
@@ -103,12 +103,13 @@ def read_json(file: Path) -> Any:
     """
     if not is_file(file):
         return None
-    with said(file, "read"):
+    with as_run_error(file, "read"):
         data = file.read_bytes()
     try:
-        found = json.loads(data.decode())
-        json.dumps(found, ensure_ascii=False).encode()  # halves of characters cannot be written again
-        return found
+        parsed = json.loads(data.decode())
+        # Raises where half of a surrogate pair could not be written again.
+        json.dumps(parsed, ensure_ascii=False).encode()
+        return parsed
     except (ValueError, RecursionError):
         return None
 
@@ -120,19 +121,24 @@ def is_file(path: Path) -> bool:
     return False
 
 
-def set_aside(file: Path, folder: Path, then: str, what: str = "is damaged") -> str:
-    """Moves what is damaged, in a folder, out of the way; a line that says so, and what it is `then`."""
-    with said(folder):
+def set_aside(file: Path, folder: Path, remedy: str, what: str = "is damaged") -> str:
+    """Moves a damaged file of a folder out of the way, and gives a line that says so.
+
+    `remedy` ends the line, such as "made again": what is done about it.
+    """
+    with as_run_error(folder):
         aside = _own_folder(folder / ASIDE)
-        there = {int(name) for path in aside.iterdir() if (name := path.name.partition("-")[0]).isdecimal()}
-        goal = aside / f"{max(there, default=-1) + 1}-{file.name}"
+        numbers = {int(name) for path in aside.iterdir() if (name := path.name.partition("-")[0]).isdecimal()}
+        goal = aside / f"{max(numbers, default=-1) + 1}-{file.name}"
         file.rename(goal)
-    return f"{file.relative_to(folder)} {what}: it is now {goal.relative_to(folder)}, and is {then}"
+    return f"{file.relative_to(folder)} {what}: it is now {goal.relative_to(folder)}, and is {remedy}"
 
 
 @contextlib.contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
-    """Where to write the first files of the folder `path`, which appears when they are all there.
+def new_folder(path: Path, keep: bool = False) -> Iterator[Path]:
+    """A temporary folder for the first files of `path`, to which it is renamed at the end of the block.
+
+    If the block fails, the files are removed; with `keep` they stay, and a note of the error says where.
 
     Raises:
         InputError: there is something already, or it cannot be made.
@@ -140,12 +146,12 @@ def new_folder(path: Path) -> Iterator[Path]:
     try:
         if path.exists() or path.is_symlink():
             raise InputError(_exists(path))
-        unfinished = _unfinished(path.with_name(f"{path.name}-{os.getpid()}"))  # "." has no name
+        unfinished = _unfinished(path.with_name(f"{path.name}-{os.getpid()}"))  # ValueError: "." has no name
         unfinished.mkdir(parents=True)
     except (OSError, ValueError) as error:  # a name that holds NUL
         raise InputError(f"{one_line(str(path))} cannot be made: {reason(error)}") from None
     try:
-        with said(path):
+        with as_run_error(path):
             yield unfinished
             _sync(unfinished)
             try:
@@ -155,8 +161,11 @@ def new_folder(path: Path) -> Iterator[Path]:
                     raise
                 raise InputError(_exists(path)) from None  # somebody was quicker
             _sync(path.parent)
-    except BaseException:
-        shutil.rmtree(unfinished, ignore_errors=True)
+    except BaseException as error:
+        if keep and unfinished.is_dir() and any(unfinished.iterdir()):
+            error.add_note(f"what was finished is in {unfinished}")
+        else:
+            shutil.rmtree(unfinished, ignore_errors=True)
         raise
 
 
@@ -186,7 +195,8 @@ class Facts(NamedTuple):
         sha256: of the file, in hexadecimal digits.
         diverged: how many of its runs diverged.
         setting: the number of the setting that was chosen, where its runs are on fresh seeds.
-        surroundings: the name of what it was computed with, see `provenance`; an earlier version did not say.
+        surroundings: the name of the surroundings in which it was computed, see `provenance`; None where an
+            earlier version, which did not record it, computed it.
     """
 
     sha256: str
@@ -198,13 +208,13 @@ class Facts(NamedTuple):
 class Store:
     """The shards of an experiment in a folder that is locked, and the files made of them.
 
-    To open it is to take stock: what was being written is removed, and what is damaged is set aside.
+    To open it is to take stock: files that were never finished are removed, damaged ones are set aside.
 
     Attributes:
         path: the folder.
         fingerprint: of the experiment.
         shards: facts about each shard that is there, by its number.
-        found: what was damaged or missing, a line each.
+        problems: what was damaged or missing, a line each.
 
     Raises:
         InputError: a folder in it is a link.
@@ -213,17 +223,18 @@ class Store:
 
     def __init__(self, path: Path, fingerprint: str):
         self.path, self.fingerprint = path, fingerprint
-        self.found: list[str] = []
+        self.problems: list[str] = []
         if is_file(path / SHARDS):
-            self.found.append(set_aside(path / SHARDS, path, "made again", "is no folder"))
+            self.problems.append(set_aside(path / SHARDS, path, "made again", "is no folder"))
         _own_folder(path / SHARDS)
-        with said(path):
+        with as_run_error(path):
             for folder in [path, *_folders(path / PICTURES), path / SHARDS]:
-                for left in list(folder.glob(f".*{UNFINISHED}")):
-                    shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
+                for leftover in list(folder.glob(f".*{UNFINISHED}")):
+                    is_folder = leftover.is_dir() and not leftover.is_symlink()
+                    shutil.rmtree(leftover) if is_folder else leftover.unlink()
         self._manifest = self._read_manifest()
-        known = self._manifest["shards"].items()
-        self.shards = {int(Path(name).stem): Facts(**facts) for name, facts in known}
+        entries = self._manifest["shards"].items()
+        self.shards = {int(Path(name).stem): Facts(**facts) for name, facts in entries}
         self._take_stock()
         self._write_manifest()
 
@@ -240,7 +251,7 @@ class Store:
         setting: int | None = None,
         surroundings: str | None = None,
     ) -> None:
-        """Keeps a shard, with what is to be known of it: see `Facts`.
+        """Writes a shard, with its `Facts`.
 
         Raises:
             RunError: it cannot be written, as where the disk is full; nothing of it is left.
@@ -257,7 +268,7 @@ class Store:
     def read(self, number: int) -> dict[str, np.ndarray]:
         """The arrays of a shard that is there."""
         file = self.path / SHARDS / _name(number)
-        with said(file, "read"):
+        with as_run_error(file, "read"):
             arrays = _load(file)
         if arrays is None:
             raise RunError(f"{file} was damaged while it was in use")
@@ -268,11 +279,11 @@ class Store:
         if number not in self.shards:
             return False
         file = self.path / SHARDS / _name(number)
-        with said(file, "read"):
-            found = _load(file, _shape) or {}
-        if {name: x for name, x in found.items() if name != ABOUT} == shapes:
+        with as_run_error(file, "read"):
+            shapes_in_file = _load(file, _shape) or {}
+        if {name: x for name, x in shapes_in_file.items() if name != ABOUT} == shapes:
             return True
-        self.found.append(set_aside(file, self.path, "computed again"))
+        self.problems.append(set_aside(file, self.path, "computed again"))
         del self.shards[number]
         return False
 
@@ -283,19 +294,19 @@ class Store:
 
     def keep_files(self, files: Iterable[str]) -> None:
         """Notes that these files are finished."""
-        with said(self.path, "read"):
+        with as_run_error(self.path, "read"):
             self._manifest["files"] = {file: _sha256(self.path / file) for file in files}
         self._write_manifest()
 
     def _read_manifest(self) -> dict[str, Any]:
         file = self.path / MANIFEST
         if not os.path.lexists(file):
-            self.found.append(f"{MANIFEST} is missing: it is made again, of the shards")
+            self.problems.append(f"{MANIFEST} is missing: it is made again, of the shards")
         elif (manifest := read_manifest(self.path)) is None:
-            self.found.append(set_aside(file, self.path, "made again, of the shards"))
+            self.problems.append(set_aside(file, self.path, "made again, of the shards"))
         elif manifest["fingerprint"] != self.fingerprint:
             what = "is of another experiment"
-            self.found.append(set_aside(file, self.path, "made again, of the shards", what))
+            self.problems.append(set_aside(file, self.path, "made again, of the shards", what))
         else:
             return manifest
         return _empty(self.fingerprint)
@@ -307,28 +318,29 @@ class Store:
                 del self.shards[number]
         for file in sorted(folder.glob("*.npz")):
             number = _number(file.name)
-            if number is not None and number not in self.shards:  # it was killed between shard and manifest
+            # A process may have been killed after it wrote a shard, and before it wrote the manifest.
+            if number is not None and number not in self.shards:
                 if (facts := self._facts_in(file, number)) is None:
-                    self.found.append(set_aside(file, self.path, "computed again"))
+                    self.problems.append(set_aside(file, self.path, "computed again"))
                 else:
                     self.shards[number] = facts
         whole = [self._is_whole(self.path / n, x, "made again") for n, x in self._manifest["files"].items()]
         if not all(whole):
             self._manifest["files"] = {}
 
-    def _is_whole(self, file: Path, sha256: str, then: str) -> bool:
+    def _is_whole(self, file: Path, sha256: str, remedy: str) -> bool:
         if not os.path.lexists(file):
-            self.found.append(f"{file.relative_to(self.path)} is missing: it is {then}")
+            self.problems.append(f"{file.relative_to(self.path)} is missing: it is {remedy}")
             return False
-        with said(file, "read"):
+        with as_run_error(file, "read"):
             if is_file(file) and _sha256(file) == sha256:
                 return True
-        self.found.append(set_aside(file, self.path, then))
+        self.problems.append(set_aside(file, self.path, remedy))
         return False
 
     def _facts_in(self, file: Path, number: int) -> Facts | None:
         """What a shard says about itself; None where it is damaged, or of another experiment."""
-        with said(file, "read"):
+        with as_run_error(file, "read"):
             arrays = _load(file) if is_file(file) else None
             sha256 = _sha256(file) if arrays else ""
         try:
@@ -359,7 +371,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
         return None
     if not all(_number(name) is not None and _are_facts(facts) for name, facts in shards.items()):
         return None
-    return manifest if all(_is_made_here(f) and _is_sha256(x) for f, x in files.items()) else None
+    return manifest if all(_is_result_file(f) and _is_sha256(x) for f, x in files.items()) else None
 
 
 def _are_facts(facts: Any) -> bool:
@@ -377,7 +389,7 @@ def _is_sha256(value: Any) -> bool:
     return isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value) is not None
 
 
-def _is_made_here(file: str) -> bool:
+def _is_result_file(file: str) -> bool:
     """Whether it may be a file that is made of the shards, such as "results.nc" or "pictures/walk/path.png"."""
     name = r"\w[\w=,.+-]*"
     return bool(re.fullmatch(rf"({PICTURES}/{name}/)?{name}\.(nc|csv|html|png|svg|pdf)", file, re.ASCII))
@@ -404,7 +416,7 @@ def check_no_link(path: Path) -> None:
 def _own_folder(path: Path) -> Path:
     """A folder in the folder, made if need be. Raises InputError where it is a link."""
     check_no_link(path)
-    with said(path):
+    with as_run_error(path):
         path.mkdir(exist_ok=True)
     return path
 
@@ -417,7 +429,7 @@ def _folders(path: Path) -> list[Path]:
 
 
 def _unfinished(path: Path) -> Path:
-    """What is written of `path` before it is finished. No label gives such a name: see `file_names`."""
+    """What `path` is called until it is finished. `file_names` gives no such name."""
     return path.with_name(f".{path.name}{UNFINISHED}")
 
 
@@ -442,14 +454,15 @@ def _load(file: Path, of: Any = np.lib.format.read_array) -> dict[str, Any] | No
             with zipfile.ZipFile(opened) as whole:
                 members = whole.infolist()
                 if any(x.compress_type or x.file_size != x.compress_size for x in members):
-                    return None  # as it is written, nothing is packed: it could be of any size
-                found = {}
+                    return None  # we pack nothing, and what is packed could unpack to any size
+                arrays = {}
                 for member in members:
                     with whole.open(member) as array:
-                        found[member.filename.removesuffix(".npy")] = of(array)
-                return found
+                        arrays[member.filename.removesuffix(".npy")] = of(array)
+                return arrays
         except Exception as error:  # there is no end to what a flipped bit makes zipfile and NumPy raise
-            if isinstance(error, OSError) and error.errno != errno.EINVAL:  # which says: no such place in it
+            # EINVAL is damage, too: an offset that lies outside of the file.
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:
                 raise
             return None
 
@@ -468,7 +481,7 @@ def _sha256(path: Path) -> str:
 
 def _sync(folder: Path) -> None:
     """Brings the names in a folder to the disk."""
-    if os.name == "nt":  # which opens no folders
+    if os.name == "nt":  # Windows opens no folders
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
@@ -481,7 +494,7 @@ def _exists(path: Path) -> str:
     return f"{one_line(str(path))} exists already; name a new folder"
 
 
-GIVEN, RESOLVED, PROVENANCE = "experiment.toml", "resolved.json", "provenance.json"
+AS_WRITTEN, RESOLVED, PROVENANCE = "experiment.toml", "resolved.json", "provenance.json"
 DATA, FRESH_DATA, SUMMARY, SELECTION = "results.nc", "fresh.nc", "summary.csv", "selection.csv"
 
 

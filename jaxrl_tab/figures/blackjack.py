@@ -34,8 +34,8 @@ def _sticks_from(usable):
     return SUMS[(_optimal()[usable].argmax(-1) == STICK).argmax(0)]
 
 
-def _sticks_unlike(usable, known):
-    return lambda datasets: (_sticks_from(usable) != known).sum()
+def _sticks_unlike(usable, published):
+    return lambda datasets: (_sticks_from(usable) != published).sum()
 
 
 def _optimal_value(datasets):

@@ -19,8 +19,8 @@ PHASES = {"interim": slice(0, 1), "asymptotic": slice(5, 10)}  # rows
 
 def _experiment(num_seeds=60, num_episodes=1000, alphas=ALPHAS):
     grid = {"alpha": list(alphas), "epsilon": EPSILON}
-    given = {"num_seeds": num_seeds, "num_episodes": num_episodes, "log_every": EPISODES_IN_ROW}
-    return {method: swept(CliffWalking(), method, grid, **given) for method in METHODS}
+    budget = {"num_seeds": num_seeds, "num_episodes": num_episodes, "log_every": EPISODES_IN_ROW}
+    return {method: swept(CliffWalking(), method, grid, **budget) for method in METHODS}
 
 
 def _mean_return(ds, phase):

@@ -70,14 +70,14 @@ class Number:
     def check(self, datasets: "Datasets") -> Check:
         """Compares what `measure` gives with what is expected."""
         x = np.asarray(self.measure(datasets), float)
-        got = float(x.mean())
+        mean = float(x.mean())
         error = float(x.std(ddof=1) / math.sqrt(x.size)) if x.ndim else 0.0
-        over = got - self.expected
+        over = mean - self.expected
         wrong = {"is": abs(over), "at most": np.maximum(over, 0), "at least": np.maximum(-over, 0)}
         unit = math.hypot(error, self.standard_error)
         distance = float(wrong[self.relation])
         apart = distance / unit if unit else (0.0 if distance == 0 else math.inf)
-        return Check(self.what, got, error, self.relation, self.expected, self.standard_error, apart)
+        return Check(self.what, mean, error, self.relation, self.expected, self.standard_error, apart)
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,8 @@ class Figure:
         title: what it shows.
         source: where it was published.
         experiment: what to run, by name: each gets a function to call with its `Progress`, and gives a
-            dataset.
-            Most are sweeps, see `swept`. Its keyword arguments, all with defaults, are its budget.
-        small: such arguments for a trial run: quick, with every number there, and none of any worth.
+            dataset; most are sweeps, see `swept`. Its keyword arguments, all with defaults, are its budget.
+        small: such arguments for a quick trial run, whose numbers come from too little to mean anything.
         numbers: what it must show.
         draw: makes the picture from the datasets.
     """
@@ -103,6 +102,6 @@ class Figure:
     small: Mapping[str, Any] = field(default_factory=dict)
 
 
-def swept(env: Environment, method: type[Algorithm] | str, grid: Mapping[str, Any], **given: Any) -> "Run":
+def swept(env: Environment, method: type[Algorithm] | str, grid: Mapping[str, Any], **budget: Any) -> "Run":
     """A sweep, as what an experiment is made of: arguments as those of `sweep`."""
-    return lambda progress: sweep(env, method, grid, **given, progress=progress).to_xarray()
+    return lambda progress: sweep(env, method, grid, **budget, progress=progress).to_xarray()

@@ -22,8 +22,8 @@ PANELS = {
 
 def _experiment(num_problems=4000, num_plays=1000):
     env = KArmedTestbed()
-    given = {"num_seeds": num_problems, "num_steps": num_plays, "log_every": 10}
-    return {name: swept(env, "q-learning", setting, **given) for name, setting in SETTINGS.items()}
+    budget = {"num_seeds": num_problems, "num_steps": num_plays, "log_every": 10}
+    return {name: swept(env, "q-learning", setting, **budget) for name, setting in SETTINGS.items()}
 
 
 def _late_reward(name):

@@ -14,14 +14,14 @@ def _experiment(num_seeds=4000, num_episodes=300):
     }
 
 
-def _left(ds):
+def _went_left(ds):
     """Whether each episode went left: then it is of two steps, else of one. [seed, row]"""
     return ds.lengths - ds.episodes
 
 
 def _share(method, first, last=None):
     """The share of left in the episodes from `first` to `last`, or in `first`."""
-    return lambda datasets: _left(datasets[method]).isel(row=slice(first - 1, last or first)).mean("row")
+    return lambda datasets: _went_left(datasets[method]).isel(row=slice(first - 1, last or first)).mean("row")
 
 
 def _draw(datasets):
@@ -30,7 +30,7 @@ def _draw(datasets):
     canvas = plot.canvas(plot.NARROW, 4.2)
     ax = canvas.subplots()
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
-        plot.mean_curve(ax, ds.row + 1, 100 * _left(ds), words.title_of(method), color)
+        plot.mean_curve(ax, ds.row + 1, 100 * _went_left(ds), words.title_of(method), color)
     least = 100 * EPSILON / 2
     plot.exact_line(ax, least, f"optimal but for exploration: {least:g}%")
     plot.tidy(ax, "episodes", "% of runs that go left from A")

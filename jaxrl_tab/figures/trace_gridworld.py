@@ -22,7 +22,7 @@ def _experiment(num_seeds=1000):
     the episode is over, remembers which way it went.
     """
     budget = {"num_seeds": num_seeds, "num_episodes": 1}
-    runs = {name: swept(ENV, name, given, **budget) for name, (_, given) in METHODS.items()}
+    runs = {name: swept(ENV, name, setting, **budget) for name, (_, setting) in METHODS.items()}
     return runs | {"path": swept(ENV, "monte-carlo", {}, **budget, record=_path)}
 
 

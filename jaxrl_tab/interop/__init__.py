@@ -37,10 +37,10 @@ def make(name: str, **parameters: Any) -> Any:
         InputError: the name is of no such form, the library cannot be imported, or it is as `from_gymnax` and
             `from_gymnasium` say.
     """
-    library, _, there = str(name).partition(":")
-    if library not in LIBRARIES or not there:
+    library, _, of_library = str(name).partition(":")
+    if library not in LIBRARIES or not of_library:
         raise InputError(f"{shown(name)} is not of the form gymnasium:NAME or gymnax:NAME")
-    return __getattr__(f"from_{library}")(there, **parameters)
+    return __getattr__(f"from_{library}")(of_library, **parameters)
 
 
 def __getattr__(name: str) -> Any:

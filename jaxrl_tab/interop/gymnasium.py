@@ -15,6 +15,7 @@ from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.checks import InputError, check_pytree, shown
+from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
 from jaxrl_tab.envs import ENVS, FiniteMDP
 from jaxrl_tab.envs.base import MAX_STEPS
@@ -28,7 +29,7 @@ HARMLESS = (
     wrappers.HumanRendering,
     wrappers.RecordVideo,
     wrappers.RenderCollection,
-    wrappers.AddWhiteNoise,  # of pictures, as the next
+    wrappers.AddWhiteNoise,  # this and the next change pictures only
     wrappers.ObstructView,
 )
 TRIED = 1000  # steps in which a table is compared with what an environment does
@@ -96,7 +97,7 @@ def arguments(name: str) -> dict[str, Any]:
     }
 
 
-by_name = from_gymnasium
+by_name = from_gymnasium  # the name under which `interop` looks for it in the module of each library
 
 
 def _make(name: str | EnvSpec, parameters: Mapping[str, Any]) -> gymnasium.Env:
@@ -164,8 +165,8 @@ def _check_steps(name: str, inner: gymnasium.Env, limit: int) -> None:
     try:
         wrong = _wrong_step(inner, limit)
     except Exception as error:
-        said = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InputError(f"{name}: its steps could not be compared with its table ({said}); {hint}") from None
+        why = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"{name}: its steps could not be compared with its table ({why}); {hint}") from None
     if wrong:
         raise InputError(f"{name}: {wrong}, which its table P does not have; {hint}")
 
@@ -201,9 +202,8 @@ class Tabular(gymnasium.Env):
 
     def __init__(self, env: Environment):
         self.env = env
-        name = next((name for name, cls in ENVS.items() if cls is type(env)), type(env).__name__)
         self.spec = EnvSpec(
-            f"jaxrl_tab/{name}-v0",
+            f"jaxrl_tab/{registered_name(ENVS, type(env))}-v0",
             entry_point=f"{__name__}:Tabular",
             max_episode_steps=env.max_steps,
             kwargs={"env": env},
@@ -211,9 +211,9 @@ class Tabular(gymnasium.Env):
         self.observation_space = spaces.Discrete(env.num_states)
         self.action_space = spaces.Discrete(env.num_actions)
         self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
-        there = available_actions(env)
-        self._available = None if there is None else np.asarray(there)
-        self._done = None if there is None else np.asarray(stand_ins(there))
+        available = available_actions(env)
+        self._available = None if available is None else np.asarray(available)
+        self._stand_ins = None if available is None else np.asarray(stand_ins(available))
         self._s: int | None = None
         self._steps = 0
         if isinstance(env, FiniteEnvironment):
@@ -229,7 +229,7 @@ class Tabular(gymnasium.Env):
             raise gymnasium.error.ResetNeeded("call reset before step")
         if not self.action_space.contains(action):
             raise InputError(f"action must be one of 0 to {self.env.num_actions - 1}, not {shown(action)}")
-        action = int(action if self._done is None else self._done[self._s, action])
+        action = int(action if self._stand_ins is None else self._stand_ins[self._s, action])
         outcome = self._step(self._key(), self._s, action)
         self._s, self._steps = int(outcome.s_next), self._steps + 1
         terminated = bool(outcome.terminal)

@@ -3,8 +3,8 @@
 import dataclasses
 import functools
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import gymnax
 import jax
@@ -15,20 +15,15 @@ from gymnax.environments import environment, spaces
 from gymnax.wrappers import LegacyStepAPIWrapper, LogWrapper
 from jaxtyping import Array, Bool, Int, Key
 
-from jaxrl_tab.core import rng
-from jaxrl_tab.core.checks import InputError, check_pytree, nearest, numbers, shown, whole
+from jaxrl_tab.core.checks import InputError, check_pytree, nearest, numbers, shown
+from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Environment, Outcome, available_actions, stand_ins
 from jaxrl_tab.envs import ENVS, FiniteMDP
-from jaxrl_tab.interop import draws
+from jaxrl_tab.interop.gymnax_states import States, Task, explore, named
 
-MAX_STATES = (
-    20_000  # of an imported task: with many more a table is no way to learn, and finding them is slow
-)
 # Wrappers that change no reward, action, observation, end or dynamics, by their exact class.
 HARMLESS = (LogWrapper, LegacyStepAPIWrapper)
-LANES = 16_384  # transitions that are worked out at once
-KEYS = 64  # tried for each state and action where draws cannot be enumerated
 
 
 @pytree
@@ -81,27 +76,22 @@ class SampledGymnax:
 
     def step(self, key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
         _, example = jax.eval_shape(self.env.reset_env, key, self.params)
-        leaves = {name: jnp.zeros(x.shape, x.dtype) for name, x in _named(example).items()}
+        leaves = {name: jnp.zeros(x.shape, x.dtype) for name, x in named(example).items()}
         leaves |= {name: jnp.asarray(x)[s] for name, x in self.states.items()}  # the others do not matter
         state = jax.tree.unflatten(jax.tree.structure(example), list(leaves.values()))
         _, state, reward, terminal, _ = self.env.step_env(key, state, a, self.params)
         terminal = jnp.asarray(terminal, bool)
-        s_next, found = self._find(state, terminal)
-        return Outcome(s_next, jnp.where(found, jnp.asarray(reward, float), jnp.nan), terminal)
+        s_next, has_number = self._find(state, terminal)
+        return Outcome(s_next, jnp.where(has_number, jnp.asarray(reward, float), jnp.nan), terminal)
 
     def _find(self, state: Any, terminal: Any) -> tuple[Int[Array, ""], Bool[Array, ""]]:
         """The number of a state of gymnax, and whether it has one."""
-        leaves = _named(state)
+        leaves = named(state)
         same = jnp.asarray(self.is_state) & (jnp.asarray(self.is_terminal) == terminal)
         for name, x in self.states.items():
             equal = jnp.asarray(x) == jnp.asarray(leaves[name], x.dtype)[None]
             same &= equal.reshape(len(same), -1).all(1)
         return jnp.argmax(same).astype(jnp.int32), same.any()
-
-
-def _named(state: Any) -> dict[str, Any]:
-    """The leaves of a state of gymnax, in their order."""
-    return {jax.tree_util.keystr(path)[1:]: x for path, x in jax.tree.leaves_with_path(state)}
 
 
 @jax.threefry_partitionable(True)  # what is drawn to find the states is the same whatever JAX is set to
@@ -130,19 +120,19 @@ def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGy
             more than 20,000 states; or a time limit of its own ends episodes.
     """
     env, params = _made(env, params, parameters)
-    task = _Task(env, params)
-    found = _States(task)
-    start, outcomes = _explore(task, found)
-    number, num_states = found.numbering()
+    task = Task(env, params)
+    reached = States(task)
+    start, outcomes = explore(task, reached)
+    number, num_states = reached.numbering()
     rows = lambda x: _rows(np.array(x), number, num_states)
     observations = jax.tree.unflatten(
-        task.observation_def, list(map(rows, zip(*found.observations, strict=True)))
+        task.observation_def, list(map(rows, zip(*reached.observations, strict=True)))
     )
-    is_terminal = rows(found.is_terminal)
+    is_terminal = rows(reached.is_terminal)
     if not task.is_exact:
         is_state = np.isin(np.arange(num_states), number)
         names = [task.names[i] for i in task.leaves]
-        states = dict(zip(names, map(rows, zip(*found.states, strict=True)), strict=True))
+        states = dict(zip(names, map(rows, zip(*reached.states, strict=True)), strict=True))
         return SampledGymnax(states, is_terminal, is_state, observations, params, env, task.max_steps)
     # A number that no state has leads to itself, as if it were one that is never entered.
     renamed = [[[(1.0, s, 0.0)]] * task.num_actions for s in range(num_states)]
@@ -164,8 +154,8 @@ def arguments(name: str) -> dict[str, Any]:
     """The keyword arguments of a registered environment and the fields of its `params`, with their defaults."""
     env, params = _made(name, None, {})
     keywords = inspect.signature(type(env)).parameters.values()
-    found = {keyword.name: keyword.default for keyword in keywords if keyword.default is not keyword.empty}
-    return found | {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
+    defaults = {keyword.name: keyword.default for keyword in keywords if keyword.default is not keyword.empty}
+    return defaults | {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
 
 
 def by_name(name: str, **values: Any) -> EnumeratedGymnax | SampledGymnax:
@@ -181,9 +171,9 @@ def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environ
         if env not in gymnax.registered_envs:
             close = nearest(env, gymnax.registered_envs)
             raise InputError(f"gymnax has no environment {shown(env)}; {close}")
-        given = tuple(sorted(parameters.items()))
+        items = tuple(sorted(parameters.items()))
         try:
-            env = _make(env, given) if _is_hashable(given) else _make.__wrapped__(env, given)
+            env = _make(env, items) if _is_hashable(items) else _make.__wrapped__(env, items)
         except Exception as error:  # whatever its constructor makes of them
             raise InputError(f"{env}: {' '.join(str(error).split()) or type(error).__name__}") from None
     elif parameters:
@@ -207,22 +197,22 @@ def _made(env: Any, params: Any, parameters: Mapping[str, Any]) -> tuple[environ
     return env, _params(env, params)
 
 
-def _params(env: environment.Environment, given: Any) -> Any:
-    """The parameters `given` for `env`: its own, or a mapping of those that differ from the default ones."""
+def _params(env: environment.Environment, params: Any) -> Any:
+    """The parameters of `env`, where `params` are such, or a mapping of those that differ from the default ones."""
     default = env.default_params
-    known = [field.name for field in dataclasses.fields(default)]
-    if isinstance(given, type(default)):
-        changed: dict[Any, Any] = {field: getattr(given, field) for field in known}
-    elif given is None or isinstance(given, Mapping):
-        changed = dict(given or {})
+    field_names = [field.name for field in dataclasses.fields(default)]
+    if isinstance(params, type(default)):
+        changed: dict[Any, Any] = {field: getattr(params, field) for field in field_names}
+    elif params is None or isinstance(params, Mapping):
+        changed = dict(params or {})
     else:
         raise InputError(
             f"{env.name}: params must be those of this environment, or a dict of what differs from "
-            f"env.default_params, not {shown(given)}"
+            f"env.default_params, not {shown(params)}"
         )
     for field, value in changed.items():
-        if field not in known:
-            raise InputError(f"{env.name} has no parameter {field!r}; {nearest(str(field), known)}")
+        if field not in field_names:
+            raise InputError(f"{env.name} has no parameter {field!r}; {nearest(str(field), field_names)}")
         number = numbers(env.name, field, value)
         if number.shape != np.shape(getattr(default, field)) or not np.isfinite(number).all():
             raise InputError(
@@ -245,248 +235,6 @@ def _is_hashable(value: Any) -> bool:
     return True
 
 
-# --- finding all states ------------------------------------------------------------------------------
-
-
-class _Task:
-    """How episodes begin and go on, as enumerations of the draws.
-
-    Attributes:
-        leaves: which leaves of the state of gymnax matter.
-        first: all leaves of some start state.
-        reset, step: their outputs are the leaves that matter, the time, and the observation; those of `step`
-            also the reward, and whether the state is terminal.
-    """
-
-    def __init__(self, env: environment.Environment, params: Any):
-        self.name, self.env, self.params = env.name, env, params
-        if not isinstance(space := env.action_space(params), spaces.Discrete):
-            raise InputError(f"{self.name}: actions must be discrete, and they are {shown(space)}")
-        if type(env).is_truncated is not environment.Environment.is_truncated:
-            raise InputError(
-                f"{self.name}: its own rule when to truncate is not understood, but max_steps_in_episode"
-            )
-        self.num_actions = int(space.n)
-        limit = float(params.max_steps_in_episode)  # some environments have it as a float
-        self.max_steps = whole(self.name, "max_steps_in_episode", int(limit) if limit.is_integer() else limit)
-
-        def reset(key):
-            observation, state = env.reset_env(key, params)
-            return state, observation
-
-        def step(key, state, action):
-            observation, state, reward, terminal, _ = env.step_env(key, state, action, params)
-            return state, reward, jnp.asarray(terminal, bool), observation
-
-        first, observation = jax.tree.map(jnp.asarray, reset(rng.key(0)))
-        self.names = list(_named(first))
-        if "time" not in self.names:
-            raise InputError(f"{self.name}: its state has no field `time`, which counts the steps")
-        self.first, self.state_def = jax.tree.flatten(first)
-        observed, self.observation_def = jax.tree.flatten(observation)
-
-        begin, go_on = draws.Program(reset), draws.Program(step, first, jnp.int32(0))
-        count, self.time = len(self.names), self.names.index("time")
-        reward, terminal = count, count + 1
-        seen = range(count + 2, count + 2 + len(observed))
-        self.leaves: list[int] = []
-        needed = lambda: sorted(
-            i for i in go_on.arguments([*self.leaves, reward, terminal, *seen]) if i < count
-        )
-        while (more := needed()) != self.leaves:
-            self.leaves = more
-        self.reset = begin.enumerate([*self.leaves, self.time, *range(count, count + len(observed))])
-        self.step = go_on.enumerate([*self.leaves, self.time, *seen, reward, terminal])
-
-        size = len(self.leaves)
-        *states, reward_is_exact, ending = (*self.step.is_exact[:size], *self.step.is_exact[-2:])
-        self.states_are_exact = all((*self.reset.is_exact[:size], *states, ending))
-        self.is_exact = self.states_are_exact and reward_is_exact
-
-    def beginnings(self, keys: Any) -> "_Seen":
-        """What may be at the start, [K, C]: for each key and choice."""
-        given = jax.jit(_over_draws(self.reset.function))(self.reset.choices, keys)
-        return _Seen.of(given, len(self.leaves))
-
-    def transitions(self, block: int) -> Callable[[Any, list[np.ndarray]], "_Seen"]:
-        """A function of keys and the leaves of B = `block` states [B, ...]: what may follow, [B, A, K, C]."""
-
-        def step(choice, key, state, action):
-            leaves = list(self.first)  # of no consequence, but for these:
-            for i, x in zip(self.leaves, state, strict=True):
-                leaves[i] = x
-            return self.step.function(choice, key, jax.tree.unflatten(self.state_def, leaves), action)
-
-        over_actions = jax.vmap(_over_draws(step, None, None), (None, None, None, 0))
-        run = jax.jit(jax.vmap(over_actions, (None, None, 0, None), axis_size=block))
-        actions = np.arange(self.num_actions, dtype=np.int32)
-        return lambda keys, states: _Seen.of(run(self.step.choices, keys, states, actions), len(self.leaves))
-
-    def check_time(self, seen: "_Seen", where: np.ndarray, before: Any) -> None:
-        """Raises InputError unless the time is `before` + 1 and, if it matters, within the limit.
-
-        Only the places of `where` are looked at.
-        """
-        time = seen.time[where]
-        if (time != np.broadcast_to(before, where.shape)[where] + 1).any():
-            raise InputError(
-                f"{self.name}: `time` in its state does not count the steps, so its limit is unknown"
-            )
-        if self.time in self.leaves and (time > self.max_steps).any():
-            raise InputError(
-                f"{self.name}: what happens depends on the time, and only the time limit of {self.max_steps} "
-                "steps ends its episodes: there is no end to its states"
-            )
-
-    def time_of(self, states: list[np.ndarray]) -> np.ndarray:
-        """The time of states [B], where it matters; else 0."""
-        if self.time in self.leaves:
-            return states[self.leaves.index(self.time)]
-        return np.zeros(len(states[0]) if states else 1, int)
-
-
-def _over_draws(function: Callable[..., Any], *axes: Any) -> Callable[..., Any]:
-    """`function` of a choice and a key, over keys [K] and choices [C]: [K, C]."""
-    return jax.vmap(jax.vmap(function, (0, None, *axes)), (None, 0, *axes))
-
-
-class _Seen(NamedTuple):
-    """What may happen, arrays of any shape [...]: probabilities, and what a `_Task` gives."""
-
-    prob: np.ndarray
-    state: list[np.ndarray]
-    time: np.ndarray
-    observation: list[np.ndarray]
-
-    @classmethod
-    def of(cls, given: Any, size: int) -> "_Seen":
-        outputs, low, high = jax.tree.map(np.asarray, given)
-        return cls(draws.probabilities(low, high), outputs[:size], outputs[size], outputs[size + 1 :])
-
-
-class _States:
-    """The states that were found, numbered as they come."""
-
-    def __init__(self, task: _Task):
-        self.task = task
-        self.states: list[list[np.ndarray]] = []  # the leaves that matter
-        self.is_terminal: list[bool] = []
-        self.observations: list[list[np.ndarray]] = []
-        self._numbers: dict[bytes, int] = {}
-        self._looks: dict[bytes, int] = {}  # observation -> the state that looks so, where episodes go on
-
-    def add(self, seen: _Seen, observation: list[np.ndarray], terminal: np.ndarray) -> np.ndarray:
-        """The numbers of the states that were seen, int [...]; -1 where the probability is 0."""
-        number = np.full(seen.prob.shape, -1)
-        possible = seen.prob > 0
-        state, observation, terminal = jax.tree.map(
-            lambda x: x[possible], (seen.state, observation, terminal)
-        )
-        if any(np.isnan(x).any() for x in [*state, *observation] if np.issubdtype(x.dtype, np.floating)):
-            raise InputError(f"{self.task.name}: a state, or what is observed in it, is not a number (NaN)")
-        states, looks = _bytes([*state, terminal]), _bytes(observation)
-        both = np.concatenate([states, looks], axis=1)
-        _, index, inverse = np.unique(both, axis=0, return_index=True, return_inverse=True)
-        numbers = [
-            self._add(
-                states[i].tobytes(),
-                looks[i].tobytes(),
-                [x[i] for x in state],
-                [x[i] for x in observation],
-                bool(terminal[i]),
-            )
-            for i in index
-        ]
-        number[possible] = np.array(numbers)[inverse.ravel()]
-        return number
-
-    def _add(self, name: bytes, look: bytes, state: Any, observation: Any, terminal: bool) -> int:
-        number = self._numbers.setdefault(name, len(self.states))
-        if number == len(self.states):
-            if number == MAX_STATES:
-                raise InputError(
-                    f"{self.task.name} has more than {MAX_STATES} states, too many for a table; "
-                    "perhaps there is no end to them"
-                )
-            self.states.append(state)
-            self.is_terminal.append(terminal)
-            self.observations.append(observation)
-        if not terminal and (other := self._looks.setdefault(look, number)) != number:
-            differ = [
-                self.task.names[i]
-                for i, x, y in zip(self.task.leaves, self.states[other], state, strict=True)
-                if not np.array_equal(x, y)
-            ]
-            raise InputError(
-                f"{self.task.name}: what is observed is not a state, for two that differ in "
-                f"{', '.join(differ)} look the same; a table of states would know what cannot be known"
-            )
-        return number
-
-    def numbering(self) -> tuple[np.ndarray, int]:
-        """The final number of each state, int [n], and how many numbers there are."""
-        space = self.task.env.observation_space(self.task.params)
-        if isinstance(space, spaces.Discrete) and space.n <= MAX_STATES:
-            number = np.array([int(x) for (x,) in self.observations])
-            if number.min() >= 0 and number.max() < space.n and len(np.unique(number)) == len(number):
-                return number, space.n
-        columns = [*zip(*self.states, strict=True), self.is_terminal]
-        columns = np.concatenate([np.array(x).reshape(len(self.states), -1) for x in columns], axis=1)
-        return np.argsort(np.lexsort(columns.T[::-1])), len(self.states)
-
-
-def _bytes(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """The rows of arrays [n, ...] as bytes, uint8 [n, bytes]."""
-    n = len(arrays[0])
-    flat = [np.ascontiguousarray(x.reshape(n, -1)).view(np.uint8) for x in arrays if x.size]
-    return np.concatenate([np.zeros((n, 0), np.uint8), *flat], axis=1)
-
-
-def _check_countable(task: _Task, seen: _Seen) -> None:
-    """Raises InputError where a real number of the start state is another one with each key."""
-    for i, x in zip(task.leaves, seen.state, strict=True):
-        if len(x) > 1 and np.issubdtype(x.dtype, np.floating) and len(np.unique(x, axis=0)) == len(x):
-            raise InputError(
-                f"{task.name}: {len(x)} keys give {len(x)} different values of {task.names[i]} in the start "
-                "state, as if from a continuum; a table needs few states"
-            )
-
-
-def _explore(task: _Task, found: _States) -> tuple[dict[int, float], list[Any]]:
-    """Finds all states, breadth first. Returns the probabilities of start states, and outcomes [S][A]."""
-    keys = jax.random.split(rng.key(0), 1 if task.states_are_exact else KEYS)
-    seen = task.beginnings(keys)
-    _check_countable(task, seen)
-    numbers = found.add(seen, seen.observation, np.zeros(seen.prob.shape, bool))
-    start: dict[int, float] = {}
-    for i in map(tuple, np.argwhere(numbers >= 0)):
-        start[int(numbers[i])] = start.get(int(numbers[i]), 0.0) + float(seen.prob[i]) / len(keys)
-    task.check_time(seen, seen.prob > 0, before=-1)
-
-    block = max(1, LANES // (task.num_actions * len(keys) * len(task.step.choices)))
-    step = task.transitions(block)
-    outcomes: list[list[list[tuple[float, int, float]]]] = []
-    while len(outcomes) < len(found.states):
-        todo = np.arange(len(outcomes), min(len(outcomes) + block, len(found.states)))
-        outcomes += [[[] for _ in range(task.num_actions)] for _ in todo]
-        todo = todo[~np.array(found.is_terminal)[todo]]
-        if not len(todo):
-            continue
-        padded = np.resize(todo, block)  # of one size, so that one program does
-        states = [np.array(x) for x in zip(*(found.states[s] for s in padded), strict=True)]
-        given = step(keys, states)
-        seen = jax.tree.map(lambda x: x[: len(todo)], given)  # noqa: B023
-        *observation, reward, terminal = seen.observation
-        reward = draws.exact(reward)
-        numbers = found.add(seen, observation, terminal)
-        task.check_time(
-            seen, (seen.prob > 0) & ~terminal, task.time_of(states)[: len(todo), None, None, None]
-        )
-        for i in map(tuple, np.argwhere(numbers >= 0)):
-            outcomes[todo[i[0]]][i[1]].append((seen.prob[i] / len(keys), int(numbers[i]), reward[i]))
-    return start, outcomes
-
-
 # --- the other way -----------------------------------------------------------------------------------
 
 
@@ -500,6 +248,7 @@ class TabularState(environment.EnvState):
         terminal: whether it is terminal, bool [].
     """
 
+    time: Any  # JAX fills pytrees of flax with whatever it works on
     s: Any
     terminal: Any
 
@@ -512,7 +261,7 @@ class Tabular(environment.Environment):
 
     @property
     def name(self) -> str:
-        return next((name for name, cls in ENVS.items() if cls is type(self.env)), type(self.env).__name__)
+        return registered_name(ENVS, type(self.env))
 
     @property
     def default_params(self) -> environment.EnvParams:
@@ -527,15 +276,17 @@ class Tabular(environment.Environment):
         return s, TabularState(time=jnp.int32(0), s=s, terminal=jnp.bool(False))
 
     def step_env(self, key: Any, state: TabularState, action: Any, params: Any) -> tuple[Any, ...]:
-        there, action = available_actions(self.env), jnp.asarray(action, jnp.int32)
-        if there is not None:
-            action = stand_ins(there)[state.s, action]
+        available, action = available_actions(self.env), jnp.asarray(action, jnp.int32)
+        if available is not None:
+            action = stand_ins(available)[state.s, action]
         outcome = self.env.step(key, state.s, action)
         s, terminal = jnp.asarray(outcome.s_next, jnp.int32), jnp.asarray(outcome.terminal, bool)
         reward = jnp.asarray(outcome.reward, float)
         state = TabularState(time=state.time + 1, s=s, terminal=terminal)
         info = {"discount": self.discount(state, params)}
-        return s, state, reward, terminal, info if there is None else {**info, "action_mask": there[s]}
+        if available is not None:
+            info["action_mask"] = available[s]
+        return s, state, reward, terminal, info
 
     def observe(self, key: Any, state: TabularState, action: Any, params: Any) -> Any:
         return state.s

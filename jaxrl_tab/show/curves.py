@@ -16,6 +16,8 @@ from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal,
 from jaxrl_tab.show.words import label_of, shortened, significant, text_of
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
+from jaxrl_tab.stats.measures import error_interval, has_errors
+from jaxrl_tab.stats.settings import Settings
 
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
 FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has its tick on an axis
@@ -23,7 +25,7 @@ MOST_MARKS = 24  # kinds of marks in a picture; beyond them nobody can tell whic
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 
-def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
+def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None:
     """Episodes finished against time steps, mean and 95% interval over seeds (book, example 6.5).
 
     The slope is the pace: one episode in so many steps. Where episodes were the budget, the mean and its
@@ -32,16 +34,17 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
     Args:
         ax: where to draw.
         datasets: a sweep for each method.
-        given: hyperparameters to hold, such as `alpha=0.5`; otherwise each method's best (`stats.best`).
+        setting: hyperparameters to hold, such as `alpha=0.5`; otherwise each method's best (`stats.best`).
 
     Raises:
         InputError: no method swept the hyperparameter, or one that did not at this value.
     """
-    for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
-        by_steps = "num_steps" in ds.attrs
+    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+        by_steps = "num_steps" in own.ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
-        mean, low, high = (_from_origin(x.clip(min=0)) for x in stats.progress_interval(ds, spread)[:3])
-        other = _from_origin(stats.episode_curve(ds.isel(seed=0))[exact])
+        interval = own.once(stats.progress_interval, spread)
+        mean, low, high = (_from_origin(x.clip(min=0)) for x in interval[:3])
+        other = _from_origin(stats.episode_curve(own.ds.isel(seed=0))[exact])
         points = (other, mean) if by_steps else (mean, other)
         ax.plot(*points, lw=1.8, ms=4.5, markevery=max(1, len(mean) // 8), label=literal(label), **style)
         band = ax.fill_between if by_steps else ax.fill_betweenx
@@ -52,7 +55,7 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **given: Any) -> None:
     legend(ax, loc="upper left")
 
 
-def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **given: Any) -> None:
+def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **setting: Any) -> None:
     """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
 
     Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
@@ -61,21 +64,21 @@ def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **giv
     error of V is drawn, at the end of every row. Arguments and errors as in `episodes_against_steps`.
     """
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
-    if stats.is_prediction(*datasets.values()):
-        for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
-            x = (ds.steps if by_steps else ds.episodes).mean("seed").cumsum("row")
+    if has_errors(*datasets.values()):
+        for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+            x = (own.ds.steps if by_steps else own.ds.episodes).mean("seed").cumsum("row")
             line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
-            mean_curve(ax, x, ds.v_error, label, **line)
+            interval_curve(ax, x, own.once(error_interval), label, **line)
         tidy(ax, "time steps" if by_steps else "episodes", "RMS error of V over states")
         ax.set_xlim(left=0)
         ax.set_ylim(bottom=0)
         legend(ax)
         return
     shown, end = [], 0
-    for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
-        points, interval, enough = _readable_curve(ds)
-        curve = stats.episode_curve(stats.merge_rows(ds.isel(seed=0), points))
-        x = curve["time_steps" if "num_steps" in ds.attrs else "episodes"].values
+    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+        points, interval, enough = _readable_curve(own)
+        curve = stats.episode_curve(stats.merge_rows(own.ds.isel(seed=0), points))
+        x = curve["time_steps" if "num_steps" in own.ds.attrs else "episodes"].values
         mean, low, high = (np.where(enough, part, np.nan) for part in interval[:3])
         ax.plot(x, mean, lw=1.7, ms=3.5, label=literal(label), **style)
         ax.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
@@ -97,7 +100,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     some runs finished no episode in the last tenth, and so count with what they collected there. A method
     that did not sweep the parameter is drawn at the one value that it had. Schedules and policies, and
     numbers beside them, stand side by side in the order in which they come. Where the parameter was drawn at
-    random there is a point for each draw, in which what was drawn with it is another, too.
+    random there is a point for each draw; what was drawn together with it differs from point to point, too.
 
     Args:
         soft: as in `learning_curves`.
@@ -107,7 +110,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     """
     if not any(parameter in stats.hyperparameters(ds) + stats.drawn(ds) for ds in datasets.values()):
         raise InputError(f"no method swept {parameter!r}")
-    prediction = stats.is_prediction(*datasets.values())
+    prediction = has_errors(*datasets.values())
     series, drawn = {}, set()
     for name, own in Methods.of(datasets).settings.items():
         ds, chosen = own.ds, dict(own.best)
@@ -131,9 +134,8 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
             continue
         label, x, parts = series[name]
         x, (*interval, _, late) = place(x), (part.values for part in parts)
-        mean, low, high = (
-            np.where(np.isfinite(part), part, np.nan) for part in interval
-        )  # it may have diverged
+        # Where runs diverged the interval may be infinite, and its bar would have no end.
+        mean, low, high = (np.where(np.isfinite(part), part, np.nan) for part in interval)
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
         ax.errorbar(
@@ -150,7 +152,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     what = "step size α" if parameter == "alpha" else words.symbol(parameter)
     if prediction:
         tidy(ax, what, "RMS error of V, mean over the run")
-        _error_axis(ax, shown[::3])
+        _error_axis(ax, shown[::3])  # the means alone, without the ends of the intervals
     else:
         tidy(ax, what, "mean return, last tenth")
         _return_axis(ax, shown, common_optimum(datasets), soft)
@@ -175,6 +177,7 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
             ax.xaxis.set_minor_locator(NullLocator())
         return lambda x: x.astype(float)
     names = list(dict.fromkeys(text_of(v) for x in tried for v in x.tolist()))
+    # Longer names would run into one another.
     tilt = {"rotation": 20, "ha": "right"} if sum(map(len, names)) > 30 else {}
     ax.set_xticks(range(len(names)), [literal(shortened(name)) for name in names], **tilt)
     ax.set_xlim(-0.5, len(names) - 0.5)
@@ -200,32 +203,39 @@ def mean_curve(ax: Axes, x: Any, values: xr.DataArray, label: str, color: str, *
         color: of the line and of the band.
         line: how the line is drawn, as in `Axes.plot`.
     """
-    interval = stats.mean_interval(values)
+    interval_curve(ax, x, stats.mean_interval(values), label, color, **line)
+
+
+def interval_curve(ax: Axes, x: Any, interval: stats.Interval, label: str, color: str, **line: Any) -> None:
+    """`mean_curve`, from an interval that was worked out before."""
     ax.plot(x, interval.estimate, label=literal(label), color=color, lw=line.pop("lw", 1.8), **line)
     ax.fill_between(x, interval.low, interval.high, color=color, alpha=0.25, lw=0)
 
 
-def _readable_curve(ds: xr.Dataset, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
-    """At most how many points, the interval of their mean returns, and where enough seeds are, bool [points].
+def _readable_curve(own: Settings, points: int = MOST_POINTS) -> tuple[int, stats.Interval, np.ndarray]:
+    """At most how many points, the interval of the mean return at each, and if seeds suffice, bool [points].
 
     They are fewer than `points` if that closes gaps in the second half.
     """
-    interval = stats.curve_interval(ds, points)
-    enough = (interval.n >= MOST_SEEDS * ds.sizes["seed"]).values
+    interval = own.once(stats.curve_interval, min(points, own.ds.sizes["row"]))
+    enough = (interval.n >= MOST_SEEDS * own.ds.sizes["seed"]).values
     if enough[len(enough) // 2 :].all() or points <= LEAST_POINTS:
         return points, interval, enough
-    return _readable_curve(ds, points // 2)
+    return _readable_curve(own, points // 2)
 
 
-def at_setting(datasets: Datasets, given: Mapping[str, Any]) -> Iterable[tuple[str, xr.Dataset]]:
-    """(label, dataset at one combination of hyperparameters) for each method."""
-    for name in given:
+def at_setting(datasets: Datasets, held: Mapping[str, Any]) -> Iterable[tuple[str, Settings]]:
+    """(label, one combination of hyperparameters) for each method: what is `held`, and else its best."""
+    for name in held:
         if not any(name in stats.hyperparameters(ds) for ds in datasets.values()):
             raise InputError(f"no method swept {name!r}")
     for name, own in Methods.of(datasets).settings.items():
-        held = {key: value for key, value in given.items() if key in stats.hyperparameters(own.ds)}
-        setting = stats.best(own.ds, **held) if held else own.best
-        yield label_of(name, stats.named(own.ds, setting)), own.ds.sel(setting)
+        own_held = {key: value for key, value in held.items() if key in stats.hyperparameters(own.ds)}
+        setting = stats.best(own.ds, **own_held) if own_held else own.best
+        yield (
+            label_of(name, stats.named(own.ds, setting)),
+            Settings(own.ds.sel(setting)) if own_held else own.at_best,
+        )
 
 
 def _from_origin(x: xr.DataArray) -> np.ndarray:
@@ -266,6 +276,7 @@ def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float)
     if high < 0 and low / high > 5:
         bottom, top = low * 1.2, high / 1.35
         ticks = np.outer(10.0 ** np.arange(-6, 12), [1, 2, 5]).ravel()
+        # All values are beyond the threshold, so this is a logarithmic axis of negative numbers.
         ax.set_yscale("symlog", linthresh=-top)
         ax.set_yticks([-t for t in ticks if -top <= t <= -bottom])
         ax.yaxis.set_major_formatter(lambda y, _: significant(y))

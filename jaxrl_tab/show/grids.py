@@ -47,9 +47,8 @@ def greedy_path(
     rows, columns = np.divmod(path, env.shape[1])
     arrows = greedy_actions(q) & prefers[:, None]
     for s, *step in zip(path[:-1], np.diff(rows), np.diff(columns), strict=True):
-        arrows[s] &= (np.asarray(COMPASS[: env.num_actions]) != step).any(
-            -1
-        )  # the path itself shows this one
+        # The path itself shows this one.
+        arrows[s] &= (np.asarray(COMPASS[: env.num_actions]) != step).any(-1)
     _draw_arrows(ax, env, arrows, "#9a9a9a")
     _draw_ends(ax, env)
 
@@ -139,6 +138,7 @@ class _Moves(NamedTuple):
         likeliest = np.isclose(likelihood, likelihood.max(-1, keepdims=True))
         rank = likeliest.cumsum(-1)
         middle = (rank[..., -1:] + 1) // 2
+        # Of k likeliest outcomes number (k + 1) // 2: of three gusts of wind the one in the middle.
         k = ((rank == middle) & likeliest).argmax(-1)[..., None]
 
         return cls(
@@ -152,7 +152,7 @@ class _Moves(NamedTuple):
         """Steps to a terminal state by greedy actions, float32 [n, S] for `q` [n, S, A]; inf if never."""
         cost = np.where(np.moveaxis(greedy_actions(q), 0, -1), np.float32(1), np.float32(np.inf))  # [S, A, n]
         cost[self.terminal] = 0
-        steps = np.full((len(cost), len(q)), np.float32(np.inf))
+        steps = np.full((len(cost), len(q)), np.float32(np.inf))  # float32 is exact for so few steps
         steps[self.terminal] = 0
         while True:
             before, steps = steps, (steps[self.successor] + cost).min(1)
@@ -243,18 +243,9 @@ def _quiver(
     width: float = 0.045,
 ) -> None:
     """Arrows from (x, y), as long and as wide as they are in cells; `color` is one for all or [arrows, 4]."""
-    ax.quiver(
-        *(x, y, right, down),
-        **{"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": width},
-        **{
-            "headwidth": 4,
-            "headlength": 4,
-            "headaxislength": 3.6,
-            "minlength": 0,
-            "color": color,
-            "zorder": 3,
-        },
-    )
+    size = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": width, "minlength": 0}
+    head = {"headwidth": 4, "headlength": 4, "headaxislength": 3.6}
+    ax.quiver(x, y, right, down, **size, **head, color=color, zorder=3)
 
 
 def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
@@ -269,7 +260,7 @@ def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
 
 def median_path(ax: Axes, env: Grid, own: Method) -> None:
     """The greedy path that is the median over seeds in length, at the best setting of a method."""
-    label, ds = label_of(own.name, stats.named(own.ds, own.best)), own.at_best
+    label, ds = label_of(own.name, stats.named(own.ds, own.best)), own.at_best.ds
     moves = _Moves.of(env)
     lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in tables_of_seeds(ds)])
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -14,7 +15,7 @@ from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions
 from jaxrl_tab.envs.base import Panel
 from jaxrl_tab.exact import planning
-from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, at_setting, mean_curve
+from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, at_setting, interval_curve
 from jaxrl_tab.show.style import (
     CELL,
     COLORS,
@@ -40,7 +41,7 @@ def tables_of(env: Environment) -> tuple[Panel, ...]:
 
 
 def panels(
-    axes: Sequence[Axes],
+    axes: Sequence[Axes] | np.ndarray,
     env: Environment,
     v: np.ndarray,
     best: np.ndarray | None = None,
@@ -72,9 +73,8 @@ def panels(
             text = _cell(float(v[s]))
             if best is not None:
                 text += "\n" + _either([names[a] for a in np.flatnonzero(best[s])])
-            color = (
-                INK if v[s] > low + 0.6 * (high - low) else "white"
-            )  # on the bright colours, and on the dark
+            is_bright = v[s] > low + 0.6 * (high - low)  # the colour of the cell
+            color = INK if is_bright else "white"
             middle = {"ha": "center", "va": "center", "linespacing": 1}
             ax.text(column, row, literal(text), size=CELL, color=color, **middle)
         ax.set_xticks(range(len(table.columns)), map(literal, table.columns))
@@ -141,7 +141,7 @@ def action_values(ax: Axes, env: Environment, q: np.ndarray) -> None:
         legend(ax, title=marked[0], loc="center left", bbox_to_anchor=(1, 0.5), ncols=columns)
 
 
-def state_values(ax: Axes, datasets: Datasets, env: Environment, **given: Any) -> None:
+def state_values(ax: Axes, datasets: Datasets, env: Environment, **setting: Any) -> None:
     """The V that methods of prediction learned, mean and 95% interval over seeds, beside the exact v_pi.
 
     States that are terminal or out of reach are left out. v_pi is drawn where pi is the policy in which all
@@ -149,8 +149,8 @@ def state_values(ax: Axes, datasets: Datasets, env: Environment, **given: Any) -
     """
     model = planning.exact_model(env)
     states = np.flatnonzero(planning.reachable(model) & ~planning.terminal_states(model))
-    for (label, ds), style in zip(at_setting(datasets, given), line_styles(), strict=False):
-        mean_curve(ax, states, ds.q[..., 0].isel(state=states), label, **style)
+    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+        interval_curve(ax, states, own.once(_values_learned, tuple(states.tolist())), label, **style)
     if (exact := uniform_values(datasets, env)) is not None:
         ax.plot(states, exact[states], color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=1)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -158,15 +158,21 @@ def state_values(ax: Axes, datasets: Datasets, env: Environment, **given: Any) -
     legend(ax)
 
 
+def _values_learned(ds: xr.Dataset, states: tuple[int, ...]) -> stats.Interval:
+    """The mean V of these states, and its interval over seeds, [state]."""
+    return stats.mean_interval(ds.q[..., 0].isel(state=list(states)))
+
+
 def uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
     """v_pi, float64 [S], where all learned about the uniform policy with one gamma; else None."""
-    given = any("pi" in stats.fixed(ds) or "pi" in ds.dims for ds in datasets.values())
+    has_pi = any("pi" in stats.fixed(ds) or "pi" in ds.dims for ds in datasets.values())
     gamma, *others = {stats.fixed(ds).get("gamma", np.nan) for ds in datasets.values()}
-    if given or others or np.isnan(gamma):
+    if has_pi or others or np.isnan(gamma):
         return None
     available = available_actions(env)
-    there = np.ones((env.num_states, env.num_actions)) if available is None else np.asarray(available, float)
-    uniform = there / there.sum(1, keepdims=True)
+    shape = env.num_states, env.num_actions
+    weights = np.ones(shape) if available is None else np.asarray(available, float)
+    uniform = weights / weights.sum(1, keepdims=True)
     try:
         return planning.evaluate(env, uniform, gamma)
     except InputError:  # not finite everywhere

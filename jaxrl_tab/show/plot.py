@@ -129,7 +129,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
     """
     methods = Methods.of(datasets, env)
     curves = _curves(methods, env)
-    if isinstance(env, Grid) and not stats.learns_states(*methods.values()):
+    if isinstance(env, Grid) and not stats.is_prediction(*methods.values()):
         winner = methods.settings[stats.ranked(methods.settings)[0]]
         curves["greedy_path"] = lambda ax: median_path(ax, env, winner)
     columns = min(2, len(curves))
@@ -189,7 +189,7 @@ def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
         draw(figure.subplots())
         _say_what_ran(figure, datasets, env, intervals=True)
         figures[name] = figure
-    if isinstance(env, Grid) and not stats.learns_states(*methods.values()):
+    if isinstance(env, Grid) and not stats.is_prediction(*methods.values()):
         figures["greedy_path"] = _all_paths(methods, env)
     elif tables_of(env):
         figures["values"] = value_tables(methods, env)
@@ -199,7 +199,7 @@ def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
 def _curves(methods: Methods, env: Environment) -> dict[str, Callable[[Axes], None]]:
     """What draws each picture of one pair of axes, by its name."""
     curves: dict[str, Callable[[Axes], None]] = {}
-    if not stats.learns_states(*methods.values()):
+    if not stats.is_prediction(*methods.values()):
         curves["episodes"] = lambda ax: episodes_against_steps(ax, methods)
     soft = common_soft_optimum(methods)
     curves["learning_curves"] = lambda ax: learning_curves(ax, methods, soft=soft)
@@ -209,7 +209,7 @@ def _curves(methods: Methods, env: Environment) -> dict[str, Callable[[Axes], No
         key = f"sensitivity_{name}" if i else "sensitivity"
         line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
         curves[key] = lambda ax, name=name, line=line: sensitivity(ax, methods, name, soft=line)
-    if stats.learns_states(*methods.values()) and not tables_of(env):
+    if stats.is_prediction(*methods.values()) and not tables_of(env):
         curves["values"] = lambda ax: state_values(ax, methods, env)
     return curves
 
@@ -221,20 +221,21 @@ def value_tables(datasets: Datasets, env: Environment) -> Figure:
     most often; of prediction the mean of V.
     """
     learned = {}
-    for label, ds in at_setting(datasets, {}):
+    for label, own in at_setting(datasets, {}):
+        ds = own.ds
         often = sum(greedy_actions(q).sum(0) for q in tables_of_seeds(ds))
         best = often == np.max(often, -1, keepdims=True)
         value = sum(q.max(-1).sum(0, dtype=float) for q in tables_of_seeds(ds)) / ds.sizes["seed"]
         learned[f"{label}: mean of {seeds_in_words({label: ds})}"] = (
             value,
-            None if stats.learns_states(ds) else best,
+            None if stats.is_prediction(ds) else best,
         )
     limits = None
     if (exact := _exact_table(datasets, env)) is not None:
         learned["Exact"] = exact
         model = planning.exact_model(env)
-        there = exact[0][planning.reachable(model) & ~planning.terminal_states(model)]
-        limits = there.min(), there.max()
+        visited = exact[0][planning.reachable(model) & ~planning.terminal_states(model)]
+        limits = visited.min(), visited.max()
     figure, grid = panels_canvas(env, len(learned))
     for row, (title, (v, best)) in zip(grid, learned.items(), strict=True):
         panels(row, env, v, best, title, limits)
@@ -244,7 +245,7 @@ def value_tables(datasets: Datasets, env: Environment) -> Figure:
 
 def _exact_table(datasets: Datasets, env: Environment) -> tuple[np.ndarray, np.ndarray | None] | None:
     """v* and the optimal actions, or of prediction v_pi and None; None where there is no one such answer."""
-    if stats.learns_states(*datasets.values()):
+    if stats.is_prediction(*datasets.values()):
         v = uniform_values(datasets, env)
         return None if v is None else (v, None)
     if not np.isfinite(common_optimum(datasets)):

@@ -117,7 +117,7 @@ def write_methods(
         "report.html",
         title=_title(chapters),
         chapters=chapters,
-        explained={heading: said for chapter in chapters for heading, said in chapter.explained.items()},
+        explained=dict(item for chapter in chapters for item in chapter.explained.items()),
         about=about,
         speed=[_speed(name, ds) for name, ds in sweeps.items()],
         seeds=counts_in_words(seeds),
@@ -222,7 +222,7 @@ def _pictures(
     label: str, methods: Methods, env: Environment, stars: Sequence[Row], view: View
 ) -> list[Picture]:
     figures = plot.pictures(methods, env)
-    if isinstance(env, Grid) and not stats.learns_states(*methods.values()):
+    if isinstance(env, Grid) and not stats.is_prediction(*methods.values()):
         figures["values"] = plot.value_tables(methods, env)
     captions = CAPTIONS | (OF_PREDICTION if view.prediction else {})
     ends = ", ".join(
@@ -230,7 +230,7 @@ def _pictures(
     )
     what = view.what if view.prediction else f"{view.what} at the end"
     optimum = stars[0]["optimum"]
-    known = "" if view.prediction or np.isnan(optimum) else f"; exact optimum {number(optimum)}"
+    optimum_text = "" if view.prediction or np.isnan(optimum) else f"; exact optimum {number(optimum)}"
     pictures = []
     for name, figure in figures.items():
         kind, _, parameter = name.partition("_") if name.startswith("sensitivity") else (name, "", "")
@@ -240,7 +240,7 @@ def _pictures(
         pictures.append(
             Picture(
                 source=embedded(figure, "png" if texts else "svg"),
-                alt=f"{title} in {label}; {what}: {ends}{known}",
+                alt=f"{title} in {label}; {what}: {ends}{optimum_text}",
                 caption=captions[kind].format(shown),
                 large=texts or kind == "greedy_path",
             )
@@ -272,9 +272,9 @@ def _title(chapters: Sequence[Chapter]) -> str:
 def _speed(name: str, ds: xr.Dataset) -> list[str]:
     """How long a sweep took: name, steps, seconds, seconds of compiling, and million steps per second."""
     steps = int(ds.steps.sum(dtype=np.int64))
-    known = [float(ds.attrs.get(key, np.nan)) for key in ("seconds", "compile_seconds", "steps_per_second")]
-    known[2] /= 1e6
-    return [name, f"{steps:,}".replace(",", " "), *(number(x, 1) for x in known)]
+    timings = [float(ds.attrs.get(key, np.nan)) for key in ("seconds", "compile_seconds", "steps_per_second")]
+    timings[2] /= 1e6
+    return [name, f"{steps:,}".replace(",", " "), *(number(x, 1) for x in timings)]
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""What a chapter of the report says: its rows, notes and tables."""
+"""The tables, notes and sentences of a chapter of the report, from the rows of its settings."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,7 +11,7 @@ from jaxrl_tab.show import plot, words
 from jaxrl_tab.show.words import counted, counts_in_words, number
 from jaxrl_tab.stats.columns import COLUMNS, Column, Row, text
 
-AT_ONCE, AT_MOST = 12, 1000  # rows of a table that are not folded away, and rows that are there at all
+AT_ONCE, AT_MOST = 12, 1000  # rows of a table that are shown unfolded, and rows that are shown at all
 
 
 class Table(NamedTuple):
@@ -43,7 +43,7 @@ class View(NamedTuple):
 def rank(row: Row, prediction: bool) -> tuple[bool, int, float]:
     """The best first, as `stats.best` has it: the fewest that diverged, and then the mean."""
     mean = row["score"][0]
-    return np.isnan(mean), row["diverged"], mean if prediction else -mean
+    return bool(np.isnan(mean)), row["diverged"], mean if prediction else -mean
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
@@ -52,7 +52,7 @@ def varied(rows: Sequence[Row]) -> list[str]:
     for row in rows:
         for name, value in row.setting.items():
             values.setdefault(name, set()).add(plot.written(value))
-    return [name for name, found in values.items() if len(found) > 1]
+    return [name for name, texts in values.items() if len(texts) > 1]
 
 
 def runs_in_words(ds: xr.Dataset) -> str:
@@ -68,9 +68,9 @@ def finding(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> str:
     if np.isnan(mean):
         return "no run has a result to compare"
     setting = setting_of(next(star for star in stars if star.method == row.method), view)
-    known = "" if view.prediction or np.isnan(optimum) else f"; the exact optimum is {number(optimum)}"
+    optimum_text = "" if view.prediction or np.isnan(optimum) else f"; the exact optimum is {number(optimum)}"
     seeds = " on fresh seeds" if on_fresh else ""
-    return f"best: {setting}, with a {view.what} of {number(mean, view.decimals)}{seeds}{known}"
+    return f"best: {setting}, with a {view.what} of {number(mean, view.decimals)}{seeds}{optimum_text}"
 
 
 def _difference_cells(row: Row, view: View) -> list[str]:
@@ -153,7 +153,7 @@ def settings_table(ranked: Sequence[Row], view: View) -> Table:
             _between(row["score"], view) + _doubt(row),
             *(_cell(column, row, view) for column in columns),
         ]
-        for row, star in zip(ranked, stars, strict=False)
+        for row, star in zip(ranked, stars, strict=False)  # `stars` ends after AT_MOST rows
     ]
     return Table(head, rows, stars)
 

@@ -32,14 +32,14 @@ def tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
     ax.set_axisbelow(True)
 
 
-def legend(ax: Axes, **given: Any) -> None:
+def legend(ax: Axes, **options: Any) -> None:
     """The legend of what was drawn under a label. Of a curve that cannot be seen it says why.
 
     One curve alone has its label above the axes, where it hides nothing.
 
     Args:
         ax: where curves were drawn, with the limits that it is to have.
-        given: as in `Axes.legend`.
+        options: as in `Axes.legend`.
     """
     handles, labels = ax.get_legend_handles_labels()
     low, high = sorted(ax.get_ylim())
@@ -53,8 +53,8 @@ def legend(ax: Axes, **given: Any) -> None:
     labels = [textwrap.fill(label, LABEL, break_on_hyphens=False) for label in labels]
     style = {"fontsize": SMALL, "framealpha": 0.8, "edgecolor": "none", "borderpad": 0.2, "handlelength": 1.8}
     if len(labels) == 1:
-        given = {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0}
-    ax.legend(handles, labels, **style | given)
+        options = {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0}
+    ax.legend(handles, labels, **style | options)
 
 
 def literal(text: str) -> str:
@@ -73,9 +73,9 @@ def axes_title(ax: Axes, text: str) -> None:
     ax.set_title(literal("\n".join(itertools.chain(*lines))), fontsize=TYPE)
 
 
-def color_bar(image: Any, axes: Sequence[Axes], what: str = "value", **given: Any) -> None:
+def color_bar(image: Any, axes: Sequence[Axes] | np.ndarray, what: str = "value", **options: Any) -> None:
     """A scale that says what the colours of `image` stand for; `axes` make room for it."""
-    bar = image.figure.colorbar(image, ax=list(axes), **given)
+    bar = image.figure.colorbar(image, ax=list(axes), **options)
     bar.set_label(what, fontsize=TYPE)
     bar.ax.tick_params(labelsize=SMALL)
 

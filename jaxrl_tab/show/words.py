@@ -17,7 +17,8 @@ LONGEST = 60  # characters of a name
 
 
 def six_digits(x: float) -> str:
-    """`x` with six significant digits; what is rounding around 0 is 0."""
+    """`x` with six significant digits; a rounding error around 0 is shown as 0."""
+    # Adding 0 turns -0.0 into 0.0.
     return f"{round(x, 9) + 0:.6g}"
 
 
@@ -30,12 +31,14 @@ def number(x: float, decimals: int | None = None) -> str:
 
 
 def listed(names: Sequence[str], what: str) -> str:
+    """The names in words; of more than three only how many there are: "4 methods"."""
     if len(names) > 3:
         return f"{len(names)} {what}"
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def counted(n: int, what: str) -> str:
+    """A number with what it counts, which is given in the plural: "1 step", "8 000 steps"."""
     return f"{n:,} {what if n != 1 else what.removesuffix('s')}".replace(",", " ")
 
 
@@ -117,10 +120,10 @@ SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
 
 def title_of(name: str) -> str:
     """The name of an environment or a method as people write it; a name that a user gave stays as it is."""
-    known, *own = name.split(",")  # "random-walk,states=5" of an experiment
-    if known in ENVS or known in METHODS:
-        known = TITLES.get(known, known.replace("-", " ").capitalize())
-    return ",".join([known, *own])
+    plain, *parameters = name.split(",")  # "random-walk,states=5" of an experiment
+    if plain in ENVS or plain in METHODS:
+        plain = TITLES.get(plain, plain.replace("-", " ").capitalize())
+    return ",".join([plain, *parameters])
 
 
 def symbol(name: str) -> str:
@@ -142,7 +145,7 @@ def decimals_for(x: np.ndarray, digits: int) -> int:
 
 def cell(value: Any, write: Any) -> str:
     """`write(value)`, or a dash where there is no value."""
-    return "–" if value != value else write(value)
+    return "–" if value != value else write(value)  # NaN is not equal to itself
 
 
 def short_number(x: float) -> str:

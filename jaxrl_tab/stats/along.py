@@ -38,7 +38,7 @@ def along(
     resamples: int = 1,
     parts: int = 3,
 ) -> tuple[xr.DataArray, ...]:
-    """What `of` makes of the values along a dimension, without the NaNs, and how many values these are.
+    """The results of `of` for the values along a dimension, without the NaNs, and the number of these values.
 
     Where two dimensions are given, the first is of strata. `of` gets the values of each stratum, [c, n] in
     their order along the dimension, of c places elsewhere that have equally many, and returns so many
@@ -51,26 +51,28 @@ def along(
     like = x.isel(dict.fromkeys((*within, dim), 0), drop=True).transpose(*others).astype(float)
     values = x.transpose(*others, *within, dim).values
     strata, shape = (values if within else values[..., None, :]), like.shape or (1,)
-    found, counts = np.full((parts, like.size), np.nan), np.zeros(like.size, int)
-    for block in blocks(like.size, int(np.prod(strata.shape[-2:])) * resamples):
+    results, counts = np.full((parts, like.size), np.nan), np.zeros(like.size, int)
+    for some in blocks(like.size, int(np.prod(strata.shape[-2:])) * resamples):
+        block = np.arange(some.start, some.stop)
         at = strata.reshape(*shape, *strata.shape[-2:])[np.unravel_index(block, shape)].astype(float)
         missing = np.isnan(at)
-        if missing.any():
+        if missing.any():  # moves the NaNs to the end, and keeps the others in their order
             at = np.take_along_axis(at, np.argsort(missing, axis=-1, kind="stable"), axis=-1)
         sizes = (~missing).sum(-1)
         counts[block] = sizes.sum(-1)
+        # Places that have equally many values in each stratum are worked out together.
         patterns, pattern = np.unique(sizes, axis=0, return_inverse=True)
-        for i, there in enumerate(patterns):
-            if there.any():
+        for i, lengths in enumerate(patterns):
+            if lengths.any():
                 same = pattern == i
-                found[:, block[same]] = of(*(at[same, k, :size] for k, size in enumerate(there) if size))
+                results[:, block[same]] = of(*(at[same, k, :size] for k, size in enumerate(lengths) if size))
         memory.let_go()
-    return tuple(like.copy(data=part.reshape(like.shape)) for part in (*found, counts))
+    return tuple(like.copy(data=part.reshape(like.shape)) for part in (*results, counts))
 
 
-def blocks(count: int, each: int) -> list[np.ndarray]:
-    """The numbers from 0 on, in blocks of no more than `MEMORY` float64 where there are so many for `each`."""
-    return np.array_split(np.arange(count), max(1, min(count, -(-count * each // MEMORY))))
+def blocks(count: int, each: int) -> list[slice]:
+    """`memory.blocks` of about `MEMORY` float64 or less, where there are so many for `each`."""
+    return list(memory.blocks(count, each, MEMORY))
 
 
 def aligned(x: xr.DataArray, y: xr.DataArray, apart: Sequence[str] = ()) -> tuple[xr.DataArray, xr.DataArray]:
@@ -100,20 +102,15 @@ def check_dims(x: xr.DataArray, dims: Sequence[Hashable]) -> None:
         raise InputError(f"the dimensions {name_list(dims)} must be different ones")
 
 
-def check_fraction(name: str, value: float) -> None:
-    if not (isinstance(value, int | float | np.number) and 0 < value < 1):
-        raise InputError(f"{name} must be between 0 and 1, not {shown(value)}")
-
-
 def by_seeds(of: Callable[..., xr.DataArray]) -> Callable[..., xr.DataArray]:
     """`of(ds, ...)`, which has a number for each seed, worked out for some seeds at a time if there are many."""
 
     @functools.wraps(of)
-    def in_blocks(ds: xr.Dataset, *given: Any) -> xr.DataArray:
+    def in_blocks(ds: xr.Dataset, *arguments: Any) -> xr.DataArray:
         seeds = ds.sizes["seed"]
-        blocks = memory.blocks(seeds, 8 * ds.episodes.size // seeds)
-        found = [of(ds.isel(seed=block), *given) for block in blocks]
-        return xr.concat(found, "seed").transpose(*found[0].dims) if len(found) > 1 else found[0]
+        some = memory.blocks(seeds, 8 * ds.episodes.size // seeds)
+        parts = [of(ds.isel(seed=block), *arguments) for block in some]
+        return xr.concat(parts, "seed").transpose(*parts[0].dims) if len(parts) > 1 else parts[0]
 
     return in_blocks
 

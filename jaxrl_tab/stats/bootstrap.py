@@ -2,18 +2,20 @@
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from scipy import special, stats
 
-from jaxrl_tab.stats.along import Interval, along, blocks, check_fraction
+from jaxrl_tab.core.checks import FRACTION, check_within
+from jaxrl_tab.stats.along import Interval, along, blocks
 
 RESAMPLES = 1999  # of every bootstrap: both 2.5% points are an order statistic
 
 
 def standard_error(z: np.ndarray) -> np.ndarray:
-    """Of the mean of each row, from deviations z [c, n] from it: [c]."""
+    """The standard error of the mean of each row, [c], from the deviations z [c, n] from that mean."""
     n = z.shape[-1]
     return np.sqrt((z**2).sum(-1) / (n - 1) / n)
 
@@ -53,11 +55,12 @@ def _weights(n: int) -> np.ndarray:
 
 
 def resampled(n: int, of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """`of(weights)`, [..., resamples], of the same resamples as in `_weights`, of some at a time if n is large."""
+    """`of(weights)`, [..., resamples], for the resamples of `_weights`, in blocks of them if n is large."""
     if len(blocks(RESAMPLES, n)) == 1:
         return of(_weights(n))
     rng = np.random.default_rng(0)
-    drawn = (rng.multinomial(n, np.full(n, 1 / n), len(block)) / n for block in blocks(RESAMPLES, n))
+    sizes = (block.stop - block.start for block in blocks(RESAMPLES, n))
+    drawn = (rng.multinomial(n, np.full(n, 1 / n), size) / n for size in sizes)
     return np.concatenate([of(weights) for weights in drawn], axis=-1)
 
 
@@ -76,7 +79,7 @@ def tail_probabilities(confidence: float) -> np.ndarray:
     return np.array([(1 - confidence) / 2, (1 + confidence) / 2])
 
 
-def iqm(values: np.ndarray, axis: int = -1) -> np.ndarray:
+def iqm(values: np.ndarray, axis: int = -1) -> Any:  # as of np.mean: an array, or of one axis a number
     """The interquartile mean: without the lowest and the highest quarter of the values, each rounded down."""
     return stats.trim_mean(values, 0.25, axis=axis)
 
@@ -96,7 +99,7 @@ def iqm_interval(
     """
     if within is not None:
         return bootstrap_interval(x, iqm, dim, within, confidence)
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         # Of each rank, a resample keeps those copies that lie in its middle: the same for all places.
@@ -149,7 +152,7 @@ def bootstrap_interval(
     Raises:
         InputError: `x` lacks a dimension that is named, or `confidence` is not between 0 and 1.
     """
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     def of(*strata: np.ndarray) -> tuple[np.ndarray, ...]:
         rngs = [np.random.default_rng((0, k)) for k in range(len(strata))]
@@ -157,7 +160,7 @@ def bootstrap_interval(
         estimate = statistic(np.concatenate(strata, axis=-1), axis=-1)
         resampled = []
         for block in blocks(RESAMPLES, n * len(estimate)):
-            sizes = [(len(block), values.shape[-1]) for values in strata]
+            sizes = [(block.stop - block.start, values.shape[-1]) for values in strata]
             drawn = [x[:, r.integers(s[1], size=s)] for x, r, s in zip(strata, rngs, sizes, strict=True)]
             with np.errstate(invalid="ignore"):  # infinities
                 resampled.append(statistic(np.concatenate(drawn, axis=-1), axis=-1))

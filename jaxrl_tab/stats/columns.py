@@ -26,7 +26,6 @@ from jaxrl_tab.stats.measures import (
     hyperparameters,
     named,
     optimum,
-    possible,
     soft_optimum,
     sound_runs,
     unfinished,
@@ -117,7 +116,7 @@ class Column:
         written: how people read it: with as many decimals as the score has, of an interval also without its
             middle ("range"); with six significant digits ("exact"); as a count; or with one decimal.
         scale: the screen shows so many times the number.
-        help: what it means, for who reads the report; a sentence that follows the heading.
+        help: what it means, for the readers of the report; a sentence that follows the heading.
     """
 
     name: str
@@ -163,7 +162,7 @@ COLUMNS = [
     ),
     Column(
         "runs",
-        lambda own: possible(tolerance_interval(own.score), own.score, own.ds),
+        lambda own: own.possible(tolerance_interval(own.score)),
         in_summary="",
         report="9 of 10 runs",
         written="range",
@@ -273,7 +272,7 @@ class Row:
 class Methods(Mapping[str, xr.Dataset]):
     """The sweeps of methods in one environment, by their names; and all that is worked out of them, each once.
 
-    It stands wherever datasets are asked for. Who needs one makes it with `of`, which takes one that is there.
+    It can be passed wherever datasets are expected. `of` makes one of datasets, and returns one as it is.
 
     Attributes:
         settings: the settings of each method, by its name.
@@ -281,7 +280,8 @@ class Methods(Mapping[str, xr.Dataset]):
     """
 
     def __init__(self, datasets: Datasets, env: Environment | None = None) -> None:
-        self.settings = {name: Method(ds, name, self) for name, ds in datasets.items()}
+        self.settings: dict[str, Method] = {}  # so that it is a mapping when it is handed on
+        self.settings |= {name: Method(ds, name, self) for name, ds in datasets.items()}
         self.env, self._soft = env, {}
 
     @classmethod
@@ -329,9 +329,9 @@ class Methods(Mapping[str, xr.Dataset]):
         """The frame of the function `summary`."""
         records, statistics = [], {}
         for row in self.rows:
-            told = _summarised(row)
-            records.append({"method": row.method} | row.setting | row.place | told)
-            statistics |= dict.fromkeys(told)
+            numbers = _summarised(row)
+            records.append({"method": row.method} | row.setting | row.place | numbers)
+            statistics |= dict.fromkeys(numbers)
         last = [name for name in LAST if name in statistics]
         others = [name for name in statistics if name not in last]
         return pd.DataFrame(records, columns=["method", *self.hyperparameters, *others, *last])
@@ -353,14 +353,14 @@ def _rows(own: Method) -> Iterator[Row]:
 
 def _summarised(row: Row) -> dict[str, Any]:
     """What `summary.csv` tells of a setting, by the names there."""
-    told = {}
+    numbers = {}
     for column in COLUMNS:
         name = column.name if column.in_summary is None else text(column.in_summary, row.own.prediction)
         if name and column.name in row.numbers:
             stem, x = name.removesuffix("_return"), row[column.name]
             parts = x if isinstance(x, tuple) else (x,)
-            told |= dict(zip((name, f"{stem}_low", f"{stem}_high"), parts, strict=False))
-    return told
+            numbers |= dict(zip((name, f"{stem}_low", f"{stem}_high"), parts, strict=False))
+    return numbers
 
 
 def by_environment(datasets: Datasets, envs: Mapping[str, Environment]) -> dict[str, Methods]:

@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from scipy import stats
 
-from jaxrl_tab.core.checks import InputError, shown
-from jaxrl_tab.stats.along import Interval, aligned, along, check_dims, check_fraction
+from jaxrl_tab.core.checks import FRACTION, InputError, check_within, shown
+from jaxrl_tab.stats.along import Interval, aligned, along, check_dims
 from jaxrl_tab.stats.intervals import least_of, mean_and_bounds, seeds_wanted, with_one_more
 
 POWER_RUNS, POWER_SIMULATED = 20_000, 200  # experiments; from so many seeds on Hall's test is Student's
@@ -21,7 +21,7 @@ def proportion_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 
     Raises:
         InputError: as `mean_interval`; or `x` holds other numbers than 0 and 1.
     """
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
     check_dims(x, [dim])
     if not x.isin([0, 1]).all():
         raise InputError("a proportion is of values that are True or False")
@@ -66,7 +66,7 @@ def performance_profile(
     Raises:
         InputError: as `mean_interval`; or the thresholds are no flat list of numbers.
     """
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
     dims = [dim] if within is None else [within, dim]
     check_dims(x, dims)
     tau = np.asarray(thresholds, float)
@@ -125,7 +125,7 @@ def paired_difference(
     Raises:
         InputError: as `mean_interval`; or the labels differ.
     """
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
     check_dims(x, [dim])
     check_dims(y, [dim])
     x, y = aligned(x, y)
@@ -172,7 +172,7 @@ def probability_of_improvement(
     Raises:
         InputError: as `mean_interval`; or other dimensions have different labels.
     """
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
     check_dims(x, [dim])
     check_dims(y, [dim])
     x, y = aligned(x, y.rename({dim: "other run"}), apart=[dim, "other run"])
@@ -248,12 +248,11 @@ def seeds_needed(
     Raises:
         InputError: a number is out of its range.
     """
-    check_fraction("power", power)
-    check_fraction("confidence", confidence)
+    check_within("power", power, FRACTION)
+    check_within("confidence", confidence, FRACTION)
     if not (np.isfinite(difference) and difference != 0):
         raise InputError(f"difference must be a number other than 0, not {shown(difference)}")
-    if not 0 <= sd < np.inf:
-        raise InputError(f"sd must be a number of at least 0, not {shown(sd)}")
+    check_within("sd", sd, {"at_least": 0})
     groups = 1 if paired else 2
     effect = abs(difference) / sd if sd else np.inf
 
@@ -269,7 +268,7 @@ def seeds_needed(
         return float(stats.nct.sf(critical, degrees, shift) + stats.nct.cdf(-critical, degrees, shift))
 
     z = stats.norm.ppf((1 + confidence) / 2) + stats.norm.ppf(power)
-    n = max(2, int(groups * (z / effect) ** 2))  # were sd known, never too many
+    n = max(2, int(groups * (z / effect) ** 2))  # enough if sd were known exactly, so never too many
     while reached(n) < power:
         n += 1
     return n

@@ -7,7 +7,7 @@
     export.save(datasets, "windy.parquet")
 
 A table is in long form: a row for each row of the log of each seed of each setting, or for each seed. Arrays
-such as the final Q, and what is as it was, stay in netCDF: `SweepResult.to_xarray` and its `to_netcdf`.
+such as the final Q are left out; netCDF keeps everything: `SweepResult.to_xarray` and its `to_netcdf`.
 """
 
 import importlib.util
@@ -21,6 +21,7 @@ import xarray as xr
 
 from jaxrl_tab import stats
 from jaxrl_tab.core.checks import InputError, nearest
+from jaxrl_tab.stats.measures import has_errors
 
 __all__ = ["load", "save", "to_pandas"]
 
@@ -51,7 +52,7 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
         datasets: a dataset of `SweepResult.to_xarray`, or several by their names, as in `load`.
         per: what a row of the table is.
             "row": a row of the log of one run. Columns: steps, episodes, returns, lengths and rewards, all
-            sums over the row (see `train.Log`), and what was recorded, if it is a number.
+            sums over the row (see `log.Log`), and what was recorded, if it is a number.
             "seed": one run. The same sums over the run; `diverged`; its score (see `stats.score`), as
             `last_tenth_return`, or of prediction as `v_error`; for control `unfinished`, whether it finished
             no episode in the last tenth, so that its score is what it collected there; and `final_NAME`, what
@@ -59,7 +60,7 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
 
     Returns:
         A frame with the columns `environment`, `method`, every hyperparameter of any method, `seed`, and
-        those above. What a method has not is empty; where numbers and schedules meet in a column, all are
+        those above. What a method does not have is empty; in a column with numbers and schedules all are
         text.
 
     Raises:
@@ -76,12 +77,12 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
         measured = _rows(ds) if per == "row" else _runs(ds)
         axes = [*stats.hyperparameters(ds), "seed", *(["row"] if per == "row" else [])]
         frame = measured.to_dataframe(dim_order=axes).reset_index()
-        known = {
+        labels = {
             "environment": environment or ds.attrs["environment"],
             "method": method or ds.attrs["algorithm"],
             **constant,
         }
-        frames.append(frame.assign(**{key: _repeated(value, len(frame)) for key, value in known.items()}))
+        frames.append(frame.assign(**{key: _repeated(value, len(frame)) for key, value in labels.items()}))
     table = pd.concat(frames, ignore_index=True)
     first = ["environment", "method", *names, "seed"]
     table = table[[*first, *(column for column in table.columns if column not in first)]]
@@ -94,7 +95,7 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
 
 
 def save(datasets: Datasets, file: Path | str, per: Per = "row") -> Path:
-    """Writes the table of `to_pandas` as the ending of `file` says: .csv or .parquet; over one that is there.
+    """Writes the table of `to_pandas` to a `file` that ends in .csv or .parquet, replacing one that exists.
 
     Raises:
         InputError: another ending, or Parquet is not installed; and as `to_pandas`.
@@ -121,12 +122,12 @@ def _runs(ds: xr.Dataset) -> xr.Dataset:
     """The log summed over each run, the score, and what was recorded, at the end."""
     log = _rows(ds)
     sums = {name: log[name].sum("row", skipna=False, dtype=_wide(log[name])) for name in LOG}
-    found = xr.Dataset(sums | {"diverged": ds.diverged})
-    found["v_error" if stats.is_prediction(ds) else "last_tenth_return"] = stats.score(ds)
-    if not stats.is_prediction(ds):
-        found["unfinished"] = stats.unfinished(ds)
+    runs = xr.Dataset(sums | {"diverged": ds.diverged})
+    runs["v_error" if has_errors(ds) else "last_tenth_return"] = stats.score(ds)
+    if not has_errors(ds):
+        runs["unfinished"] = stats.unfinished(ds)
     ends = log.drop_vars(LOG).isel(row=-1, drop=True)
-    return found.merge(ends.rename({name: f"final_{name}" for name in ends.data_vars}))
+    return runs.merge(ends.rename({name: f"final_{name}" for name in ends.data_vars}))
 
 
 def _wide(x: xr.DataArray) -> type:

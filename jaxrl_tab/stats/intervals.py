@@ -1,4 +1,4 @@
-"""Intervals of a mean, a median, single runs; which holds where is said in the package."""
+"""Intervals for means, medians and single runs; the docstring of the package says where each holds."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 from scipy import stats
 
-from jaxrl_tab.core.checks import InputError, nearest
-from jaxrl_tab.stats.along import Interval, along, check_dims, check_fraction
+from jaxrl_tab.core.checks import FRACTION, InputError, check_within, nearest
+from jaxrl_tab.stats.along import Interval, along, check_dims
 from jaxrl_tab.stats.bootstrap import (
     RESAMPLES,
     bca,
@@ -56,7 +56,7 @@ def mean_interval(
     """
     if method not in BOUNDS:
         raise InputError(f"no method {method!r} of an interval; {nearest(str(method), BOUNDS)}")
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     resamples = 1 if method in ("hall", "t") else RESAMPLES
     return Interval(*along(x, dim, lambda values: mean_and_bounds(values, confidence, method)[:3], resamples))
@@ -200,7 +200,7 @@ def simultaneous_interval(
     """
     over = [over] if isinstance(over, str) else list(over)
     check_dims(x, [*over, dim])
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
     mean, _, _, count = mean_interval(x, dim, method="t")
     ordered = x.astype(float).transpose(*(d for d in x.dims if d not in (*over, dim)), *over, dim)
     *shape, n = ordered.shape
@@ -208,28 +208,29 @@ def simultaneous_interval(
     tails = tail_probabilities(confidence)
     bounds = np.full((2, *values.shape[:2]), np.nan)
     for curve, low, high in zip(values, *bounds, strict=True):
-        found = {}
+        places = {}
         for i, at in enumerate(curve):
-            there = ~np.isnan(at)
-            if there.sum() >= 2 and not np.isinf(at).any():
-                z = np.where(there, at - (centre := at[there].mean()), 0)
-                found[i] = centre, standard_error(z[None, there])[0], there, z
+            valid = ~np.isnan(at)
+            if valid.sum() >= 2 and not np.isinf(at).any():
+                z = np.where(valid, at - (centre := at[valid].mean()), 0)
+                places[i] = centre, standard_error(z[None, valid])[0], valid, z
         # Where there is no spread there is nothing to be wrong about.
-        spread = [(there, z) for _, error, there, z in found.values() if error > 0]
+        spread = [(valid, z) for _, error, valid, z in places.values() if error > 0]
 
+        # A default keeps the `spread` of this turn of the loop.
         def extremes(weights: np.ndarray, spread=spread) -> np.ndarray:
             """The largest and the smallest t of each resample, [2, resamples]."""
-            found = np.zeros((2, len(weights)))
-            for there, z in spread:
-                drawn = weights[:, there]
-                t = studentised(z[None, there], drawn / np.maximum(drawn.sum(-1, keepdims=True), 1 / n))[0]
-                found = np.maximum(found[0], t), np.minimum(found[1], t)
-            return np.stack(list(found))
+            ends = np.zeros((2, len(weights)))
+            for valid, z in spread:
+                drawn = weights[:, valid]
+                t = studentised(z[None, valid], drawn / np.maximum(drawn.sum(-1, keepdims=True), 1 / n))[0]
+                ends = np.maximum(ends[0], t), np.minimum(ends[1], t)
+            return np.stack(list(ends))
 
         largest, smallest = resampled(n, extremes)
         above = np.quantile(largest, tails[1], method="higher")
         below = np.quantile(smallest, tails[0], method="lower")
-        for i, (centre, error, *_) in found.items():
+        for i, (centre, error, *_) in places.items():
             low[i], high[i] = (
                 (centre - above * error, centre - below * error) if error > 0 else (centre, centre)
             )
@@ -253,7 +254,7 @@ def median_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 0.95
     Raises:
         InputError: as `mean_interval`.
     """
-    check_fraction("confidence", confidence)
+    check_within("confidence", confidence, FRACTION)
 
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         n = values.shape[-1]
@@ -297,8 +298,8 @@ def tolerance_interval(
     Raises:
         InputError: as `mean_interval`; `content` is not between 0 and 1.
     """
-    check_fraction("content", content)
-    check_fraction("confidence", confidence)
+    check_within("content", content, FRACTION)
+    check_within("confidence", confidence, FRACTION)
 
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         n = values.shape[-1]

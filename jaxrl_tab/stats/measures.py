@@ -47,18 +47,18 @@ def final_return(ds: xr.Dataset) -> xr.DataArray:
     return mean_return(ds, last_tenth(ds))
 
 
-def learns_states(*datasets: xr.Dataset) -> bool:
+def is_prediction(*datasets: xr.Dataset) -> bool:
     """Whether all are of methods of prediction, which learn the values of states.
 
     A file that was written before datasets said what was learned tells it by the error that it holds.
     """
-    by_error = lambda ds: Learns.STATES if "v_error" in ds else Learns.ACTIONS
+    by_error = lambda ds: Learns.STATES if has_errors(ds) else Learns.ACTIONS
     return all(ds.attrs.get("learns", by_error(ds)) == Learns.STATES for ds in datasets)
 
 
-def is_prediction(*datasets: xr.Dataset) -> bool:
-    """Whether all are of methods of prediction whose error was recorded (`exact=True`)."""
-    return learns_states(*datasets) and all("v_error" in ds for ds in datasets)
+def has_errors(*datasets: xr.Dataset) -> bool:
+    """Whether the errors of all are recorded, by which methods of prediction are compared (`exact=True`)."""
+    return all("v_error" in ds for ds in datasets)
 
 
 @by_seeds
@@ -88,23 +88,23 @@ def score(ds: xr.Dataset) -> xr.DataArray:
     Of a method of prediction it is the mean of the RMS error over all rows of the log, the lower the better
     (as in the book's figures 7.2 and 12.3), and infinite where the run diverged.
     """
-    found, diverged = _own_score(ds), diverged_runs(ds)
-    if is_prediction(ds):
-        return found.where(~diverged, np.inf)
-    found = found.where(~diverged)
-    return found.where(~diverged, found.min().fillna(-np.inf))
+    scores, diverged = _own_score(ds), diverged_runs(ds)
+    if has_errors(ds):
+        return scores.where(~diverged, np.inf)
+    scores = scores.where(~diverged)
+    return scores.where(~diverged, scores.min().fillna(-np.inf))
 
 
 @by_seeds
 def _own_score(ds: xr.Dataset) -> xr.DataArray:
-    """What a run scores whether it diverged or not, which may be no number then."""
-    if is_prediction(ds):
+    """The score of each run as if none had diverged; of those that did it may be NaN."""
+    if has_errors(ds):
         return ds.v_error.astype(float).mean("row", skipna=False)
-    found, without = final_return(ds), unfinished(ds)
+    returns, without = final_return(ds), unfinished(ds)
     if not without.any():
-        return found
+        return returns
     late = ds.isel(row=last_tenth(ds))
-    return found.where(~without, (late.rewards.astype(float) * _discounts(late)).sum("row"))
+    return returns.where(~without, (late.rewards.astype(float) * _discounts(late)).sum("row"))
 
 
 def diverged_runs(ds: xr.Dataset) -> xr.DataArray:
@@ -136,7 +136,7 @@ def standstill(ds: xr.Dataset) -> xr.DataArray:
     Returns:
         One number, or [gamma] or [draw] where gamma was swept.
     """
-    if is_prediction(ds) or "num_steps" not in ds.attrs or "rewards" not in ds:
+    if has_errors(ds) or "num_steps" not in ds.attrs or "rewards" not in ds:
         return xr.DataArray(np.inf)
     late = ds.isel(row=last_tenth(ds))
     highest = by_seeds(lambda some: (some.rewards / some.steps).max("row"))(late)
@@ -170,24 +170,24 @@ def episode_curve(ds: xr.Dataset) -> xr.Dataset:
 
 
 def curve_interval(ds: xr.Dataset, at_most: int) -> Interval:
-    """`mean_interval(learning_curve(merge_rows(ds, at_most)))`: of as many seeds as there are on the disk.
+    """`mean_interval(learning_curve(merge_rows(ds, at_most)))`: for as many seeds as the disk holds.
 
-    What cannot be is cut off: see `possible`.
+    Values that are impossible are cut off: see `possible`.
     """
     every = -(-ds.sizes["row"] // at_most)
     merged = by_seeds(lambda part: learning_curve(_merged(part, every)))
-    costs = _only_costs(ds)  # of all rows: what they pay is possible in any
+    costs = only_costs(ds)  # of all rows: a reward above 0 in one row is possible in any
 
     def of(part: xr.Dataset) -> Interval:
         curve = merged(part)
-        return _within(mean_interval(curve), curve, part, costs)
+        return within(mean_interval(curve), curve, part, costs)
 
     return _over_rows(ds, of, every)
 
 
 def progress_interval(ds: xr.Dataset, name: str) -> Interval:
-    """`mean_interval(episode_curve(ds)[name])`: of as many seeds as there are on the disk."""
-    until = [xr.DataArray(0)]
+    """`mean_interval(episode_curve(ds)[name])`: for as many seeds as the disk holds."""
+    until = [xr.DataArray(0)]  # in a list, so that `of` can hand the sum on to the next rows
 
     def of(part: xr.Dataset) -> Interval:
         curve = until[0] + episode_curve(part)[name]
@@ -197,14 +197,19 @@ def progress_interval(ds: xr.Dataset, name: str) -> Interval:
     return _over_rows(ds, of)
 
 
+def error_interval(ds: xr.Dataset) -> Interval:
+    """`mean_interval(ds.v_error)`: how the error of a method of prediction goes down."""
+    return mean_interval(ds.v_error)
+
+
 def _over_rows(ds: xr.Dataset, of: Callable[[xr.Dataset], Interval], every: int = 1) -> Interval:
-    """`of(ds)`, worked out for some rows after others if there are many numbers; always `every` together."""
+    """`of(ds)`, worked out in blocks of rows if there are many; groups of `every` rows stay together."""
     groups = -(-ds.sizes["row"] // every)
-    found = []
+    intervals = []
     for block in blocks(groups, ds.episodes.size // ds.sizes["row"]):
-        found.append(of(ds.isel(row=slice(block[0] * every, (block[-1] + 1) * every))))
+        intervals.append(of(ds.isel(row=slice(block.start * every, block.stop * every))))
     return Interval(
-        *(xr.concat(parts, "row").transpose(*parts[0].dims) for parts in zip(*found, strict=True))
+        *(xr.concat(parts, "row").transpose(*parts[0].dims) for parts in zip(*intervals, strict=True))
     )
 
 
@@ -242,13 +247,13 @@ def area_under_curve(
         InputError: `curve` has no such dimension.
     """
     check_dims(curve, [dim])
-    there, place = curve.notnull(), xr.DataArray(np.arange(curve.sizes[dim]), dims=dim)
-    known = there.any(dim)
-    last = place.where(there, -1).reduce(np.maximum.accumulate, dim=dim)
-    first = place.where(there, curve.sizes[dim]).min(dim).where(known, 0)
+    has_value, place = curve.notnull(), xr.DataArray(np.arange(curve.sizes[dim]), dims=dim)
+    any_value = has_value.any(dim)
+    last = place.where(has_value, -1).reduce(np.maximum.accumulate, dim=dim)
+    first = place.where(has_value, curve.sizes[dim]).min(dim).where(any_value, 0)
     filled = curve.astype(float).isel({dim: last.where(last >= 0, first).astype(int)})
     width = xr.ones_like(place, float) if width is None else width.astype(float)
-    return ((filled * width).sum(dim, skipna=False) / width.sum(dim)).where(known)
+    return ((filled * width).sum(dim, skipna=False) / width.sum(dim)).where(any_value)
 
 
 def time_to_threshold(
@@ -297,12 +302,12 @@ def drawn(ds: xr.Dataset) -> list[str]:
 
 
 def named(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, Any]:
-    """`setting`, fit for `ds.sel`, in hyperparameters: instead of the number of a draw what was drawn."""
-    found = dict(setting)
-    if "draw" in found:
-        trial = ds.sel(draw=found.pop("draw"))
-        found |= {name: trial[name].item() for name in drawn(ds)}
-    return found
+    """A `setting` that fits `ds.sel`, in hyperparameters: for the number of a draw the values drawn."""
+    values = dict(setting)
+    if "draw" in values:
+        trial = ds.sel(draw=values.pop("draw"))
+        values |= {name: trial[name].item() for name in drawn(ds)}
+    return values
 
 
 def fixed(ds: xr.Dataset) -> dict[str, Any]:
@@ -318,7 +323,7 @@ def optimum(ds: xr.Dataset) -> xr.DataArray:
 def soft_optimum(env: Environment, setting: Mapping[str, Any]) -> float:
     """What the best policy earns from the start that explores as a setting does: with a constant epsilon.
 
-    So much better than this a method that goes on exploring cannot be, whatever it learns.
+    A method that goes on exploring in this way cannot earn more than this, whatever it learns.
 
     Args:
         env: the environment.
@@ -352,24 +357,24 @@ def possible(interval: Interval, x: xr.DataArray, ds: xr.Dataset) -> Interval:
     return may be above it by luck, or because the time limit cut a costly episode short. Where no reward is
     above 0, no return is.
     """
-    return _within(interval, x, ds, _only_costs(ds))
+    return within(interval, x, ds, only_costs(ds))
 
 
-def _only_costs(ds: xr.Dataset) -> bool:
+def only_costs(ds: xr.Dataset) -> bool:
     """Whether no row of any run has rewards above 0."""
-    if is_prediction(ds) or "rewards" not in ds:
+    if has_errors(ds) or "rewards" not in ds:
         return False
     return not by_seeds(lambda some: (some.rewards > 0).any("row"))(ds).any()
 
 
-def _within(interval: Interval, x: xr.DataArray, ds: xr.Dataset, only_costs: bool) -> Interval:
-    """`possible`, where it is known whether there are `_only_costs`."""
-    if is_prediction(ds):
+def within(interval: Interval, x: xr.DataArray, ds: xr.Dataset, costs_alone: bool) -> Interval:
+    """`possible`, where `costs_alone` is `only_costs` of all rows, of which `ds` may have some."""
+    if has_errors(ds):
         return interval._replace(low=interval.low.clip(min=0))
     best_seen = x.max("seed")
     top = optimum(ds).broadcast_like(best_seen)
     top = top.where(best_seen <= top + 1e-6 * abs(top), np.inf)  # float32 has its rounding
-    if only_costs:
+    if costs_alone:
         top = top.clip(max=0)
     high = least_of(interval.high, top.where(top > interval.estimate, interval.estimate))
     return interval._replace(high=interval.high.copy(data=high.transpose(*interval.high.dims).values))

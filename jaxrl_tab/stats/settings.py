@@ -1,15 +1,15 @@
 """Which setting of a method is best, how good it is, and how methods differ at their best settings."""
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, cached_property
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
 
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.checks import FRACTION, InputError, check_within
 from jaxrl_tab.core.schedules import typed
-from jaxrl_tab.stats.along import Interval, check_fraction, name_list
+from jaxrl_tab.stats.along import Interval, name_list
 from jaxrl_tab.stats.comparisons import Difference, paired_difference
 from jaxrl_tab.stats.intervals import least_of, mean_interval, seeds_wanted, with_one_more
 from jaxrl_tab.stats.measures import (
@@ -17,13 +17,16 @@ from jaxrl_tab.stats.measures import (
     diverged_runs,
     drawn,
     fixed,
+    has_errors,
     hyperparameters,
-    is_prediction,
     named,
-    possible,
+    only_costs,
     score,
     standstill,
+    within,
 )
+
+T = TypeVar("T")
 
 
 class Settings:
@@ -38,11 +41,12 @@ class Settings:
     """
 
     def __init__(self, ds: xr.Dataset, by: Measure = score) -> None:
-        self.ds, self.by, self.prediction = ds, by, is_prediction(ds)
+        self.ds, self.by, self.prediction = ds, by, has_errors(ds)
+        self._once: dict[Any, Any] = {}
 
     @classmethod
     def of(cls, ds: "Sweep", by: Measure = score) -> "Settings":
-        """The settings of a sweep; or those given, of which something may have been worked out already."""
+        """The settings of a sweep; `ds` itself where it is Settings, with what it has worked out already."""
         return ds if isinstance(ds, Settings) else cls(ds, by)
 
     @cached_property
@@ -72,9 +76,16 @@ class Settings:
         return {name: self.ds[name].values[place[name]].item() for name in hyperparameters(self.ds)}
 
     @cached_property
-    def at_best(self) -> xr.Dataset:
-        """The runs of the best setting."""
-        return self.ds.sel(self.best)
+    def at_best(self) -> "Settings":
+        """The best setting alone."""
+        return Settings(self.ds.sel(self.best), self.by)
+
+    def once(self, of: Callable[..., T], *arguments: Any) -> T:
+        """`of(ds, *arguments)`, such as `curve_interval`: worked out once, however often it is drawn."""
+        key = of, arguments
+        if key not in self._once:
+            self._once[key] = of(self.ds, *arguments)
+        return self._once[key]
 
     @cached_property
     def chosen(self) -> dict[str, Any]:
@@ -93,18 +104,30 @@ class Settings:
 
     def interval_at(self, confidence: float) -> Interval:
         """The mean score with its interval, [*hyperparameters]: see `score_interval`."""
+        check_within("confidence", confidence, FRACTION)
+        return self._intervals(confidence)
+
+    @cached_property
+    def _intervals(self) -> Callable[[float], Interval]:
+        return cache(self._interval)  # a cache of this object, which goes when it does
+
+    def _interval(self, confidence: float) -> Interval:
         good = self._higher_is_better
         mean, low, high, n = mean_interval(good, confidence=confidence)
         if (few := self.seeds_wanted > n).any():
-            stuck = least_of(good.min("seed"), standstill(self.ds))
+            stuck = least_of(good.min("seed"), self.once(standstill))
             low = low.where(~few, np.fmin(low, with_one_more(good, stuck, "seed", confidence)[1]))
         if self.prediction:
             mean, low, high = -mean, -high, -low
-        return possible(Interval(mean, low, high, n), self.score, self.ds)
+        return self.possible(Interval(mean, low, high, n))
+
+    def possible(self, interval: Interval) -> Interval:
+        """An interval of the mean score without what no mean can be: see the function of this name."""
+        return within(interval, self.score, self.ds, self.once(only_costs))
 
     def tied_at(self, confidence: float) -> xr.DataArray:
         """Which settings cannot be told apart from the best one, bool [*hyperparameters]: see `tied`."""
-        check_fraction("confidence", confidence)
+        check_within("confidence", confidence, FRACTION)
         winner = self.merit.sel(self.best)
         winner = winner.drop_vars(hyperparameters(self.ds) + drawn(self.ds), errors="ignore")
         settings = self.merit.sizes["seed"] and self.merit.size // self.merit.sizes["seed"]
@@ -117,7 +140,7 @@ class Settings:
 Sweep = xr.Dataset | Settings
 
 
-def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
+def best(ds: xr.Dataset, by: Measure = score, **held: Any) -> dict[str, Any]:
     """The combination of hyperparameters with the best mean `score`: the highest return, the lowest error.
 
     All are compared on all their seeds: `score` says how unfinished and diverged runs count. A setting at
@@ -147,28 +170,28 @@ def best(ds: xr.Dataset, by: Measure = score, **given: Any) -> dict[str, Any]:
     Args:
         ds: a sweep.
         by: what to choose by, a number for each seed; of prediction lower is better, else higher.
-        given: hyperparameters to hold at one of their values; the best of the others is looked for.
+        held: hyperparameters to hold at one of their values; the best values of the others are looked for.
 
     Returns:
         A value for each of `hyperparameters(ds)`, fit for `ds.sel`; of drawn ones the label of the draw.
 
     Raises:
-        InputError: a given name was not swept, or not at that value.
+        InputError: a hyperparameter that is held was not swept, or not at that value.
     """
     names = hyperparameters(ds)
-    for name, value in given.items():
+    for name, value in held.items():
         if name not in names:
             how = "drawn together with others: hold draw" if name in drawn(ds) else "not swept"
             raise InputError(f"{name} was {how}; swept were {name_list(names)}")
         if value not in ds[name].values.tolist():
             tried = ", ".join(map(repr, ds[name].values.tolist()))
             raise InputError(f"{name} was not swept at {value!r}; there are {tried}")
-    found = Settings(ds.sel(given), by).best
-    return {name: given.get(name, found.get(name)) for name in names}
+    chosen = Settings(ds.sel(held), by).best
+    return {name: held.get(name, chosen.get(name)) for name in names}
 
 
 def ranked(datasets: Mapping[str, Sweep]) -> list[str]:
-    """The names of the methods, that whose best setting is the best of all first: by the rule of `best`."""
+    """The names of the methods by their best settings, the best first, as the rule of `best` orders them."""
 
     methods = {name: Settings.of(ds) for name, ds in datasets.items()}
 
@@ -202,18 +225,18 @@ def at_edge(ds: xr.Dataset, setting: Mapping[str, Any]) -> dict[str, str]:
     and where nothing lies beyond: below 0, below one step of n, and above 1 of what is a probability or a
     discount.
     """
-    found = {}
+    edges = {}
     for name in hyperparameters(ds):
         tried = ds[name].values
         if name == "draw" or tried.dtype.kind not in "fiu" or len(tried) < 2:
             continue
         if setting[name] == tried.max() and not (name in ("epsilon", "lam", "gamma") and tried.max() == 1):
-            found[name] = "largest"
+            edges[name] = "largest"
         elif setting[name] == tried.min() and tried.min() not in (
             (0, 1) if tried.dtype.kind in "iu" else (0,)
         ):
-            found[name] = "smallest"
-    return found
+            edges[name] = "smallest"
+    return edges
 
 
 def score_interval(ds: xr.Dataset, confidence: float = 0.95, by: Measure = score) -> Interval:
@@ -270,8 +293,8 @@ def differences(datasets: Mapping[str, Sweep], confidence: float = 0.95) -> dict
 
     Returns:
         For each method, that with the best mean first, its `paired_difference` from the first, with `worst` as
-        `standstill` has it; for the first itself there is none, it is left out. Empty where there is but one
-        method, or where their seeds are not the same.
+        `standstill` has it; the first itself is left out. Empty where there is but one method, or where their
+        seeds are not the same.
     """
     methods = {name: Settings.of(ds) for name, ds in datasets.items()}
     prediction = all(settings.prediction for settings in methods.values())
@@ -281,16 +304,16 @@ def differences(datasets: Mapping[str, Sweep], confidence: float = 0.95) -> dict
     pairs = pairs_to_correct([own.merit.size // own.merit.sizes["seed"] for own in methods.values()])
     at = {name: own.merit.sel(own.best).reset_coords(drop=True) for name, own in methods.items()}
     first, *others = ranked(methods)
-    worst = min(float(standstill(settings.ds).min()) for settings in methods.values())
-    found = {}
+    worst = min(float(settings.once(standstill).min()) for settings in methods.values())
+    results = {}
     for name in others:
         (mean, low, high, n), p, reduction = paired_difference(
             at[name], at[first], confidence=1 - (1 - confidence) / pairs, worst=worst
         )
         if prediction:
             mean, low, high = -mean, -high, -low
-        found[name] = Difference(Interval(mean, low, high, n), (p * pairs).clip(max=1), reduction)
-    return found
+        results[name] = Difference(Interval(mean, low, high, n), (p * pairs).clip(max=1), reduction)
+    return results
 
 
 def pairs_to_correct(settings: Sequence[int]) -> int:
@@ -314,7 +337,7 @@ class Selection(NamedTuple):
     bias: Interval
 
 
-def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: float = 0.95) -> Selection:
+def selection(ds: Sweep, fresh: Sweep, by: Measure = score, confidence: float = 0.95) -> Selection:
     """Selection without bias: the setting that is best in `ds`, and how good it is on the seeds of `fresh`.
 
     Args:
@@ -325,14 +348,16 @@ def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: flo
 
     Raises:
         InputError: `fresh` has no such setting, or shares a seed with `ds`: one of the same number under the
-            same root. (What was run with `sweep.Part.fresh` has a root of its own.)
+            same root. (What was run with `part.Part.fresh` has a root of its own.)
     """
     settings = Settings.of(ds, by)
     ds, setting = settings.ds, settings.best
+    again = Settings.of(fresh, settings.by)
+    fresh = again.ds
     same_root = all(ds.attrs.get(key, 0) == fresh.attrs.get(key, 0) for key in ("root_seed", "fresh_seeds"))
-    if same_root and (again := np.intersect1d(ds.seed, fresh.seed)).size:
+    if same_root and (both := np.intersect1d(ds.seed, fresh.seed)).size:
         raise InputError(
-            f"seed {again[0]} is among those that the setting was chosen on; report on fresh ones"
+            f"seed {both[0]} is among those that the setting was chosen on; report on fresh ones"
         )
     at = fresh
     for name, value in (setting | named(ds, setting)).items():
@@ -342,11 +367,15 @@ def selection(ds: Sweep, fresh: xr.Dataset, by: Measure = score, confidence: flo
             at = at.sel({name: value})
         elif (
             name != "draw"
-            and (got := fixed(at).get(name, at[name].item() if name in at.coords else None)) != value
-            and not (isinstance(got, float) and typed(got) == value)  # as on an axis beside schedules
+            and (actual := fixed(at).get(name, at[name].item() if name in at.coords else None)) != value
+            and not (isinstance(actual, float) and typed(actual) == value)  # as on an axis beside schedules
         ):
-            raise InputError(f"the fresh runs must have {name} = {value}, not {got}")
+            raise InputError(f"the fresh runs must have {name} = {value}, not {actual}")
     promised = Interval(*(part.sel(setting) for part in settings.interval_at(confidence)))
-    found = score_interval(at, confidence, settings.by)
-    off = (promised.estimate - found.estimate, promised.estimate - found.high, promised.estimate - found.low)
-    return Selection(setting, promised, found, Interval(*off, found.n))
+    reported = (again if at is fresh else Settings(at, settings.by)).interval_at(confidence)
+    off = (
+        promised.estimate - reported.estimate,
+        promised.estimate - reported.high,
+        promised.estimate - reported.low,
+    )
+    return Selection(setting, promised, reported, Interval(*off, reported.n))

@@ -11,7 +11,7 @@ import platform
 import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -23,6 +23,7 @@ Arrays = Mapping[str, np.ndarray]
 Work = Callable[[int], Arrays]
 
 
+@runtime_checkable
 class Executor(Protocol):
     """Does the tasks of a piece of work, somewhere."""
 
@@ -49,7 +50,7 @@ class Failed(NamedTuple):
 
     Attributes:
         line: the error.
-        trace: whence it came; empty where work was refused, before it began.
+        trace: its traceback; empty where the work was refused before it began.
     """
 
     line: str
@@ -61,7 +62,7 @@ class Job(NamedTuple):
 
     Attributes:
         work: as in `Executor.run`.
-        cores: so many cores are JAX devices there; all that it may use, where None.
+        cores: how many cores of another process become JAX devices; None: all that it may use.
         settings: JAX's, of the process that sends it.
         surroundings: of that process, see `provenance`.
     """
@@ -89,7 +90,7 @@ class Job(NamedTuple):
             return Failed(f"{named}{error}", traceback.format_exc())
 
     def _set_up(self) -> None:
-        self._compare(provenance.installed())  # first, for another JAX may have other settings
+        self._compare(provenance.installed())  # before the settings, which another JAX may not have
         for name, value in self.settings.items():
             jax.config.update(name, value)
         if self.cores is None:
@@ -99,23 +100,21 @@ class Job(NamedTuple):
                 jax.config.update("jax_num_cpu_devices", self.cores)
         self._compare(provenance.surroundings())
 
-    def _compare(self, here: Mapping[str, Any]) -> None:
+    def _compare(self, of_this_process: Mapping[str, Any]) -> None:
         """Raises InputError where this process would compute other numbers than the one that sent the work."""
-        if changed := provenance.differences(self.surroundings, here):
+        if changed := provenance.differences(self.surroundings, of_this_process):
             raise InputError(
                 f"{platform.node()} would not compute as the machine where this was started: "
                 f"{'; '.join(changed)} there; install and set the same on all machines"
             )
 
 
-def given(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
+def result_of(task: int, result: Arrays | Failed) -> tuple[int, Arrays]:
     """What `Executor.run` gives of a task that a worker has finished; raises what it raised."""
     if isinstance(result, Failed):
         if not result.trace:
             raise InputError(result.line)
-        error = RunError(f"shard {task} failed: {result.line}")
-        error.add_note(result.trace)
-        raise error
+        raise RunError(f"shard {task} failed: {result.line}") from RuntimeError(result.trace)
     return task, result
 
 

@@ -2,7 +2,6 @@
 
 import pickle
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -10,12 +9,13 @@ import numpy as np
 from jax.experimental.multihost_utils import process_allgather
 
 from jaxrl_tab.core.checks import InputError, RunError
-from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, given
+from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, result_of
 
 _SECONDS = 10  # that a process waits for the others at its end, where they do not answer any more
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class Distributed:
     """On all processes of a `jax.distributed` job, each on its own devices, one shard each in every round.
 
@@ -30,10 +30,10 @@ class Distributed:
     takes all others with it. What was given until then is there: start the job again, with what is missing.
 
     Attributes:
-        address: of process 0, "HOST:PORT", where PORT is free. On SLURM, Open MPI, Kubernetes and TPUs JAX
+        address: Of process 0, "HOST:PORT", where PORT is free. On SLURM, Open MPI, Kubernetes and TPUs JAX
             finds out by itself what is not given here.
-        num_processes: how many processes there are.
-        process_id: the number of this one, from 0.
+        num_processes: How many processes there are.
+        process_id: The number of this one, from 0.
 
     Raises:
         InputError: JAX does not know the cluster.
@@ -41,8 +41,8 @@ class Distributed:
     """
 
     address: str | None = None
-    num_processes: int | None = None
-    process_id: int | None = None
+    num_processes: int | None = field(default=None, at_least=1)
+    process_id: int | None = field(default=None, at_least=0)
 
     def __post_init__(self) -> None:
         try:
@@ -63,15 +63,15 @@ class Distributed:
         for i in range(order.rounds):
             for results in _exchange(order.of_round(i)):
                 for task, result in results:
-                    yield given(task, result)
+                    yield result_of(task, result)
 
     def serve(self) -> bool:
         """Computes for process 0 until it leaves the block, and gives True; in process 0, False at once."""
         if jax.process_index() == 0:
             return False
         order, i = _Order(None, []), 0
-        while (said := _exchange(order.of_round(i))[0]) is not None:
-            order, i = (said, 0) if isinstance(said, _Order) else (order, i + 1)
+        while (message := _exchange(order.of_round(i))[0]) is not None:
+            order, i = (message, 0) if isinstance(message, _Order) else (order, i + 1)
         return True
 
     def __enter__(self) -> Self:
@@ -99,9 +99,9 @@ class _Order(NamedTuple):
         return [(task, self.job(task)) for task in own]
 
 
-def _exchange(said: Any) -> list[Any]:
+def _exchange(message: Any) -> list[Any]:
     """What each process says, by its number. All say something at the same time, and wait for each other."""
-    data = np.frombuffer(pickle.dumps(said), np.uint8)
+    data = np.frombuffer(pickle.dumps(message), np.uint8)
     sizes = process_allgather(np.uint32(data.size))
     most = 2 ** int(sizes.max() - 1).bit_length()  # few different lengths: JAX compiles for each
     everything = process_allgather(np.pad(data, (0, most - data.size)))

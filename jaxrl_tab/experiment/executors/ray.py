@@ -11,11 +11,11 @@ import threading
 import warnings
 from collections import deque
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from jaxrl_tab.core.checks import InputError, RunError, reason, whole
-from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, environment, given, need
+from jaxrl_tab.core.checks import InputError, RunError, reason
+from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, environment, need, result_of
 
 _SECONDS = 5  # in which the address of a cluster must answer
 _PATIENCE = 30  # seconds in which it must let us in
@@ -25,34 +25,32 @@ _HELLO, _SETTINGS = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + b"\4" + byt
 _AHEAD = 2  # tasks handed out for each place that there is for one: none stands idle, and few results wait
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class Ray:
     """On a Ray cluster; on the cores of this machine where none is named.
 
     A task that is lost with its worker or its node is done again, elsewhere. Where no node has room, it waits
-    for one. A connection to Ray that this process already has is used, and stays. Which cluster it is that
-    was joined is said by the logger of this module.
+    for one. A connection to Ray that this process already has is used, and stays. The logger of this module
+    tells which cluster was joined.
 
     Attributes:
-        address: of the cluster, "HOST:PORT" or "ray://HOST:PORT", or "auto" for one that runs on this
+        address: Of the cluster, "HOST:PORT" or "ray://HOST:PORT", or "auto" for one that runs on this
             machine; by default what RAY_ADDRESS names. Where neither is given one is started here, for this
             process alone, and stopped at the end: it listens on the loopback interface, and has a token.
-        num_cpus: the cores of each task, all of one machine.
-        max_retries: how often a task that was lost is done again.
+        num_cpus: The cores of each task, all of one machine.
+        max_retries: How often a task that was lost is done again.
 
     Raises:
-        InputError: the address is none, or Ray is not installed.
+        InputError: the address has another form, or Ray is not installed.
         RunError: no Ray cluster answers there, or it wants a token.
     """
 
     address: str | None = None
-    num_cpus: int = 1
-    max_retries: int = 3
+    num_cpus: int = field(default=1, at_least=1)
+    max_retries: int = field(default=3, at_least=0)
 
     def __post_init__(self) -> None:
         need("ray", "ray")
-        whole("num_cpus", "number of cores", self.num_cpus)
-        whole("max_retries", "number", self.max_retries, least=0)
         if self._address != "local":
             _check_answers(self._address)
             _check_joins(self._address)
@@ -75,9 +73,9 @@ class Ray:
                     while waiting and len(under_way) < _AHEAD * self._places():
                         task = waiting.popleft()
                         under_way[call.remote(job, task)] = task
-                    with contextlib.redirect_stdout(sys.stderr):  # Ray tells on it of nodes that go away
+                    with contextlib.redirect_stdout(sys.stderr):  # where Ray prints that a node goes away
                         ready, _ = ray.wait(list(under_way), num_returns=1)
-                    yield given(*self._fetch(under_way, ready.pop()))
+                    yield result_of(*self._fetch(under_way, ready.pop()))
             finally:
                 for reference in under_way:
                     ray.cancel(reference, force=True)
@@ -112,7 +110,7 @@ class Ray:
         with _alone() if own else contextlib.nullcontext():
             import ray  # which looks at variables now
 
-            if there := ray.is_initialized():
+            if was_connected := ray.is_initialized():
                 own = False
             else:
                 self._connect()
@@ -120,7 +118,7 @@ class Ray:
             self._say_what_it_is(own)
             yield
         finally:
-            if not there:
+            if not was_connected:
                 with contextlib.redirect_stdout(sys.stderr):
                     ray.shutdown()
 
@@ -132,9 +130,8 @@ class Ray:
         quiet = {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
         try:
             with contextlib.redirect_stdout(sys.stderr), warnings.catch_warnings():
-                warnings.filterwarnings(
-                    "ignore", "os.fork", RuntimeWarning
-                )  # by JAX: a program follows at once
+                # JAX warns of forks. Ray forks only to start another program at once, which is safe.
+                warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
                 ray.init(self._address, **quiet)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise RunError(f"no Ray cluster at {self._address}: {str(error).splitlines()[0]}") from error
@@ -145,12 +142,12 @@ class Ray:
         cores = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
         log = logging.getLogger(__name__)
         if not own:
-            given = self._address.startswith("ray://")  # then this process knows no other
-            address = self._address if given else ray.get_runtime_context().gcs_address
+            by_client = self._address.startswith("ray://")  # then this process knows no other address
+            address = self._address if by_client else ray.get_runtime_context().gcs_address
             log.warning("on the Ray cluster at %s: %d nodes, %d cores", address, len(cores), sum(cores))
         if max(cores, default=0) < self.num_cpus:
-            said = "no node of the Ray cluster has %d cores, only %d: waiting for one"
-            log.warning(said, self.num_cpus, max(cores, default=0))
+            warning = "no node of the Ray cluster has %d cores, only %d: waiting for one"
+            log.warning(warning, self.num_cpus, max(cores, default=0))
 
 
 def _call(job: Job, task: int) -> Arrays | Failed:

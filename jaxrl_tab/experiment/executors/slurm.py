@@ -5,18 +5,18 @@ import shutil
 import tempfile
 import time
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxrl_tab.core.checks import InputError, RunError, whole
-from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, given, need
+from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, need, result_of
 
 _SECONDS = 1.0  # between looks at the jobs
 _DEFAULTS = {"name": "jaxrl-tab", "timeout_min": 60}
 
 
-@dataclass(frozen=True)
+@checked_dataclass
 class Slurm:
     """As an array of SLURM jobs, among which the shards are dealt out.
 
@@ -24,13 +24,13 @@ class Slurm:
     would reach it again: the shards that it had finished are given, and the next one has failed.
 
     Attributes:
-        folder: where the jobs' files go, seen by all machines. They are removed at the end, but for those of
+        folder: Where the jobs' files go, seen by all machines. They are removed at the end, but for those of
             jobs that failed or died too often.
-        parameters: of the jobs, as `submitit.AutoExecutor.update_parameters` has them: timeout_min (60 by
-            default), cpus_per_task, mem_gb, slurm_partition, slurm_account, slurm_array_parallelism ...
-        max_jobs: how many jobs at most: SLURM limits arrays, to 1001 by default, and each job imports and
+        parameters: What SLURM is asked for, as `submitit.AutoExecutor.update_parameters` has it: timeout_min
+            (60 by default), cpus_per_task, mem_gb, slurm_partition, slurm_account, slurm_array_parallelism ...
+        max_jobs: How many jobs at most: SLURM limits arrays, to 1001 by default, and each job imports and
             compiles for some ten seconds before it computes.
-        max_retries: how often a job that died is handed in again.
+        max_retries: How often a job that died is handed in again.
         cluster: "slurm", or "local" for processes of this machine instead of jobs, to try it out.
 
     Raises:
@@ -39,14 +39,12 @@ class Slurm:
 
     folder: str | Path
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    max_jobs: int = 100
-    max_retries: int = 3
+    max_jobs: int = field(default=100, at_least=1)
+    max_retries: int = field(default=3, at_least=0)
     cluster: str = "slurm"
 
     def __post_init__(self) -> None:
         need("submitit", "slurm")
-        whole("max_jobs", "number of jobs", self.max_jobs)
-        whole("max_retries", "number", self.max_retries, least=0)
         with tempfile.TemporaryDirectory() as folder:
             self._executor(folder)
 
@@ -58,31 +56,31 @@ class Slurm:
         shares = [tasks[i :: self.max_jobs] for i in range(min(self.max_jobs, len(tasks)))]
         with executor.batch():
             handed_in = [executor.submit(_several, job, share) for share in shares]
-        under_way = {one: (share, 0) for one, share in zip(handed_in, shares, strict=True)}
+        under_way = {submitted: (share, 0) for submitted, share in zip(handed_in, shares, strict=True)}
         try:
             while under_way:
-                for one in [one for one in under_way if one.done()]:
-                    share, deaths = under_way.pop(one)
-                    results = self._fetch(one, share, deaths + 1)
+                for submitted in [submitted for submitted in under_way if submitted.done()]:
+                    share, deaths = under_way.pop(submitted)
+                    results = self._fetch(submitted, share, deaths + 1)
                     if results is None:
                         under_way[executor.submit(_several, job, share)] = share, deaths + 1
-                    while results:
-                        yield given(*results.pop(0))
+                    while results:  # none is held any longer than it takes to give it
+                        yield result_of(*results.pop(0))
                 if under_way:
                     time.sleep(_SECONDS)
         except _JobError:
-            raise  # and leave what the job said
+            raise  # and keep the folder, where the job's own messages are
         except BaseException:
             _remove(folder)
             raise
         else:
             _remove(folder)
         finally:
-            for one in under_way:
-                one.cancel(check=False)
+            for submitted in under_way:
+                submitted.cancel(check=False)
 
     def _executor(self, folder: str | Path) -> Any:
-        """submitit's."""
+        """The executor of submitit."""
         import submitit
 
         try:
@@ -93,7 +91,7 @@ class Slurm:
         return executor
 
     def _fetch(self, job: Any, share: Sequence[int], deaths: int) -> list[tuple[int, Arrays | Failed]] | None:
-        """What a job that has ended gave, or None where it died, for the time that `deaths` says."""
+        """What a job that has ended gave; None where it died, for the `deaths`-th time: try again."""
         from submitit.core.utils import FailedJobError, UncompletedJobError
 
         try:
@@ -111,7 +109,7 @@ class Slurm:
 
 
 class _JobError(RunError):
-    """It is about a job, not about a shard."""
+    """A job failed as a whole, and not in one of its shards."""
 
 
 def _several(job: Job, tasks: Sequence[int]) -> list[tuple[int, Arrays | Failed]]:
@@ -126,5 +124,5 @@ def _several(job: Job, tasks: Sequence[int]) -> list[tuple[int, Arrays | Failed]
 
 def _remove(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
-    with contextlib.suppress(OSError):  # others have files there
+    with contextlib.suppress(OSError):  # other runs have files there
         folder.parent.rmdir()

@@ -1,4 +1,4 @@
-"""Pages that a browser shows with nothing else at hand: no script, no font, no style sheet beside them."""
+"""Pages that a browser shows without any other file: scripts, fonts and style sheets are not needed."""
 
 from base64 import b64encode
 from io import BytesIO

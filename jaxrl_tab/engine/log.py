@@ -1,0 +1,103 @@
+"""What is recorded of a run, row by row."""
+
+import contextlib
+import re
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxrl_tab.core.checks import InputError, reason, shown
+from jaxrl_tab.core.types import Environment, init_learner
+from jaxrl_tab.engine.axes import DRAW
+from jaxrl_tab.engine.budget import NO_RECORDER, Record
+
+_NAMES = {"q", "diverged", "optimum", "environment", "method", DRAW, "seed", "row", "state", "action"}
+_OWN = "recorded."  # before the names of what is recorded, where they stand beside the fields
+
+
+class Log(NamedTuple):
+    """What happened, in rows: sums over so many steps (`num_steps`) or episodes (`num_episodes`).
+
+    Attributes:
+        steps: steps taken, int32 [rows].
+        episodes: episodes that ended in the row, int32 [rows].
+        returns: sum of their returns G = sum_t gamma^t R_{t+1}, float [rows].
+        lengths: sum of their lengths in steps, int32 [rows].
+        rewards: sum of the rewards of all steps, float [rows].
+        greedy_value: exact value, from the start distribution, of the policy that is greedy to Q at the end
+            of the row; -inf where it may go round for ever at a cost; float [rows]. None unless recorded.
+        q_error: the largest |Q - Q*| at the end of the row, over the states that can be reached from the
+            start and are not terminal, float [rows]. None unless recorded.
+        v_error: of a method of `prediction`, the root of the mean squared error of V at the end of the row,
+            over the same states, float [rows]. None unless recorded.
+        recorded: what `record` gave at the end of the row, [rows] of each. None unless asked for.
+    """
+
+    steps: Int[Array, "*rows"]
+    episodes: Int[Array, "*rows"]
+    returns: Float[Array, "*rows"]
+    lengths: Int[Array, "*rows"]
+    rewards: Float[Array, "*rows"]
+    greedy_value: Float[Array, "*rows"] | None = None
+    q_error: Float[Array, "*rows"] | None = None
+    v_error: Float[Array, "*rows"] | None = None
+    recorded: dict[str, Array] | None = None
+
+    def named(self) -> dict[str, Any]:
+        """All that is there, by names of which no two are the same: `Log.of` makes the Log of it again."""
+        named = {name: x for name, x in self._asdict().items() if x is not None and name != "recorded"}
+        return named | {_OWN + name: x for name, x in (self.recorded or {}).items()}
+
+    @classmethod
+    def of(cls, named: Mapping[str, Any]) -> Self:
+        own = {name.removeprefix(_OWN): x for name, x in named.items() if name.startswith(_OWN)}
+        return cls(**{name: x for name, x in named.items() if name in cls._fields}, recorded=own or None)
+
+
+def recorded(record: Record, algorithm: Any, learner: Any) -> dict[str, Array]:
+    """What `record` says of the learner, as arrays.
+
+    Raises:
+        InputError: it raises something, or gives anything but arrays of numbers, each with a name of its own.
+    """
+    try:
+        arrays = record(learner)
+    except Exception as error:
+        name = getattr(record, "__name__", "it")
+        raise InputError(f"record: {name} raised {type(error).__name__}: {reason(error)}") from error
+    if not isinstance(arrays, dict):
+        raise InputError(NO_RECORDER)
+    arrays = {name: _as_array(name, x) for name, x in arrays.items()}
+    hyperparameters = {f.name for f in fields(algorithm)} if is_dataclass(algorithm) else set()
+    axes = {f"{name}_{i}" for name, x in arrays.items() for i in range(x.ndim)}
+    if taken := sorted({*Log._fields, *_NAMES, *hyperparameters, *axes} & set(arrays)):
+        raise InputError(f"record: {taken[0]!r} is already a name in the results; choose another one")
+    return arrays
+
+
+def recorded_shapes(
+    record: Record | None, algorithm: Any, env: Environment
+) -> dict[str, jax.ShapeDtypeStruct]:
+    """The shapes of what `record` says of a learner; nothing is computed. Raises InputError as `recorded`."""
+    if record is None:
+        return {}
+    return jax.eval_shape(lambda: recorded(record, algorithm, init_learner(algorithm, env)))
+
+
+def _as_array(name: Any, x: Any) -> Array:
+    """What is recorded under a name, as it can stand in a file."""
+    if not isinstance(name, str) or not re.fullmatch(r"\w([\w .+-]*[\w.+-])?", name):
+        raise InputError(
+            f"record: a name has letters, digits, '_', '-' and '.', such as 'q_start', not {shown(name)}"
+        )
+    with contextlib.suppress(TypeError, ValueError):
+        x = jnp.asarray(x)
+    is_array = isinstance(x, jax.Array)
+    if not is_array or not x.size or not re.fullmatch(r"bool|u?int(8|16|32|64)|float(32|64)", str(x.dtype)):
+        of = f"{x.dtype}{list(x.shape)}" if is_array else shown(x)
+        raise InputError(f"record: {name} must be a number or an array of numbers, not {of}")
+    return x

@@ -1,0 +1,290 @@
+"""The loop of one run: step after step of an agent in its environment, and a log of sums.
+
+The random words of a step (`rng`) depend on its number alone, so the learner's path does not depend on
+`log_every`.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from jaxrl_tab.core import policies, rng, tables
+from jaxrl_tab.core.declared import of_method
+from jaxrl_tab.core.types import Algorithm, Environment, Transition, available_actions, init_learner
+from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.log import Log
+from jaxrl_tab.envs.base import samples_outcomes
+from jaxrl_tab.exact import planning
+
+DRAWN_TOGETHER = 32  # for so many steps at most the random words are worked out at once; see `_steps`
+CHUNKS = 256, 16  # so many steps are taken at once where a run ends with an episode; see `_run_until`
+
+
+class _Run(NamedTuple):
+    """What one run carries from step to step."""
+
+    learner: Any
+    t: Int[Array, ""]  # steps taken
+    s: Int[Array, ""]
+    a: Int[Array, ""]
+    length: Int[Array, ""]  # steps of this episode so far
+    g: Float[Array, ""]  # its return so far
+    discount: Float[Array, ""]  # gamma^length
+
+
+class _Start(NamedTuple):
+    """How an episode begins.
+
+    Attributes:
+        state: key -> S.
+        action: (key, state of the learner, S) -> A.
+    """
+
+    state: Callable
+    action: Callable
+
+
+class _Decisions(NamedTuple):
+    """One for each decision that is made in a step: its number in `rng`, its words, or its key."""
+
+    update: Any
+    step: Any
+    reset: Any
+    start: Any
+
+    def map(self, function: Callable[[Any], Any]) -> "_Decisions":
+        return _Decisions(*map(function, self))
+
+
+IN_A_STEP = _Decisions(update=0, step=1, reset=2, start=3)
+BEFORE_RESET, BEFORE_START = 4, 5  # at time 0
+INSTANCE = 6  # the problem of a run, where the environment draws one
+
+Step: TypeAlias = Callable[[_Run, _Decisions], tuple[_Run, Log]]
+Measured: TypeAlias = Callable[[Any], dict[str, Any]]
+
+
+def run(
+    stream: rng.Stream, algorithm: Algorithm, env: Environment, budget: Budget, measure: Measured | None
+) -> tuple[Any, Log]:
+    """What a method learned in an environment, and what happened.
+
+    Args:
+        stream: from which the random words of the run come.
+        algorithm: the method, which takes available actions only.
+        env: the environment.
+        budget: how long the run is.
+        measure: gives fields of the Log from the state of the learner, at the end of every row.
+    """
+    start = _make_start(algorithm, env)
+    step = _make_step(algorithm, env, start)
+    at_start = _start(stream, algorithm, env, start)
+    if budget.num_steps is not None:
+        end, log = _run_steps(stream, step, at_start, budget.num_steps, budget.row, measure)
+    else:
+        assert budget.num_episodes is not None
+        end, log = _run_episodes(stream, step, at_start, budget.num_episodes, budget.row, measure)
+    return end.learner, log
+
+
+# --- one step ----------------------------------------------------------------------------------------
+
+
+def _make_start(algorithm: Algorithm, env: Environment) -> _Start:
+    """How episodes begin: as the environment and the method say, or, for exploring starts, anyhow."""
+    if not of_method(algorithm).exploring_starts:
+        return _Start(env.reset, algorithm.policy)
+    planning.check_finite(env)
+    states = ~planning.terminal_states(planning.enumerate_model(env))
+    return _Start(
+        lambda key: policies.sample(key, states.astype(float)),
+        lambda key, learner, s: policies.sample(key, _any_action(env, s)),
+    )
+
+
+def _any_action(env: Environment, s: Int[Array, ""]) -> Float[Array, " A"]:
+    """Equal weights for the actions of a state."""
+    available = available_actions(env)
+    return jnp.ones(env.num_actions) if available is None else tables.row(available.astype(float), s)
+
+
+def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
+    """The step of the agent in its environment: run -> (run, the step's own Log)."""
+
+    # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
+    env_step = env.step
+    if samples_outcomes(env):
+        env_step = env.tabulated_step()
+    acts_after_update = of_method(algorithm).acts_after_update
+
+    def step(run: _Run, key: _Decisions) -> tuple[_Run, Log]:
+        s_next, reward, terminal = env_step(key.step, run.s, run.a)
+        s_next = jnp.asarray(s_next, jnp.int32)
+        reward, terminal = jnp.asarray(reward, run.g.dtype), jnp.asarray(terminal, bool)
+        length = run.length + 1
+        last = terminal | (length >= env.max_steps)
+        gamma = jnp.asarray(algorithm.gamma, run.g.dtype)
+        discount = jnp.where(terminal, 0, gamma)  # a time limit ends the episode and bootstraps
+        t = Transition(run.s, run.a, reward, s_next, discount, last)
+        learner, a_next = algorithm.update(key.update, run.learner, t)
+
+        s_start = jnp.asarray(start.state(key.reset), jnp.int32)
+        s = jnp.where(last, s_start, s_next)
+        if acts_after_update and start.action == algorithm.policy:
+            # A' and the first action of an episode are drawn alike: one draw serves, whichever is wanted.
+            a = algorithm.policy(jnp.where(last, key.start, key.update), learner, s)
+        else:
+            a = jnp.where(last, start.action(key.start, learner, s_start), a_next)
+        g = run.g + run.discount * reward
+        log = Log(
+            steps=jnp.int32(1),
+            episodes=last.astype(jnp.int32),
+            returns=jnp.where(last, g, 0),
+            lengths=jnp.where(last, length, 0),
+            rewards=reward,
+        )
+        run = _Run(
+            learner,
+            t=run.t + 1,
+            s=s,
+            a=a,
+            length=jnp.where(last, 0, length),
+            g=jnp.where(last, 0, g),
+            discount=jnp.where(last, 1, run.discount * gamma),
+        )
+        return run, log
+
+    return step
+
+
+def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _Start) -> _Run:
+    """The run at time 0, in a start state with its first action chosen."""
+    reset_key, start_key = (
+        rng.as_key(rng.word(stream, jnp.int32(0), decision)) for decision in (BEFORE_RESET, BEFORE_START)
+    )
+    learner = init_learner(algorithm, env)
+    s = jnp.asarray(start.state(reset_key), jnp.int32)
+    a = start.action(start_key, learner, s)
+    zero = jnp.zeros((), learner.q.dtype)
+    return _Run(learner, t=jnp.int32(0), s=s, a=a, length=jnp.int32(0), g=zero, discount=zero + 1)
+
+
+# --- many steps --------------------------------------------------------------------------------------
+
+
+def _steps(stream: rng.Stream, one: Callable, carry: Any, number: int) -> Any:
+    """`carry = one(carry, keys)` for so many steps; `carry[0]` is the run.
+
+    The random words of some steps are worked out together, before these steps: in the step itself XLA would
+    do it anew in each expression that uses them.
+    """
+    size = _drawn_together(number)
+
+    def chunk(c, carry):
+        words = IN_A_STEP.map(lambda decision: rng.words(stream, carry[0].t, size, decision))
+        step = lambda i, carry: one(carry, words.map(lambda word: rng.as_key(word.at(i))))
+        return lax.fori_loop(0, jnp.minimum(size, number - c * size), step, carry)
+
+    return lax.fori_loop(0, -(-number // size), chunk, carry)
+
+
+def _drawn_together(number: int) -> int:
+    """For how many of so many steps the words are drawn at a time: equal parts of at most DRAWN_TOGETHER."""
+    return -(-number // -(-number // DRAWN_TOGETHER))
+
+
+def bytes_of_words(budget: Budget) -> int:
+    """The most bytes of random words that a run holds; words that no decision uses are never drawn."""
+    number = max(CHUNKS, default=1) if budget.num_steps is None else min(budget.num_steps, budget.row)
+    return len(IN_A_STEP) * rng.bytes_of_words(_drawn_together(number))
+
+
+def _step(stream: rng.Stream, one: Callable, carry: Any) -> Any:
+    """One of the `_steps`, by itself."""
+    return one(carry, IN_A_STEP.map(lambda decision: rng.as_key(rng.word(stream, carry[0].t, decision))))
+
+
+def _run_steps(
+    stream: rng.Stream, step: Step, run: _Run, num_steps: int, log_every: int, measure: Measured | None
+) -> tuple[_Run, Log]:
+    """`num_steps` steps, with a row of the log after each `log_every` and after the last."""
+
+    def one(carry, keys):
+        run, total = carry
+        run, log = step(run, keys)
+        return run, jax.tree.map(jnp.add, total, log)
+
+    def row(run: _Run, size: int) -> tuple[_Run, Log]:
+        run, log = _steps(stream, one, (run, _zero_log(run)), size)
+        return run, log._replace(**measure(run.learner)) if measure else log
+
+    run, log = lax.scan(lambda run, _: row(run, log_every), run, length=num_steps // log_every)
+    if rest := num_steps % log_every:
+        run, last_row = row(run, rest)
+        log = jax.tree.map(lambda rows, x: jnp.append(rows, x[None], axis=0), log, last_row)
+    return run, log
+
+
+def _run_episodes(
+    stream: rng.Stream, step: Step, run: _Run, num_episodes: int, log_every: int, measure: Measured | None
+) -> tuple[_Run, Log]:
+    """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
+    rows = -(-num_episodes // log_every)
+    log = jax.tree.map(lambda x: jnp.zeros(rows, x.dtype), _zero_log(run))
+    carry = run, log, jnp.int32(0)
+    if measure is None:
+        run, log, _ = _run_until(stream, step, carry, num_episodes, log_every)
+        return run, log
+
+    def row(carry, target):
+        carry = _run_until(stream, step, carry, target, log_every)
+        return carry, measure(carry[0].learner)
+
+    targets = jnp.minimum(log_every * jnp.arange(1, rows + 1), num_episodes)
+    (run, log, _), measured = lax.scan(row, carry, targets)
+    return run, log._replace(**measured)
+
+
+def _run_until(stream: rng.Stream, step: Step, carry, target: int | Int[Array, ""], log_every: int):
+    """Runs on until `target` episodes are over. `carry` is (run, log [rows], episodes).
+
+    Under `vmap` a loop whose length differs from lane to lane keeps the lanes that are done by selecting
+    their whole state anew in every iteration. So whole chunks of steps are run as long as the target is not
+    reached in one; the chunk in which it is, is run again in smaller ones, and in the end step by step.
+    """
+
+    def one(carry, keys):
+        run, log, episodes = carry
+        run, now = step(run, keys)
+        row = episodes // log_every
+        log = tables.lane_by_lane(_add_to_row, log, row, now)
+        return run, log, episodes + now.episodes
+
+    def run_chunk(size, state):
+        carry, _ = state
+        after = _steps(stream, one, carry, size)
+        reached = after[-1] >= target
+        return jax.tree.map(lambda old, new: jnp.where(reached, old, new), carry, after), reached
+
+    for size in CHUNKS:
+        state = carry, carry[-1] >= target
+        carry, _ = lax.while_loop(lambda state: ~state[1], partial(run_chunk, size), state)
+    return lax.while_loop(lambda carry: carry[-1] < target, partial(_step, stream, one), carry)
+
+
+def _zero_log(run: _Run) -> Log:
+    count, real = jnp.int32(0), jnp.zeros_like(run.g)
+    return Log(steps=count, episodes=count, returns=real, lengths=count, rewards=real)
+
+
+def _add_to_row(lane: Array, log: Log, row: Array, now: Log) -> Log:
+    """The sums of a step into its row, for `tables.lane_by_lane`."""
+    at = lane, tables.entry(row, lane)
+    return jax.tree.map(
+        lambda table, x: tables.write(table, tables.entry(table, *at) + tables.entry(x, lane), *at), log, now
+    )

@@ -1,0 +1,154 @@
+"""Has every call within jaxrl_tab checked against its annotations, by jaxtyping and beartype.
+
+Many tests give bad values on purpose. An annotation that excludes a value is right where the function refuses it
+by itself, with an InputError or a RunError: then that error is raised, as it is without this. Everything else
+is a wrong annotation, or a wrong call, and an error.
+"""
+
+import ast
+import dataclasses
+import functools
+import inspect
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn, Self, get_type_hints
+
+import jax
+import jaxtyping
+import numpy as np
+from beartype import BeartypeConf, FrozenDict, beartype
+from beartype.door import die_if_unbearable
+from beartype.roar import BeartypeCallHintParamViolation
+
+
+class WrongArgument(BeartypeCallHintParamViolation):
+    """An argument is not what its annotation says.
+
+    Attributes:
+        called: whether the function has been called nevertheless, to see whether it refuses the argument itself.
+    """
+
+    called = False
+
+
+@functools.cache
+def _rules(number: Any) -> BeartypeConf:
+    """What beartype is told; `number` is what a float may be."""
+    from jaxrl_tab.core.types import Algorithm
+
+    return BeartypeConf(
+        # Python cannot say whether a class, without an instance, has the properties that a protocol wants.
+        hint_overrides=FrozenDict({float: number, complex: complex | number, type[Algorithm]: type}),
+        is_random=False,  # in which items of a container are looked at
+        violation_param_type=WrongArgument,
+    )
+
+
+def checked(definition: Any) -> Any:
+    """The function, or the dataclass, with its calls checked. The import hook decorates all of them with it."""
+    if inspect.isclass(definition):
+        if "__dataclass_fields__" in vars(definition):
+            definition.__init__ = _and_fields(definition)
+        return definition
+
+    @functools.cache
+    def strict() -> Callable:  # made in the first call: then all that the annotations name exists
+        definition.__annotations__ = _hints(definition)
+        return beartype(conf=_rules(float | int | np.number))(definition)
+
+    @functools.wraps(definition)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        with jaxtyping.jaxtyped("context"):  # in which the name of a dimension stands for one size
+            try:
+                return strict()(*args, **kwargs)
+            except WrongArgument as violation:
+                _refuse(violation, lambda: definition(*args, **kwargs))
+            except ValueError as error:
+                if "integer string conversion" not in str(error):
+                    raise
+                return definition(*args, **kwargs)  # a number too long for the message of beartype
+
+    @functools.wraps(definition)
+    def generate(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return (yield from strict()(*args, **kwargs))
+        except WrongArgument as violation:
+            _refuse(violation, lambda: next(definition(*args, **kwargs)))
+
+    return generate if inspect.isgeneratorfunction(definition) else call
+
+
+def _refuse(violation: WrongArgument, call: Callable[[], Any]) -> NoReturn:
+    """Raises the error of a function that was called with a wrong argument: its own, where it refuses that."""
+    from jaxrl_tab.core.checks import InputError, RunError
+
+    if not violation.called:
+        violation.called = True
+        try:
+            call()
+        except (InputError, RunError):
+            raise
+        except Exception as error:
+            raise violation from error
+    raise violation
+
+
+def _and_fields(cls: Any) -> Callable:
+    """Its `__init__`, which then checks what the fields hold: some take more than that, and convert it."""
+    init = cls.__init__
+
+    @functools.cache
+    def fields() -> dict[str, Any]:
+        hints = _hints(cls)
+        return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
+
+    @functools.wraps(init)
+    def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
+        init(self, *args, **kwargs)
+        if type(self) is cls:
+            with jaxtyping.jaxtyped("context"):
+                for name, hint in fields().items():
+                    # A leaf that is a number may be one of each run of a batch.
+                    die_if_unbearable(
+                        getattr(self, name),
+                        hint,
+                        conf=_rules(float | int | np.number | np.ndarray | jax.Array),
+                    )
+
+    return __init__
+
+
+def _hints(definition: Any) -> dict[str, Any]:
+    """What its annotations mean, name by name; also those that a module imports only `if TYPE_CHECKING:`."""
+    module = sys.modules[definition.__module__]
+    try:
+        hints = get_type_hints(definition, vars(module), include_extras=True)
+    except NameError:
+        names = vars(module) | _imported_for_types(definition.__module__)
+        hints = get_type_hints(definition, names, include_extras=True)
+    if Self in hints.values():
+        cls = functools.reduce(getattr, definition.__qualname__.split(".")[:-1], module)
+        hints = {name: cls if hint is Self else hint for name, hint in hints.items()}
+    return hints
+
+
+@functools.cache
+def _imported_for_types(module: str) -> dict[str, Any]:
+    variables = vars(sys.modules[module])
+    names: dict[str, Any] = {}
+    for block in ast.parse(Path(variables["__file__"]).read_text()).body:
+        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING":
+            for statement in block.body:
+                try:
+                    exec(ast.unparse(statement), dict(variables), names)
+                except ImportError as error:  # a name that its module, too, has for types alone
+                    names |= _imported_for_types(str(error.name))
+    return names
+
+
+def check() -> None:
+    """From now on modules of jaxrl_tab are checked as they are imported."""
+    own = jaxtyping.jaxtyped
+    jaxtyping.jaxtyped = lambda *args, typechecker=None: own(*args) if args else typechecker
+    jaxtyping.install_import_hook("jaxrl_tab", "annotations.checked")
