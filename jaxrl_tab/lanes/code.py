@@ -49,7 +49,8 @@ class Buffer:
     Attributes:
         size: how many numbers it holds.
         known: the numbers, where they are known while compiling; such a buffer is only read.
-        role: "scratch", or "input" and "output": arrays of the caller, with a leading axis of lanes.
+        role: "scratch"; "input" and "output": arrays of the caller, with a leading axis of lanes; or "outside":
+            of a call of what is not compiled.
         version: how often it was changed, while lowering: an older reference to it is stale.
         site: where it was changed last.
     """
@@ -81,6 +82,20 @@ class Loop:
 
     condition: Region
     body: Region
+
+
+@dataclass(frozen=True)
+class Outside:
+    """A call of what is not compiled.
+
+    Attributes:
+        number: which of the program's such calls it is.
+        inputs, outputs: the buffers that it reads and writes; those of all lanes lie one behind the other.
+    """
+
+    number: int
+    inputs: list[Buffer]
+    outputs: list[Buffer]
 
 
 class Builder:

@@ -4,14 +4,47 @@ Memory is changed in place, as if nobody used the older array any more. Where so
 finds out (`Stale`), and all is lowered once more, with a copy made before that one change.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jax.extend import core as jex
 
 from jaxrl_tab.lanes.arrays import SMALL, Array, Items, Known, Lazy, Pair, Stale, Stored, made_of, size_of
-from jaxrl_tab.lanes.code import Buffer, Builder, Unsupported, Value
+from jaxrl_tab.lanes.code import Buffer, Builder, Outside, Unsupported, Value
+
+
+OUTSIDE = "not_compiled_by_lanes"  # the name of a function that is called as it is; see `outside`
+
+
+def outside(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function; where a program that calls it is compiled by lanes, it is left to XLA, for all lanes at once.
+
+    It may only be called where all lanes come at the same time.
+    """
+
+    def not_compiled(*args: Any) -> Any:
+        return function(*args)
+
+    not_compiled.__name__ = OUTSIDE
+    return jax.jit(not_compiled)
+
+
+def is_outside(equation: Any) -> bool:
+    return equation.primitive.name in ("jit", "pjit") and equation.params["name"] == OUTSIDE
+
+
+class Call(NamedTuple):
+    """A call of what is not compiled.
+
+    Attributes:
+        closed: the jaxpr of one lane.
+        known: of each of its arguments the numbers that are known; None where they differ from lane to lane.
+    """
+
+    closed: Any
+    known: list[np.ndarray | None]
 
 
 class Lowering(Builder):
@@ -27,6 +60,7 @@ class Lowering(Builder):
         self.copied = copied
         self.inputs: list[Buffer] = []
         self.outputs: list[Buffer] = []
+        self.calls: list[Call] = []
         self.sites = 0
         self._tables: dict[Any, Buffer] = {}
 
@@ -52,11 +86,7 @@ class Lowering(Builder):
     def stored(self, x: Array) -> Stored:
         """A new array in memory with the numbers of `x`."""
         buffer = Buffer(x.dtype, size_of(x.shape))
-        if buffer.size <= SMALL:
-            for i in range(buffer.size):
-                self.store(buffer, self.const(i, np.int32), x.item(i))
-        else:
-            self.each(buffer.size, lambda i: self.store(buffer, i, x.read(i)))
+        self.fill(buffer, x)
         return Stored(x.shape, buffer, 0, self)
 
     def to_change(self, x: Array) -> Stored:
@@ -94,12 +124,41 @@ class Lowering(Builder):
         from jaxrl_tab.lanes import rules
 
         name = equation.primitive.name
+        if is_outside(equation):
+            return self.outside(equation, args)
         if (inner := called(equation)) is not None:
             return self.closed(inner, *args)
         if name not in rules.RULES:
             raise Unsupported(f"the primitive {name}")
         found = rules.RULES[name](self, equation, *args)
         return found if equation.primitive.multiple_results else [found]
+
+    def outside(self, equation: Any, args: Sequence[Any]) -> list[Any]:
+        """Calls what is not compiled: what it takes is put into buffers, and what it gives is read from others."""
+        closed = equation.params["jaxpr"]
+        known = [x.numbers if isinstance(x, Known) else None for x in args]
+        inputs = [self.buffer_for(x) for x in args if not isinstance(x, Known)]
+        outputs = [Buffer(v.aval.dtype, size_of(v.aval.shape), role="outside") for v in closed.jaxpr.outvars]
+        number = len(self.calls)
+        self.calls.append(Call(closed, known))
+        self.add(Value("outside", bool, attr=Outside(number, inputs, outputs)))
+        return [
+            Stored(v.aval.shape, buffer, 0, self) for v, buffer in zip(closed.jaxpr.outvars, outputs, strict=True)
+        ]
+
+    def buffer_for(self, x: Array) -> Buffer:
+        """A buffer with the numbers of `x`, for a call of what is not compiled."""
+        buffer = Buffer(x.dtype, size_of(x.shape), role="outside")
+        self.fill(buffer, x)
+        return buffer
+
+    def fill(self, buffer: Buffer, x: Array) -> None:
+        """Writes the numbers of `x` into a buffer."""
+        if buffer.size <= SMALL:
+            for i in range(buffer.size):
+                self.store(buffer, self.const(i, np.int32), x.item(i))
+        else:
+            self.each(buffer.size, lambda i: self.store(buffer, i, x.read(i)))
 
     # --- loops
 
@@ -220,11 +279,7 @@ def _lower(code: Lowering, closed: Any, varying: Sequence[bool], given: Sequence
     for v, x in zip(closed.jaxpr.outvars, code.jaxpr(closed.jaxpr, closed.consts, args), strict=True):
         buffer = Buffer(v.aval.dtype, size_of(v.aval.shape), role="output")
         code.outputs.append(buffer)
-        if buffer.size <= SMALL:
-            for i in range(buffer.size):
-                code.store(buffer, code.const(i, np.int32), x.item(i))
-        else:
-            code.each(buffer.size, lambda i, x=x, buffer=buffer: code.store(buffer, i, x.read(i)))
+        code.fill(buffer, x)
 
 
 def called(equation: Any) -> Any:
