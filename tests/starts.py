@@ -61,7 +61,6 @@ def everything() -> dict[str, np.ndarray]:
 
 
 if __name__ == "__main__":
-    sys.modules["jaxrl_tab.engine.loop"].CHUNKS = ()  # a third to compile, as the fixture `step_by_step`
     batch.use_all_cores()
     programs.keep()
     np.savez(sys.argv[1], **everything())

@@ -38,21 +38,25 @@ def exported(call: Call, lanes: int) -> Exported:
         for v, x in zip(call.closed.jaxpr.invars, call.known, strict=True)
         if x is None
     ]
-    made = export.export(jax.jit(jax.vmap(of_lane)))(*kinds)
+    with jax.enable_x64():  # or numbers of 64 bits, which a jaxpr may hold, would lose half of them
+        made = export.export(jax.jit(jax.vmap(of_lane)))(*kinds)
     of = lambda avals: [(x.shape, np.dtype(x.dtype)) for x in avals]
     return Exported(bytes(made.serialize()), of(made.in_avals), of(made.out_avals))
 
 
 def callable_of(call: Exported) -> Callable[[int], None]:
     """A function of the address at which the addresses of the arrays lie, those that are read before the others."""
-    function = jax.jit(export.deserialize(bytearray(call.code)).call)
+    with jax.enable_x64():
+        kinds = [jax.ShapeDtypeStruct(*kind) for kind in call.inputs]
+        function = jax.jit(export.deserialize(bytearray(call.code)).call).lower(*kinds).compile()
 
     def do(addresses: int) -> None:
         kinds = [*call.inputs, *call.outputs]
         pointers = (ctypes.c_void_p * len(kinds)).from_address(addresses)
         arrays = [_at(pointer, *kind) for pointer, kind in zip(pointers, kinds, strict=True)]
         # Copies, for JAX may go on using what it is given, and the kernel's memory changes.
-        results = function(*(x.copy() for x in arrays[: len(call.inputs)]))
+        with jax.enable_x64():
+            results = function(*(x.copy() for x in arrays[: len(call.inputs)]))
         for array, x in zip(arrays[len(call.inputs) :], results, strict=True):
             array[...] = x
 

@@ -4,35 +4,18 @@ Memory is changed in place, as if nobody used the older array any more. Where so
 finds out (`Stale`), and all is lowered once more, with a copy made before that one change.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jax.extend import core as jex
 
 from jaxrl_tab.lanes.arrays import SMALL, Array, Items, Known, Lazy, Pair, Stale, Stored, made_of, size_of
 from jaxrl_tab.lanes.code import Buffer, Builder, Outside, Unsupported, Value
+from jaxrl_tab.lanes.outside import is_outside
 
 
-OUTSIDE = "not_compiled_by_lanes"  # the name of a function that is called as it is; see `outside`
-
-
-def outside(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function; where a program that calls it is compiled by lanes, it is left to XLA, for all lanes at once.
-
-    It may only be called where all lanes come at the same time.
-    """
-
-    def not_compiled(*args: Any) -> Any:
-        return function(*args)
-
-    not_compiled.__name__ = OUTSIDE
-    return jax.jit(not_compiled)
-
-
-def is_outside(equation: Any) -> bool:
-    return equation.primitive.name in ("jit", "pjit") and equation.params["name"] == OUTSIDE
+FEW = 4  # numbers that lie in memory are copied one by one, and more in a loop
 
 
 class Call(NamedTuple):
@@ -148,13 +131,15 @@ class Lowering(Builder):
 
     def buffer_for(self, x: Array) -> Buffer:
         """A buffer with the numbers of `x`, for a call of what is not compiled."""
+        if isinstance(x, Stored) and x.buffer.role == "outside":  # it is what another call gave
+            return x.buffer
         buffer = Buffer(x.dtype, size_of(x.shape), role="outside")
         self.fill(buffer, x)
         return buffer
 
     def fill(self, buffer: Buffer, x: Array) -> None:
         """Writes the numbers of `x` into a buffer."""
-        if buffer.size <= SMALL:
+        if buffer.size <= (SMALL if isinstance(x, Items | Known) else FEW):
             for i in range(buffer.size):
                 self.store(buffer, self.const(i, np.int32), x.item(i))
         else:

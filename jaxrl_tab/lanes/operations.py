@@ -182,7 +182,7 @@ def _shift(name: str) -> Callable[[Site], str]:
     def write(site: Site) -> str:
         (x, by), (low, high) = site.args, site.facts.bounds(site.value.args[1])
         bits = 8 * site.argument.itemsize
-        if 0 <= low and high < bits:
+        if low >= 0 and high < bits:
             return site.instruction(name, x, by)
         inside = site.instruction("icmp ult", by, site.all(bits))
         shifted = site.instruction(name, x, site.select(inside, by, site.all(bits - 1), site.argument))

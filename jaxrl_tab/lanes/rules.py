@@ -10,10 +10,9 @@ from typing import Any
 import jax
 import numpy as np
 from jax import lax
-from jax.extend import core as jex
 
 from jaxrl_tab.core import rng
-from jaxrl_tab.lanes.arrays import SMALL, Items, Known, Lazy, Pair, Stored, made_of, reshaped, size_of
+from jaxrl_tab.lanes.arrays import SMALL, Known, Lazy, Pair, Stored, made_of, reshaped, size_of
 from jaxrl_tab.lanes.code import Unsupported, Value
 from jaxrl_tab.lanes.functions import FUNCTIONS
 from jaxrl_tab.lanes.lower import Lowering

@@ -25,7 +25,7 @@ class Vectors(Writer):
         label = function.label("segment")
         super().__init__(function.numbers, function.declared, label)
         self.layout, self.width, self.depth = layout, layout.width, 0
-        self.label, self.after, self.group = label, function.label("after"), f"%{label}.group"
+        self.name, self.after, self.group = label, function.label("after"), f"%{label}.group"
         self.head = Writer(self.numbers, self.declared, label)
         self.last = Writer(self.numbers, self.declared, label)
         self._splats: dict[Any, str] = {}
@@ -34,7 +34,7 @@ class Vectors(Writer):
     def finish(self) -> None:
         """Goes on behind it."""
         function = self.layout.function
-        function.line(f"br label %{self.label}")
+        function.line(f"br label %{self.name}")
         self.before = function.block
         function.insert(self, self.after)
 
@@ -48,9 +48,9 @@ class Vectors(Writer):
             turn = [
                 f"  {g}.next = add nuw nsw i32 {g}, 1",
                 f"  {g}.more = icmp ult i32 {g}.next, {groups}",
-                f"  br i1 {g}.more, label %{self.label}, label %{self.after}",
+                f"  br i1 {g}.more, label %{self.name}, label %{self.after}",
             ]
-        return [f"{self.label}:", *head, *self.head.lines, *self.lines, *self.last.lines, *turn]
+        return [f"{self.name}:", *head, *self.head.lines, *self.lines, *self.last.lines, *turn]
 
     def kind(self, dtype: Any) -> str:
         """A vector of numbers."""
