@@ -23,10 +23,9 @@ from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.room import CALL_BYTES, Signature, signature, traced_program
 from jaxrl_tab.engine.runs import Runs
 from jaxrl_tab.lanes.kernel import Kernel, Stop
-from jaxrl_tab.lanes.program import Program, compile
+from jaxrl_tab.lanes.program import MANY, Program, compile
 from jaxrl_tab.lanes.target import host
 
-LANES = 64  # runs that a thread has side by side, at most
 TASK_SECONDS = 0.1  # about so long a thread works before it hands results back
 ASK_SECONDS = 0.2  # after so long at most the main thread sees that it is interrupted
 
@@ -56,8 +55,9 @@ class ByLanes:
         """Compiles. Raises Unsupported where the program holds something for which there is no rule."""
         self.runs, self.threads = runs, threads(devices)
         results, self._tree = jax.tree.flatten(runs.needs.results)
-        lanes = min(LANES, -(-len(runs) // self.threads))
         arguments = runs.arguments(np.array(0))
+        of_thread = -(-len(runs) // self.threads)
+        lanes = next(size for size in (1, host().width, MANY) if of_thread <= size)  # so few programs are made
         self._kernel = _kernel(runs.budget, signature(arguments), _Shared(arguments), len(results), lanes)
         self.lanes, scratch = self._kernel.program.lanes, self._kernel.program.scratch
         # While a thread works on some blocks, what it gave before may still wait to be kept.
@@ -146,10 +146,9 @@ def _kernel(budget: Budget, signature: Signature, shared: _Shared, results: int,
 
     def make(_: str) -> Program:
         closed = traced_program(budget, signature).jaxpr
-        closed = closed.replace(jaxpr=closed.jaxpr.replace(outvars=closed.jaxpr.outvars[:results], debug_info=None))
         inputs = len(closed.jaxpr.invars) - len(shared.leaves)
         varying = [True] * inputs + [False] * len(shared.leaves)
-        return compile(closed, varying, [*[None] * inputs, *shared.leaves], lanes=lanes)
+        return compile(closed, varying, [*[None] * inputs, *shared.leaves], results, lanes=lanes)
 
     name = "lanes", budget, signature.name, shared.digest, host(), lanes
     return Kernel(programs.kept(name, make, pack=lambda program: program, unpack=lambda program: program))

@@ -14,7 +14,6 @@ from jaxrl_tab.lanes.arrays import SMALL, Array, Items, Known, Lazy, Pair, Stale
 from jaxrl_tab.lanes.code import Buffer, Builder, Outside, Unsupported, Value
 from jaxrl_tab.lanes.outside import is_outside
 
-
 FEW = 4  # numbers that lie in memory are copied one by one, and more in a loop
 
 
@@ -232,25 +231,28 @@ class Lowering(Builder):
         return self.op("add", x.dtype, x, self.const(k, x.dtype)) if k else x
 
 
-def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any]) -> Lowering:
+def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any], results: int | None = None) -> Lowering:
     """The program of one lane.
 
     Args:
         closed: the jaxpr of one run.
         varying: for each of its arguments, whether it differs from lane to lane.
         given: the others, as NumPy arrays (keys as their data), and None for those that differ.
+        results: how many of its results are wanted, from the first on; None: all.
     """
     copied: frozenset[int] = frozenset()
     while True:
         code = Lowering(copied)
         try:
-            _lower(code, closed, varying, given)
+            _lower(code, closed, varying, given, results)
             return code
         except Stale as stale:
             copied |= {stale.site}
 
 
-def _lower(code: Lowering, closed: Any, varying: Sequence[bool], given: Sequence[Any]) -> None:
+def _lower(
+    code: Lowering, closed: Any, varying: Sequence[bool], given: Sequence[Any], results: int | None
+) -> None:
     args = []
     for v, differs, x in zip(closed.jaxpr.invars, varying, given, strict=True):
         if not differs:
@@ -261,7 +263,8 @@ def _lower(code: Lowering, closed: Any, varying: Sequence[bool], given: Sequence
         stored = Stored(v.aval.shape, buffer, 0, code)
         small = buffer.size <= SMALL
         args.append(made_of(code, v.aval.shape, v.aval.dtype, [stored.item(i) for i in range(buffer.size)]) if small else stored)
-    for v, x in zip(closed.jaxpr.outvars, code.jaxpr(closed.jaxpr, closed.consts, args), strict=True):
+    outputs = code.jaxpr(closed.jaxpr, closed.consts, args)[:results]
+    for v, x in zip(closed.jaxpr.outvars[:results], outputs, strict=True):
         buffer = Buffer(v.aval.dtype, size_of(v.aval.shape), role="output")
         code.outputs.append(buffer)
         code.fill(buffer, x)
