@@ -22,9 +22,7 @@ from jaxrl_tab.lanes.text import Function
 from jaxrl_tab.lanes.types import in_memory, type_of
 
 AT_ONCE = 600  # a loop that lanes leave one by one is done group by group where it has at most so many operations
-PARAMETERS = (
-    "i64 %first, i64 %last, ptr noalias %scratch, ptr %arrays, ptr %tables, ptr %stop, ptr %outside, ptr %call"
-)
+PARAMETERS = "i64 %first, i64 %last, ptr noalias %scratch, ptr %arrays, ptr %tables, ptr %stop, ptr %outside"
 
 
 class Emitted(NamedTuple):
@@ -32,7 +30,7 @@ class Emitted(NamedTuple):
 
     It does the blocks from `first` to before `last`; `arrays` are the caller's, each with a leading axis of lanes;
     `tables` the arrays that are known; where the byte at `stop` is not 0 it ends soon; `outside` is called
-    for what is not compiled, with `call`, the number of what is to be done, and the addresses of its arrays.
+    for what is not compiled, with the number of what is to be done, and the addresses of its arrays.
 
     Attributes:
         text: the code.
@@ -221,5 +219,5 @@ class _Emitter:
         for k, buffer in enumerate(buffers):
             at = f.value(f"getelementptr ptr, ptr {addresses}, i32 {k}")
             f.line(f"store ptr {self.layout.place(buffer)}, ptr {at}")
-        f.line(f"call void %outside(ptr %call, i64 {outside.number}, ptr {addresses})")
+        f.line(f"call void %outside(i64 {outside.number}, ptr {addresses})")
 

@@ -63,7 +63,7 @@ class Kernel:
         first = -(-scratch.ctypes.data // PAGE) * PAGE
         raised: list[BaseException] = []
 
-        def outside(_: int, number: int, addresses: int) -> None:
+        def outside(number: int, addresses: int) -> None:
             try:
                 self._calls[number](addresses)
             except BaseException as error:  # it cannot go through the kernel
@@ -72,7 +72,7 @@ class Kernel:
 
         arrays, called = _pointers([*given, *outputs]), machine.CALLED(outside)
         blocks = n // program.lanes
-        self._function(0, blocks, first, arrays, self._tables, stop.flag.ctypes.data, called, None)
+        self._function(0, blocks, first, arrays, self._tables, stop.flag.ctypes.data, called)
         if raised:
             raise raised[0]
         if stop.is_set:
