@@ -50,6 +50,11 @@ def using(name: str) -> Iterator[None]:
         _asked.reset(token)
 
 
+def choose(name: str) -> None:
+    """From now on runs are compiled by this backend, where nothing else is asked for."""
+    _asked.set(check(name))
+
+
 def asked() -> Backend:
     """The backend that was asked for: by `using`, or else by the variable of the environment.
 

@@ -22,6 +22,7 @@ from jaxrl_tab.engine import programs
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.room import CALL_BYTES, Signature, signature, traced_program
 from jaxrl_tab.engine.runs import Runs
+from jaxrl_tab.lanes import machine
 from jaxrl_tab.lanes.kernel import Kernel, Stop
 from jaxrl_tab.lanes.program import MANY, Program, compile
 from jaxrl_tab.lanes.target import host
@@ -150,5 +151,5 @@ def _kernel(budget: Budget, signature: Signature, shared: _Shared, results: int,
         varying = [True] * inputs + [False] * len(shared.leaves)
         return compile(closed, varying, [*[None] * inputs, *shared.leaves], results, lanes=lanes)
 
-    name = "lanes", budget, signature.name, shared.digest, host(), lanes
+    name = "lanes", machine.version(), host(), budget, signature.name, shared.digest, lanes
     return Kernel(programs.kept(name, make, pack=lambda program: program, unpack=lambda program: program))

@@ -91,8 +91,7 @@ class Job(NamedTuple):
 
     def _set_up(self) -> None:
         self._compare(provenance.installed())  # before the settings, which another JAX may not have
-        for name, value in self.settings.items():
-            jax.config.update(name, value)
+        provenance.set_for_good(self.settings)
         if self.cores is None:
             by_xla.use_all_cores()
         else:
