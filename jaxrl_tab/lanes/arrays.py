@@ -18,6 +18,7 @@ import numpy as np
 from jaxrl_tab.lanes.code import Buffer, Builder, Value
 
 SMALL = 32  # arrays of so many numbers at most are taken apart
+FEW = 4  # also where they lie in memory
 
 
 class Stale(Exception):
@@ -129,6 +130,17 @@ class Pair:
 
 
 Array: TypeAlias = Known | Items | Stored | Lazy
+
+
+def is_taken_apart(shape: Sequence[int], arrays: Sequence[Array]) -> bool:
+    """Whether an array of this shape that is made from these is taken apart.
+
+    A small one is; but numbers that lie in memory are worked on when they are read, unless there are very few: else
+    all would be read, and most of them for nothing.
+    """
+    if (size := size_of(shape)) > FEW:
+        return size <= SMALL and any(isinstance(x, Items) and size_of(x.shape) > 1 for x in arrays)
+    return True
 
 
 def size_of(shape: Sequence[int]) -> int:

@@ -10,12 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jax.extend import core as jex
 
-from jaxrl_tab.lanes.arrays import SMALL, Array, Items, Known, Lazy, Pair, Stale, Stored, made_of, size_of
+from jaxrl_tab.lanes.arrays import FEW, SMALL, Array, Items, Known, Lazy, Pair, Stale, Stored, made_of, size_of
 from jaxrl_tab.lanes.code import Buffer, Builder, Outside, Unsupported, Value
 from jaxrl_tab.lanes.outside import is_outside
-
-FEW = 4  # numbers that lie in memory are copied one by one, and more in a loop
-
 
 class Call(NamedTuple):
     """A call of what is not compiled.

@@ -12,7 +12,17 @@ import numpy as np
 from jax import lax
 
 from jaxrl_tab.core import rng
-from jaxrl_tab.lanes.arrays import SMALL, Known, Lazy, Pair, Stored, made_of, reshaped, size_of
+from jaxrl_tab.lanes.arrays import (
+    SMALL,
+    Known,
+    Lazy,
+    Pair,
+    Stored,
+    is_taken_apart,
+    made_of,
+    reshaped,
+    size_of,
+)
 from jaxrl_tab.lanes.code import Unsupported, Value
 from jaxrl_tab.lanes.functions import FUNCTIONS
 from jaxrl_tab.lanes.lower import Lowering
@@ -64,7 +74,7 @@ def number_by_number(code: Lowering, name: str, shape: Sequence[int], dtype: Any
     args = [x if size_of(x.shape) in (1, size_of(shape)) else _stretched(code, x, shape) for x in args]
     pick = lambda x, i: x.item(0 if size_of(x.shape) == 1 else i)
     read = lambda x, i: x.item(0) if size_of(x.shape) == 1 else x.read(i)
-    if size_of(shape) <= SMALL:
+    if is_taken_apart(shape, args):
         values = [code.op(name, dtype, *(pick(x, i) for x in args)) for i in range(size_of(shape))]
         return made_of(code, shape, dtype, values)
     return Lazy(shape, dtype, lambda i: code.op(name, dtype, *(read(x, i) for x in args)), code)
@@ -73,7 +83,7 @@ def number_by_number(code: Lowering, name: str, shape: Sequence[int], dtype: Any
 @rule(*FUNCTIONS)
 def function(code: Lowering, equation: Any, x: Any) -> Any:
     (shape, dtype), write = _aval(equation), FUNCTIONS[equation.primitive.name]
-    if size_of(shape) <= SMALL:
+    if is_taken_apart(shape, [x]):
         return made_of(code, shape, dtype, [write(code, x.item(i)) for i in range(size_of(shape))])
     return Lazy(shape, dtype, lambda i: write(code, x.read(i)), code)
 
@@ -121,7 +131,7 @@ def moved(code: Lowering, shape: Sequence[int], x: Any, move: Callable[[np.ndarr
     shape = tuple(shape)
     if isinstance(x, Known):
         return Known(move(x.numbers), code)
-    if size_of(shape) <= SMALL:
+    if is_taken_apart(shape, [x]):
         places = move(np.arange(size_of(x.shape)).reshape(x.shape)).ravel()
         return made_of(code, shape, x.dtype, [x.item(int(i)) for i in places])
     return Lazy(shape, x.dtype, lambda i: x.read(at(i)), code)
