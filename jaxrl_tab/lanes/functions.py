@@ -19,7 +19,9 @@ class Numbers:
     def __init__(self, code: Builder, value: Value):
         self.code, self.value = code, value
 
-    def _with(self, name: str, other: "Numbers | float", turned: bool = False, dtype: type | None = None) -> "Numbers":
+    def _with(
+        self, name: str, other: "Numbers | float", turned: bool = False, dtype: type | None = None
+    ) -> "Numbers":
         y = other.value if isinstance(other, Numbers) else self.code.const(other, self.value.dtype)
         args = (y, self.value) if turned else (self.value, y)
         return Numbers(self.code, self.code.op(name, dtype or self.value.dtype, *args))
@@ -48,6 +50,15 @@ class Numbers:
     def __or__(self, y: "Numbers | int") -> "Numbers":
         return self._with("or", y)
 
+    def __xor__(self, y: "Numbers | int") -> "Numbers":
+        return self._with("xor", y)
+
+    def __lshift__(self, y: "Numbers | int") -> "Numbers":
+        return self._with("shift_left", y)
+
+    def __rshift__(self, y: "Numbers | int") -> "Numbers":
+        return self._with("shift_right_logical", y)
+
     def __neg__(self) -> "Numbers":
         return self.apply("neg")
 
@@ -60,7 +71,9 @@ class Numbers:
     def where(self, yes: "Numbers | float", no: "Numbers | float") -> "Numbers":
         """`yes` where this is True, and else `no`."""
         like = next(x.value.dtype for x in (yes, no) if isinstance(x, Numbers))
-        yes, no = (x if isinstance(x, Numbers) else Numbers(self.code, self.code.const(x, like)) for x in (yes, no))
+        yes, no = (
+            x if isinstance(x, Numbers) else Numbers(self.code, self.code.const(x, like)) for x in (yes, no)
+        )
         return Numbers(self.code, self.code.op("select", like, self.value, no.value, yes.value))
 
     def at_least(self, least: float) -> "Numbers":
@@ -106,7 +119,12 @@ def exp(x: Numbers) -> Numbers:
     r = x - _bits(0x3F318000) * n - _bits(0xB95E8083) * n
     series = _polynomial(r, _bits(0x39506967), 0x3AB743CE, 0x3C088908, 0x3D2AA9C1, 0x3E2AAAAA, 0x3F000000)
     power = 1.0 + (r + series * (r * r))
-    scale = Numbers(x.code, x.code.op("shift_left", np.int32, (n.apply("convert", np.int32) + 127).value, x.code.const(23, np.int32)))
+    scale = Numbers(
+        x.code,
+        x.code.op(
+            "shift_left", np.int32, (n.apply("convert", np.int32) + 127).value, x.code.const(23, np.int32)
+        ),
+    )
     return power * scale.apply("bitcast", np.float32)
 
 
@@ -139,8 +157,10 @@ def log(x: Numbers) -> Numbers:
 def log1p(x: Numbers) -> Numbers:
     square = x * x
     nothing = x * 0.0
-    below = _polynomial(x, nothing + 1.0, 0x417101AD, 0x42A6185B, 0x435DC32D, 0x439A8CA3, 0x43586D8A, 0x42707982)
-    first = nothing + np.float32(4.5270000e-05)
+    below = _polynomial(
+        x, nothing + 1.0, 0x417101AD, 0x42A6185B, 0x435DC32D, 0x439A8CA3, 0x43586D8A, 0x42707982
+    )
+    first = nothing + _bits(0x383DE04B)
     above = _polynomial(x, first, 0x3EFF40C5, 0x40D284FA, 0x41EF4B9C, 0x4273CC76, 0x426473AD, 0x41A05101)
     near = x + (square * -0.5 + (x * square) * (above / below))
     return x.apply("abs").compare("lt", _bits(0x3ED413CD)).where(near, log(x + 1.0))
