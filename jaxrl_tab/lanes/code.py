@@ -177,6 +177,11 @@ class Builder:
         """x k."""
         return self.op("mul", x.dtype, x, self.const(k, x.dtype)) if k != 1 else x
 
+    def product(self, x: Value, y: Value) -> Value:
+        """x y, for one addition alone, which is fused with it: both are rounded at once."""
+        known = x.op == y.op == "const"
+        return self.op("mul", x.dtype, x, y) if known else self.add(Value("mul", x.dtype, (x, y)))
+
     def rounded(self, x: Value) -> Value:
         """`x`, rounded by itself: an addition that takes it is not fused with the product that it is."""
         if x.dtype.kind != "f":

@@ -62,7 +62,10 @@ class Lowering(Builder):
         env: dict[Any, Any] = {}
 
         def get(v: Any) -> Array:
-            return Known(np.asarray(v.val), self) if isinstance(v, jex.Literal) else env[v]
+            if isinstance(v, jex.Literal):
+                aval: Any = v.aval
+                return Known(np.asarray(v.val, aval.dtype), self)
+            return env[v]
 
         env |= zip((*jaxpr.constvars, *jaxpr.invars), (*map(self.known, consts), *args), strict=True)
         for equation in jaxpr.eqns:

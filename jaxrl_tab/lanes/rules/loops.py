@@ -44,7 +44,7 @@ def scan(code: Lowering, equation: Any, *args: Array) -> list[Array]:
     length, closed, count = p["length"], p["jaxpr"], p["num_carry"]
     stacked = [_stack(code, length, v.aval) for v in closed.jaxpr.outvars[count:]]
 
-    def body(carried: list[Array]) -> list[Array]:
+    def body(carried: list[Any]) -> list[Array]:
         turn = carried[0].item(0)
         at = code.op("sub", np.int32, code.const(length - 1, np.int32), turn) if p["reverse"] else turn
         after = code.closed(closed, *consts, *carried[1 : 1 + count], *(_row(code, x, at) for x in rows))
@@ -52,7 +52,7 @@ def scan(code: Lowering, equation: Any, *args: Array) -> list[Array]:
         new = like(stacked, [_put(code, x, y, at) for x, y in filled])
         return [made_of(code, (), np.int32, [code.plus(turn, 1)]), *after[:count], *new]
 
-    def goes_on(carried: list[Array]) -> Value:
+    def goes_on(carried: list[Any]) -> Value:
         return code.op("lt", bool, carried[0].item(0), code.const(length, np.int32))
 
     return code.while_loop([code.known(np.int32(0)), *first, *stacked], goes_on, body)[1:]
@@ -177,7 +177,7 @@ def _plain_row(code: Lowering, x: Plain, i: Value) -> Plain:
     return made_by(code, shape, x.dtype, lambda k: x.read(_sum(code, first, k)))
 
 
-def _put(code: Lowering, x: Stored, y: Plain, i: Value) -> Stored:
+def _put(code: Lowering, x: Plain, y: Plain, i: Value) -> Stored:
     """`x` with `x[i] = y`; i is in range."""
     to, size = code.to_change(x), size_of(y.shape)
     first = code.times(i, size)

@@ -51,8 +51,8 @@ def each_number(code: Lowering, equation: Any, write: Callable[..., Value], args
 
 
 @rule(*(name for name in NAMES if name not in ("select", "convert", "bitcast")))
-def operation(code: Lowering, equation: Any, *args: Plain) -> Plain:
-    name, (shape, dtype) = NAMES[equation.primitive.name], aval_of(equation)
+def operation(code: Lowering, equation: Any, first: Plain, *others: Plain) -> Plain:
+    name, (shape, dtype), args = NAMES[equation.primitive.name], aval_of(equation), (first, *others)
     if name == "select" and len(args) > 3:
         return _one_of_many(code, equation, *args)
     known = OPERATIONS[name].known
@@ -60,8 +60,8 @@ def operation(code: Lowering, equation: Any, *args: Plain) -> Plain:
         with np.errstate(all="ignore"):
             numbers = known(dtype, *(x.numbers for x in args if isinstance(x, Known)))
         return Known(np.broadcast_to(numbers, shape).astype(dtype), code)
-    if name == "bitcast" and args[0].dtype.itemsize != dtype.itemsize:
-        raise Unsupported(f"the words of {args[0].dtype.name} as {dtype.name} are not compiled")
+    if name == "bitcast" and first.dtype.itemsize != dtype.itemsize:
+        raise Unsupported(f"the words of {first.dtype.name} as {dtype.name} are not compiled")
     return each_number(code, equation, lambda *xs: code.op(name, dtype, *xs), args)
 
 
