@@ -26,7 +26,7 @@ def by_lanes(function: Any, *args: np.ndarray, shared: Any = (), width: int = WI
     varying = [True] * len(args) + [False] * len(shared)
     kernel = compile_lanes(closed, varying, [None] * len(args) + list(shared), width, GROUPS)
     full = [np.concatenate([x, np.zeros((padded - lanes, *x.shape[1:]), x.dtype)]) for x in args]
-    results = kernel(padded, *(x.reshape(padded, -1) if x.ndim > 1 else x for x in full))
+    results = kernel(padded, *(x.reshape(padded, *([-1] if x[0].size > 1 else [])) for x in full))
     shapes = [v.aval.shape for v in closed.jaxpr.outvars]
     return [y[:lanes].reshape(lanes, *shape) for y, shape in zip(results, shapes, strict=True)]
 

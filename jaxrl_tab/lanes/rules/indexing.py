@@ -223,14 +223,9 @@ def _by(name: str) -> Callable[[Lowering, Value, Value], Value]:
 UPDATES = {
     "scatter": _second,
     "scatter-add": _by("add"),
-    "scatter_add": _by("add"),
-    "scatter_sub": _by("sub"),
     "scatter-sub": _by("sub"),
-    "scatter_mul": _by("mul"),
     "scatter-mul": _by("mul"),
-    "scatter_max": _by("max"),
     "scatter-max": _by("max"),
-    "scatter_min": _by("min"),
     "scatter-min": _by("min"),
 }
 

@@ -5,10 +5,11 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax import lax
 
 from jaxrl_tab.lanes.arrays import Array, Known, Parts, Plain, made_by, size_of, stretched
 from jaxrl_tab.lanes.code import Unsupported, Value
-from jaxrl_tab.lanes.functions import FUNCTIONS
+from jaxrl_tab.lanes.functions import FUNCTIONS, Numbers, round_from_zero, round_to_even
 from jaxrl_tab.lanes.lowering import Lowering
 from jaxrl_tab.lanes.registry import rule
 from jaxrl_tab.lanes.scalars import OPERATIONS
@@ -50,11 +51,13 @@ def each_number(code: Lowering, equation: Any, write: Callable[..., Value], args
     return made_by(code, shape, dtype, at)
 
 
-@rule(*(name for name in NAMES if name not in ("select", "convert", "bitcast")))
+@rule(*(name for name in NAMES if name not in ("select", "convert", "bitcast", "sign")))
 def operation(code: Lowering, equation: Any, first: Plain, *others: Plain) -> Plain:
     name, (shape, dtype), args = NAMES[equation.primitive.name], aval_of(equation), (first, *others)
     if name == "select" and len(args) > 3:
         return _one_of_many(code, equation, *args)
+    if first.dtype.kind == "b":
+        name = {"max": "or", "min": "and", "mul": "and"}.get(name, name)
     known = OPERATIONS[name].known
     if known is not None and all(isinstance(x, Known) for x in args):
         with np.errstate(all="ignore"):
@@ -82,6 +85,13 @@ def _one_of_many(code: Lowering, equation: Any, which: Plain, *cases: Plain) -> 
 def function(code: Lowering, equation: Any, *args: Plain) -> Plain:
     formula = FUNCTIONS[equation.primitive.name]
     return each_number(code, equation, lambda *xs: formula(code, *xs), args)
+
+
+@rule("round")
+def round_(code: Lowering, equation: Any, x: Plain) -> Plain:
+    to_even = equation.params["rounding_method"] == lax.RoundingMethod.TO_NEAREST_EVEN
+    formula = round_to_even if to_even else round_from_zero
+    return each_number(code, equation, lambda v: formula(Numbers(code, v)).value, [x])
 
 
 @rule("square")

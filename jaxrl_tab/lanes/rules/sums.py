@@ -25,6 +25,7 @@ from jaxrl_tab.lanes.registry import rule
 from jaxrl_tab.lanes.rules.numbers import aval_of
 
 WINDOW = 32  # so many numbers XLA sums one after another
+CHUNK = 16  # and so many in running sums
 OPERATION = {
     "reduce_sum": "add",
     "reduce_prod": "mul",
@@ -151,36 +152,74 @@ def place_of_extreme(code: Lowering, equation: Any, x: Plain) -> Plain:
 
 @rule("cumsum", "cumprod", "cummax", "cummin")
 def running(code: Lowering, equation: Any, x: Plain) -> Plain:
-    """Each number and those before it along an axis, or after it."""
+    """Each number and those before it along an axis, or after it.
+
+    XLA sums real numbers within chunks of 16, and adds the sum of the chunks before.
+    """
     p, name = equation.params, OPERATION[equation.primitive.name]
-    axis, count = p["axis"], x.shape[p["axis"]]
-    if count > WINDOW and name in ("add", "mul") and x.dtype.kind == "f":
-        raise Unsupported(f"running sums of more than {WINDOW} real numbers are not compiled")
+    axis, reverse, count = p["axis"], p["reverse"], x.shape[p["axis"]]
+    chunk = CHUNK if name in ("add", "mul") and x.dtype.kind == "f" else max(count, 1)
+    if count > chunk * CHUNK:
+        raise Unsupported(f"running sums of more than {CHUNK**2} real numbers are not compiled")
     rest = [n for k, n in enumerate(x.shape) if k != axis]
     start = code.const(_neutral(name, x.dtype), x.dtype)
 
+    def number(row: Value, k: Value) -> Value:
+        return x.read(place(row, k))
+
     def place(row: Value, k: Value) -> Value:
-        k = code.op("sub", np.int32, code.const(count - 1, np.int32), k) if p["reverse"] else k
         return flat_index(code, _merged(along_axes(code, row, rest), (axis,), [k]), x.shape)
+
+    def fold(begin: Value, end: Value, term: Callable[[Value], Value]) -> Value:
+        def turn(k: Value, total: Value) -> list[Value]:
+            return [code.op(name, x.dtype, total, term(k))]
+
+        return _turns(code, begin, end, [start], turn)[0]
+
+    def of_the_rest(i: Value) -> Value:
+        """The sum from the i-th number on, in the order of the numbers."""
+        index = along_axes(code, i, x.shape)
+        row = flat_index(code, [*index[:axis], *index[axis + 1 :]], rest)
+        own = code.op("div", np.int32, index[axis], code.const(chunk, np.int32))
+
+        def end_of(c: Value) -> Value:
+            return code.op("min", np.int32, code.times(code.plus(c, 1), chunk), code.const(count, np.int32))
+
+        def of_chunk(c: Value) -> Value:
+            return fold(code.times(c, chunk), end_of(c), lambda k: number(row, k))
+
+        after = fold(code.plus(own, 1), code.const(-(-count // chunk), np.int32), of_chunk)
+        return code.op(name, x.dtype, fold(index[axis], end_of(own), lambda k: number(row, k)), after)
+
+    if reverse and chunk == CHUNK:
+        return _kept(code, made_by(code, x.shape, x.dtype, of_the_rest))
+
+    def turn(k: Value, own: Value, before: Value, row: Value) -> tuple[Value, Value, Value]:
+        """The place of the k-th number, the sum of its chunk so far, and that of the chunks before."""
+        at = place(row, code.op("sub", np.int32, code.const(count - 1, np.int32), k) if reverse else k)
+        first = code.op("rem", np.int32, k, code.const(chunk, np.int32))
+        begins = code.op("eq", bool, first, code.const(0, np.int32))
+        before = code.op("select", x.dtype, begins, before, code.op(name, x.dtype, before, own))
+        own = code.op("select", x.dtype, begins, own, start)
+        return at, code.op(name, x.dtype, own, x.read(at)), before
 
     if is_small(x.shape):
         values = [start] * size_of(x.shape)
         for row in range(size_of(rest)):
-            total = start
+            own, before = start, start
             for k in range(count):
-                at = place(code.const(row, np.int32), code.const(k, np.int32))
-                total = code.op(name, x.dtype, total, x.read(at))
-                values[int(at.number)] = total
+                at, own, before = turn(code.const(k, np.int32), own, before, code.const(row, np.int32))
+                values[int(at.number)] = code.op(name, x.dtype, own, before)
         return made_of(code, x.shape, x.dtype, values)
     to = code.empty(x.shape, x.dtype)
 
     def run(row: Value) -> None:
-        def turn(k: Value, total: Value) -> list[Value]:
-            total = code.op(name, x.dtype, total, x.read(place(row, k)))
-            code.store(to.buffer, place(row, k), total)
-            return [total]
+        def store(k: Value, own: Value, before: Value) -> list[Value]:
+            at, own, before = turn(k, own, before, row)
+            code.store(to.buffer, at, code.op(name, x.dtype, own, before))
+            return [own, before]
 
-        _turns(code, code.const(0, np.int32), code.const(count, np.int32), [start], turn)
+        _turns(code, code.const(0, np.int32), code.const(count, np.int32), [start, start], store)
 
     code.each(size_of(rest), run)
     return to
