@@ -17,6 +17,7 @@ ROOT = Path(jaxrl_tab.__file__).parent
 # that are named before it.
 FLOORS = [
     ["core"],
+    ["lanes"],
     ["exact", "envs", "stats"],
     ["algorithms", "interop", "show"],
     ["engine"],
@@ -79,7 +80,7 @@ def test_no_file_is_long():
     assert {name for name, lines in lengths.items() if lines > 470} == one_thing
 
 
-@pytest.mark.parametrize("wing", ["core", "exact", "engine", "show", "experiment"])
+@pytest.mark.parametrize("wing", ["core", "lanes", "exact", "engine", "show", "experiment"])
 def test_a_wing_says_what_each_of_its_modules_is_for(wing):
     """Those that show no names of their own. Broken once: a module more, in `engine` -> fails."""
     described = re.findall(r"^ {4}(\w+) ", (ROOT / wing / "__init__.py").read_text(), re.MULTILINE)

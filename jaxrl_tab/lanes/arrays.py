@@ -1,12 +1,14 @@
 """What an array of the jaxpr is while it is lowered: numbers that are known, values, memory, or a rule.
 
 Each has a shape, a dtype, `item(i)`, its number at a flat index that is known (C order), and `read(index)`, its
-number at a flat index that is a value. Four kinds:
+number at a flat index that is a value, which is in range. Four kinds:
 
     Known    a NumPy array
     Items    a small array, taken apart: one value for each of its numbers
     Stored   memory of the lane
     Lazy     a large array that is never stored: a rule that gives the number at an index
+
+Where one number takes several words, there is an array for each of them: `Parts`.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,6 +21,7 @@ from jaxrl_tab.lanes.code import Buffer, Builder, Value
 
 SMALL = 32  # arrays of so many numbers at most are taken apart
 FEW = 4  # also where they lie in memory
+FOLDED = 2**14  # numbers at most are worked out while compiling, where they are made of known ones
 
 
 class Stale(Exception):
@@ -47,10 +50,8 @@ class Known:
     def read(self, index: Value) -> Value:
         if index.op == "const":
             return self.item(int(index.number))
-        if (first := self.numbers.ravel()[:1]).size and np.array_equal(
-            self.numbers.ravel().view(np.uint8).reshape(-1, self.dtype.itemsize),
-            np.broadcast_to(first.view(np.uint8), (self.numbers.size, self.dtype.itemsize)),
-        ):
+        words = self.numbers.ravel().view(np.uint8).reshape(self.numbers.size, -1)
+        if np.array_equal(words, np.broadcast_to(words[:1], words.shape)):
             return self.item(0)  # all are the same
         return self.code.load(self.code.table(self.numbers), index)
 
@@ -90,17 +91,22 @@ class Stored:
         return self.read(self.code.const(i, np.int32))
 
     def read(self, index: Value) -> Value:
-        self._check()
+        self.check()
         return self.code.load(self.buffer, index)
+
+    def read_anew(self, index: Value) -> Value:
+        """The number that lies there now, while the memory is being written."""
+        return self.code.add(Value("load", self.dtype, (index,), self.buffer))
 
     def row(self, first: Value, count: int) -> list[Value]:
         """Numbers that lie side by side, from index `first` on."""
-        self._check()
+        self.check()
         return self.code.row(self.buffer, first, count)
 
-    def _check(self) -> None:
-        if self.version != self.buffer.version:
-            raise Stale(self.buffer.site)
+    def check(self) -> None:
+        """Raises Stale where the memory has been changed since."""
+        if self.version < self.buffer.version:
+            raise Stale(self.buffer.changes[self.version])
 
 
 @dataclass(frozen=True)
@@ -117,19 +123,21 @@ class Lazy:
         return self.rule(index)
 
 
-@dataclass(frozen=True)
-class Pair:
-    """Complex numbers, of which only the parts are used."""
+Plain: TypeAlias = Known | Items | Stored | Lazy
 
-    real: Any
-    imag: Any
+
+@dataclass(frozen=True)
+class Parts:
+    """Numbers of two words: the real and the imaginary part, or the two words of a Threefry key."""
+
+    arrays: tuple[Plain, ...]
 
     @property
     def shape(self) -> tuple[int, ...]:
-        return self.real.shape
+        return self.arrays[0].shape
 
 
-Array: TypeAlias = Known | Items | Stored | Lazy
+Array: TypeAlias = Plain | Parts
 
 
 def is_taken_apart(shape: Sequence[int], arrays: Sequence[Array]) -> bool:
@@ -147,7 +155,27 @@ def size_of(shape: Sequence[int]) -> int:
     return int(np.prod(shape, dtype=np.int64))
 
 
-def reshaped(x: Array, shape: Sequence[int]) -> Array:
+def is_small(shape: Sequence[int]) -> bool:
+    return size_of(shape) <= SMALL
+
+
+def made_of(code: Builder, shape: Sequence[int], dtype: Any, values: Sequence[Value]) -> Known | Items:
+    """A small array of values, known where all of them are."""
+    if all(x.op == "const" for x in values):
+        return Known(np.array([x.number for x in values], dtype).reshape(tuple(shape)), code)
+    return Items(tuple(shape), np.dtype(dtype), list(values), code)
+
+
+def made_by(
+    code: Builder, shape: Sequence[int], dtype: Any, rule: Callable[[Value], Value], of: Sequence["Plain"] = ()
+) -> "Plain":
+    """The array of the numbers that a rule gives at each flat index; `of` are the arrays that it reads."""
+    if is_taken_apart(shape, of) if of else is_small(shape):
+        return made_of(code, shape, dtype, [rule(code.const(i, np.int32)) for i in range(size_of(shape))])
+    return Lazy(tuple(shape), np.dtype(dtype), rule, code)
+
+
+def reshaped(x: Plain, shape: Sequence[int]) -> Plain:
     """The same numbers in another shape: nothing is to be done."""
     shape = tuple(shape)
     if isinstance(x, Known):
@@ -159,8 +187,69 @@ def reshaped(x: Array, shape: Sequence[int]) -> Array:
     return Lazy(shape, x.dtype, x.rule, x.code)
 
 
-def made_of(code: Builder, shape: Sequence[int], dtype: Any, values: Sequence[Value]) -> Array:
-    """A small array of values, known where all of them are."""
-    if all(x.op == "const" for x in values):
-        return Known(np.array([x.number for x in values], dtype).reshape(tuple(shape)), code)
-    return Items(tuple(shape), np.dtype(dtype), list(values), code)
+def flat(arrays: Sequence[Array]) -> list[Plain]:
+    """The arrays, each part for itself."""
+    return [part for x in arrays for part in (x.arrays if isinstance(x, Parts) else (x,))]
+
+
+def like(arrays: Sequence[Array], parts: Sequence[Plain]) -> list[Array]:
+    """`parts`, put together as they were before `flat`."""
+    left = iter(parts)
+    return [
+        Parts(tuple(next(left) for _ in x.arrays)) if isinstance(x, Parts) else next(left) for x in arrays
+    ]
+
+
+# --- numbers at other places
+
+
+def along_axes(code: Builder, index: Value, shape: Sequence[int]) -> list[Value]:
+    """The index along each axis, of a flat index."""
+    found: list[Value] = []
+    for n in reversed(shape[1:]):
+        size = code.const(n, np.int32)
+        found.append(code.op("rem", np.int32, index, size) if n > 1 else code.const(0, np.int32))
+        index = code.op("div", np.int32, index, size) if n > 1 else index
+    return [index, *reversed(found)] if shape else []
+
+
+def flat_index(code: Builder, axes: Sequence[Value], shape: Sequence[int]) -> Value:
+    """The flat index, of the index along each axis."""
+    total = code.const(0, np.int32)
+    for i, n in zip(axes, shape, strict=True):
+        total = code.times(total, n) if total.number is None else code.const(int(total.number) * n, np.int32)
+        total = i if total.number == 0 else total if i.number == 0 else code.op("add", np.int32, total, i)
+    return total
+
+
+def moved(
+    code: Builder,
+    shape: Sequence[int],
+    x: Plain,
+    move: Callable[[np.ndarray], np.ndarray],
+    at: Callable[[list[Value]], list[Value]],
+) -> Plain:
+    """The numbers of `x` at other places.
+
+    Args:
+        code, shape, x: the code that is written, the shape of the result, and the array.
+        move: moves the numbers of a NumPy array.
+        at: the index along each axis of the result -> along each axis of `x`; for large arrays.
+    """
+    if isinstance(x, Known):
+        return Known(move(x.numbers), code)
+    if is_taken_apart(shape, [x]):
+        places = move(np.arange(size_of(x.shape)).reshape(x.shape)).ravel()
+        return made_of(code, shape, x.dtype, [x.item(int(i)) for i in places])
+    return made_by(
+        code, shape, x.dtype, lambda i: x.read(flat_index(code, at(along_axes(code, i, shape)), x.shape))
+    )
+
+
+def stretched(code: Builder, shape: Sequence[int], x: Plain) -> Plain:
+    """`x` as often as it takes along each axis that has the size 1."""
+
+    def at(index: list[Value]) -> list[Value]:
+        return [i if n > 1 else code.const(0, np.int32) for i, n in zip(index, x.shape, strict=True)]
+
+    return moved(code, shape, x, lambda y: np.broadcast_to(y, tuple(shape)), at)

@@ -18,13 +18,22 @@ class Unsupported(Exception):
     """The jaxpr holds something that is not compiled; the message says what."""
 
 
+def _compiled(dtype: Any) -> np.dtype:
+    """The dtype, if numbers of that kind are compiled."""
+    dtype = np.dtype(dtype)
+    if dtype.name not in scalars.DTYPES:
+        raise Unsupported(f"numbers of the type {dtype.name} are not compiled")
+    return dtype
+
+
 class Value:
     """One number of the program.
 
     Attributes:
-        op: the operation that gives it: "const", "param" (carried by a loop), "load", "store", "loop", "result"
-            (of a loop), "branch", or the name of an operation in `scalars`.
-        dtype: bool, int32, uint32 or float32 (or their 64-bit relatives).
+        op: the operation that gives it: "const", "param" (carried by a loop), "load", "store", "row" (several
+            numbers of a buffer), "part" (of a row), "loop", "result" (of a loop), or the name of an operation
+            in `scalars`.
+        dtype: bool, int32, uint32 or float32; a constant may have any.
         args: the values that the operation takes.
         attr: what else it needs: the number of a constant, the Buffer of a load, the Loop of a loop.
     """
@@ -51,15 +60,20 @@ class Buffer:
         known: the numbers, where they are known while compiling; such a buffer is only read.
         role: "scratch"; "input" and "output": arrays of the caller, with a leading axis of lanes; or "outside":
             of a call of what is not compiled.
-        version: how often it was changed, while lowering: an older reference to it is stale.
-        site: where it was changed last.
+        changes: while lowering, the sites at which it has been changed so far.
     """
 
-    __slots__ = ("dtype", "known", "role", "site", "size", "version")
+    __slots__ = ("changes", "dtype", "known", "role", "size")
 
     def __init__(self, dtype: Any, size: int, known: np.ndarray | None = None, role: str = "scratch"):
-        self.dtype, self.size, self.known, self.role = np.dtype(dtype), size, known, role
-        self.version, self.site = 0, -1
+        self.dtype = np.dtype(dtype) if role == "outside" else _compiled(dtype)
+        self.size, self.known, self.role = size, known, role
+        self.changes: list[int] = []
+
+    @property
+    def version(self) -> int:
+        """How often it was changed. A reference to an older version is stale."""
+        return len(self.changes)
 
 
 @dataclass
@@ -104,10 +118,12 @@ class Builder:
     def __init__(self) -> None:
         self.region = Region()
         self._done: list[dict[Any, Value]] = [{}]  # one for each region that is being written
+        self._tables: dict[Any, Buffer] = {}
 
     def const(self, number: Any, dtype: Any = None) -> Value:
         number = np.asarray(number, dtype)[()]
-        return self._once(("const", number.dtype, number.tobytes()), lambda: Value("const", number.dtype, attr=number), quiet=True)
+        key = "const", number.dtype, number.tobytes()
+        return self._once(key, lambda: Value("const", number.dtype, attr=number))
 
     def op(self, name: str, dtype: Any, *args: Value) -> Value:
         """The result of an operation of `scalars`."""
@@ -117,22 +133,33 @@ class Builder:
         if operation.known is not None and all(x.op == "const" for x in args):
             with np.errstate(all="ignore"):
                 return self.const(operation.known(dtype, *(x.attr for x in args)), dtype)
-        return self._once((name, dtype, *map(id, args)), lambda: Value(name, dtype, args))
+        key = name, dtype, *map(id, args)
+        return self._once(key, lambda: self.add(Value(name, _compiled(dtype), args)))
 
     def load(self, buffer: Buffer, index: Value) -> Value:
         if buffer.known is not None and index.op == "const":
             return self.const(buffer.known[index.attr])
         key = "load", id(buffer), buffer.version, id(index)
-        return self._once(key, lambda: Value("load", buffer.dtype, (index,), buffer))
+        return self._once(key, lambda: self.add(Value("load", buffer.dtype, (index,), buffer)))
 
     def row(self, buffer: Buffer, first: Value, count: int) -> list[Value]:
         """Numbers that lie side by side, read together."""
-        key = "row", id(buffer), buffer.version, id(first), count
-        row = self._once(key, lambda: Value("row", buffer.dtype, (first,), (buffer, count)))
-        return [self._once((*key, k), lambda k=k: Value("part", buffer.dtype, (row,), k)) for k in range(count)]
+
+        def read() -> list[Value]:
+            row = self.add(Value("row", buffer.dtype, (first,), (buffer, count)))
+            return [self.add(Value("part", buffer.dtype, (row,), k)) for k in range(count)]
+
+        return self._once(("row", id(buffer), buffer.version, id(first), count), read)
 
     def store(self, buffer: Buffer, index: Value, x: Value) -> None:
-        self.region.ops.append(Value("store", buffer.dtype, (index, x), buffer))
+        self.add(Value("store", buffer.dtype, (index, x), buffer))
+
+    def table(self, numbers: np.ndarray) -> Buffer:
+        """The buffer of an array that is known, one for all equal ones."""
+        key = numbers.dtype, numbers.size, numbers.tobytes()
+        if key not in self._tables:
+            self._tables[key] = Buffer(numbers.dtype, numbers.size, np.ascontiguousarray(numbers).ravel())
+        return self._tables[key]
 
     def add(self, value: Value) -> Value:
         self.region.ops.append(value)
@@ -149,18 +176,37 @@ class Builder:
             self._done.pop()
             self.region = outer
 
-    def loop(self, first: Sequence[Value], condition: Callable[..., Value], body: Callable[..., Sequence[Value]]):
+    def loop(
+        self, first: Sequence[Value], condition: Callable[..., Value], body: Callable[..., Sequence[Value]]
+    ) -> list[Value]:
         """The values that a loop leaves."""
         params = [Value("param", x.dtype) for x in first]
         parts = Loop(self.write(params, lambda *p: [condition(*p)]), self.write(params, body))
         made = self.add(Value("loop", bool, first, parts))
         return [Value("result", x.dtype, (made,), k) for k, x in enumerate(first)]
 
-    def _once(self, key: Any, make: Callable[[], Value], quiet: bool = False) -> Value:
+    def plus(self, x: Value, k: int) -> Value:
+        """x + k."""
+        return self.op("add", x.dtype, x, self.const(k, x.dtype)) if k else x
+
+    def times(self, x: Value, k: int) -> Value:
+        """x k."""
+        return self.op("mul", x.dtype, x, self.const(k, x.dtype)) if k != 1 else x
+
+    def product(self, x: Value, y: Value) -> Value:
+        """x y, for one addition alone, which is fused with it: both are rounded at once."""
+        known = x.op == y.op == "const"
+        return self.op("mul", x.dtype, x, y) if known else self.add(Value("mul", x.dtype, (x, y)))
+
+    def rounded(self, x: Value) -> Value:
+        """`x`, rounded by itself: an addition that takes it is not fused with the product that it is."""
+        if x.dtype.kind != "f":
+            return x
+        return self.op("bitcast", x.dtype, self.op("bitcast", np.int32, x))
+
+    def _once(self, key: Any, make: Callable[[], Any]) -> Any:
         for done in self._done:
             if key in done:
                 return done[key]
         self._done[-1][key] = value = make()
-        if not quiet:
-            self.region.ops.append(value)
         return value

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+DTYPES = ("bool", "int32", "uint32", "float32")  # the numbers that are compiled
+
 
 @dataclass(frozen=True)
 class Operation:
@@ -52,10 +54,13 @@ def _logical(x: Any, by: Any) -> Any:
 
 
 def _converted(dtype: np.dtype, x: Any) -> Any:
-    if dtype == bool:
+    if dtype.kind == "b":
         return x != 0
     if dtype.kind in "iu" and x.dtype.kind == "f":
-        info, wide = np.iinfo(dtype), np.nan_to_num(np.trunc(x.astype(np.float64)), nan=0, posinf=1e300, neginf=-1e300)
+        info, wide = (
+            np.iinfo(dtype),
+            np.nan_to_num(np.trunc(x.astype(np.float64)), nan=0, posinf=1e300, neginf=-1e300),
+        )
         inside = np.clip(wide, info.min, info.max)
         return np.where(wide >= info.max, info.max, inside.astype(np.int64)).astype(dtype)
     return x.astype(dtype)
@@ -104,10 +109,10 @@ OPERATIONS: dict[str, Operation] = {
     "rem": Operation(_remainder),
     "shift_left": Operation(_shift(np.left_shift, lambda x, _: x.dtype.type(0))),
     "shift_right_logical": Operation(_shift(_logical, lambda x, _: x.dtype.type(0))),
-    "shift_right_arithmetic": Operation(
-        _shift(np.right_shift, lambda x, bits: x >> x.dtype.type(bits - 1))
-    ),
-    "select": Operation(lambda _, which, no, yes: np.where(which, yes, no), _selected),  # no where it is False
+    "shift_right_arithmetic": Operation(_shift(np.right_shift, lambda x, bits: x >> x.dtype.type(bits - 1))),
+    "select": Operation(
+        lambda _, which, no, yes: np.where(which, yes, no), _selected
+    ),  # no where it is False
     "convert": Operation(_converted, _same_dtype),
     "bitcast": Operation(lambda dtype, x: x.view(dtype), _same_dtype),
     "pow": Operation(lambda _, x, y: np.power(x, y)),

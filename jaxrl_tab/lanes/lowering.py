@@ -1,0 +1,259 @@
+"""From a jaxpr to scalar code: calls, loops and memory. What single primitives mean stands in `rules`.
+
+Memory is changed in place, as if nobody used the older array any more. Where somebody does, the reading of it
+finds out (`Stale`), and all is lowered once more, with a copy made before that one change.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jax.extend import core as jex
+
+from jaxrl_tab.lanes.arrays import (
+    FOLDED,
+    Array,
+    Known,
+    Lazy,
+    Parts,
+    Plain,
+    Stored,
+    flat,
+    is_small,
+    is_taken_apart,
+    like,
+    made_of,
+    size_of,
+)
+from jaxrl_tab.lanes.code import Buffer, Builder, Outside, Unsupported, Value
+from jaxrl_tab.lanes.outside import is_outside
+from jaxrl_tab.lanes.registry import OF_PARTS, RULES
+
+# The primitives that merely call a jaxpr. For `custom_vmap_call` it is what the function means for one lane.
+CALLS = (
+    "jit",
+    "pjit",
+    "closed_call",
+    "core_call",
+    "custom_vmap_call",
+    "custom_jvp_call",
+    "custom_vjp_call",
+    "remat2",
+    "checkpoint",
+)
+
+
+class Call(NamedTuple):
+    """A call of what is not compiled.
+
+    Attributes:
+        closed: the jaxpr of one lane.
+        known: of each of its arguments the numbers that are known; None where they differ from lane to lane.
+    """
+
+    closed: Any
+    known: list[np.ndarray | None]
+
+
+class Lowering(Builder):
+    """The program of one lane, while it is written.
+
+    Attributes:
+        copied: the sites of changes before which the memory is copied.
+        inputs, outputs: the buffers of what differs from lane to lane and of the results, in their order.
+        calls: what is called and not compiled.
+    """
+
+    def __init__(self, copied: frozenset[int] = frozenset()):
+        super().__init__()
+        self.copied = copied
+        self.inputs: list[Buffer] = []
+        self.outputs: list[Buffer] = []
+        self.calls: list[Call] = []
+        self._sites = 0
+        self._own: list[set[Buffer]] = [set()]  # the memory that a loop may change, for each that is written
+
+    # --- jaxprs
+
+    def jaxpr(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Array]) -> list[Any]:
+        """What a jaxpr gives for arrays."""
+        env: dict[Any, Any] = {}
+
+        def get(v: Any) -> Array:
+            if isinstance(v, jex.Literal):
+                aval: Any = v.aval
+                return Known(np.asarray(v.val, aval.dtype), self)
+            return env[v]
+
+        env |= zip((*jaxpr.constvars, *jaxpr.invars), (*map(self.known, consts), *args), strict=True)
+        for equation in jaxpr.eqns:
+            results = self.equation(equation, [get(v) for v in equation.invars])
+            env |= zip(equation.outvars, results, strict=True)
+        return [get(v) for v in jaxpr.outvars]
+
+    def known(self, x: Any) -> Array:
+        """An array that is known while compiling."""
+        return x if isinstance(x, Plain | Parts) else Known(np.asarray(x), self)
+
+    def closed(self, closed: Any, *args: Array) -> list[Any]:
+        return self.jaxpr(closed.jaxpr, closed.consts, args)
+
+    def equation(self, equation: Any, args: Sequence[Array]) -> Sequence[Any]:
+        name = equation.primitive.name
+        if is_outside(equation):
+            return self._outside(equation.params["jaxpr"], args)
+        if name in CALLS:
+            inner = next(equation.params[p] for p in ("jaxpr", "call", "call_jaxpr") if p in equation.params)
+            return self.closed(inner, *args) if hasattr(inner, "consts") else self.jaxpr(inner, (), args)
+        if name not in RULES:
+            raise Unsupported(f"the primitive {name} is not compiled")
+        if name not in OF_PARTS and any(isinstance(x, Parts) for x in args):
+            return self._by_parts(equation, args)
+        results = RULES[name](self, equation, *args)
+        results = results if equation.primitive.multiple_results else [results]
+        if all(isinstance(x, Known) for x in args):
+            results = [self._worked_out(x) if isinstance(x, Lazy) else x for x in results]
+        return results
+
+    def _worked_out(self, x: Lazy) -> Plain:
+        """An array that is made of known ones, known as well, if its numbers can be worked out while compiling."""
+        if size_of(x.shape) <= FOLDED:
+            numbers = [x.item(i) for i in range(size_of(x.shape))]
+            if all(number.op == "const" for number in numbers):
+                return made_of(self, x.shape, x.dtype, numbers)
+        return x
+
+    def _outside(self, closed: Any, args: Sequence[Array]) -> list[Stored]:
+        """Calls what is not compiled: what it takes is put into buffers, and what it gives is read from others."""
+        if any(isinstance(x, Parts) for x in args):
+            raise Unsupported("a key or a complex number for what is not compiled")
+        inputs = [self._handed_on(x) for x in args if not isinstance(x, Known)]
+        outputs = [Buffer(v.aval.dtype, size_of(v.aval.shape), role="outside") for v in closed.jaxpr.outvars]
+        self.add(Value("outside", bool, attr=Outside(len(self.calls), inputs, outputs)))
+        self.calls.append(Call(closed, [x.numbers if isinstance(x, Known) else None for x in args]))
+        results = zip(closed.jaxpr.outvars, outputs, strict=True)
+        return [Stored(v.aval.shape, buffer, 0, self) for v, buffer in results]
+
+    def _handed_on(self, x: Plain) -> Buffer:
+        """A buffer with the numbers of `x`, for a call of what is not compiled."""
+        if isinstance(x, Stored) and x.buffer.role == "outside":  # it is what another call gave
+            return x.buffer
+        buffer = Buffer(x.dtype, size_of(x.shape), role="outside")
+        self.copy(x, buffer)
+        return buffer
+
+    def _by_parts(self, equation: Any, args: Sequence[Array]) -> list[Parts]:
+        """What a rule gives for numbers of two words: it puts them elsewhere, each word for itself."""
+        count = max(len(x.arrays) for x in args if isinstance(x, Parts))
+        each = [
+            self.equation(equation, [x.arrays[k] if isinstance(x, Parts) else x for x in args])
+            for k in range(count)
+        ]
+        return [Parts(tuple(parts)) for parts in zip(*each, strict=True)]
+
+    # --- memory
+
+    def each(self, size: int, do: Callable[[Value], None]) -> None:
+        """`do(index)` for every index below `size`."""
+        if size <= 1:
+            for i in range(size):
+                do(self.const(i, np.int32))
+            return
+
+        def body(i: Value) -> list[Value]:
+            do(i)
+            return [self.plus(i, 1)]
+
+        most = self.const(size, np.int32)
+        self.loop([self.const(0, np.int32)], lambda i: self.op("lt", bool, i, most), body)
+
+    def copy(self, x: Plain, buffer: Buffer) -> None:
+        """Puts the numbers of `x` into a buffer."""
+        if is_taken_apart(x.shape, [x]):
+            numbers = [x.item(i) for i in range(buffer.size)]
+            for i, number in enumerate(numbers):
+                self.store(buffer, self.const(i, np.int32), number)
+        else:
+            self.each(buffer.size, lambda i: self.store(buffer, i, x.read(i)))
+
+    def stored(self, x: Plain) -> Stored:
+        """A new array in memory with the numbers of `x`."""
+        new = self.empty(x.shape, x.dtype)
+        self.copy(x, new.buffer)
+        return new
+
+    def in_memory(self, x: Plain) -> Plain:
+        """A large array whose numbers may be read again and again: they are not worked out each time."""
+        return x if is_small(x.shape) or isinstance(x, Known | Stored) else self.stored(x)
+
+    def empty(self, shape: Sequence[int], dtype: Any) -> Stored:
+        """An array that will be written before it is read."""
+        buffer = Buffer(dtype, size_of(shape))
+        self._own[-1].add(buffer)
+        return Stored(tuple(shape), buffer, 0, self)
+
+    def to_change(self, x: Plain) -> Stored:
+        """`x` in memory of which nobody else uses the present content: its own, or a copy.
+
+        It is copied, too, where it comes from outside of the loop that is written: the next turn wants it anew.
+        """
+        self._sites += 1
+        if not isinstance(x, Stored) or x.buffer not in self._own[-1] or self._sites in self.copied:
+            x = self.stored(x)
+        else:
+            x.check()
+        x.buffer.changes.append(self._sites)
+        return Stored(x.shape, x.buffer, x.buffer.version, self)
+
+    # --- loops
+
+    def while_loop(
+        self,
+        first: Sequence[Array],
+        condition: Callable[[list[Any]], Value],
+        body: Callable[[list[Any]], Sequence[Any]],
+    ) -> list[Any]:
+        """A loop over arrays: `condition(arrays) -> Value`, `body(arrays) -> arrays`.
+
+        Small arrays are carried as numbers; large ones lie in memory of the loop, and are changed there.
+        """
+        parts = [x if _carried(x) else self.to_change(x) for x in flat(first)]
+        sizes = [size_of(x.shape) if _carried(x) else 0 for x in parts]
+
+        def numbers(arrays: Sequence[Plain]) -> list[Value]:
+            return [x.item(i) for x, size in zip(arrays, sizes, strict=True) for i in range(size)]
+
+        def arrays(values: Sequence[Value]) -> list[Array]:
+            left = iter(values)
+            carried = [
+                Stored(x.shape, x.buffer, x.buffer.version, self)
+                if isinstance(x, Stored)
+                else made_of(self, x.shape, x.dtype, [next(left) for _ in range(size)])
+                for x, size in zip(parts, sizes, strict=True)
+            ]
+            return like(first, carried)
+
+        def once(*values: Value) -> list[Value]:
+            self._own.append({x.buffer for x in parts if isinstance(x, Stored)})
+            after = flat(body(arrays(values)))
+            self._own.pop()
+            result = numbers(after)
+            memory = [(x, y) for x, y in zip(parts, after, strict=True) if isinstance(x, Stored)]
+            # All are read before one is written.
+            moved = [(x.buffer, self.stored(y)) for x, y in memory if not _is_in(y, x)]
+            for buffer, y in moved:
+                self.copy(y, buffer)
+                buffer.changes.append(self._sites)
+            return result
+
+        return arrays(self.loop(numbers(parts), lambda *values: condition(arrays(values)), once))
+
+
+def _carried(x: Plain) -> bool:
+    """Whether a loop carries the numbers of an array, and not the array in memory."""
+    return not isinstance(x, Stored) and is_small(x.shape)
+
+
+def _is_in(y: Plain, x: Stored) -> bool:
+    """Whether `y` is what the memory of `x` holds now."""
+    return isinstance(y, Stored) and y.buffer is x.buffer and y.version == y.buffer.version

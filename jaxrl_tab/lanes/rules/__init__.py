@@ -1,0 +1,17 @@
+"""What each primitive of JAX means: one rule for each, in terms of single numbers.
+
+A rule takes the code that is written, the equation and its arguments as `arrays`, and gives the result. To add a
+primitive: say which number of the result comes from which numbers of the arguments, and give its test a case
+(tests/test_lanes_rules.py), which compares it with XLA.
+
+    numbers     number by number: arithmetic, comparisons, functions
+    places      the same numbers at other places: reshape, slice, concatenate
+    indexing    reading and writing at an index: dynamic_slice, gather, scatter
+    sums        along axes: sums, products, maxima, sorting
+    loops       while, scan, cond
+    keys        random keys and bits
+"""
+
+from jaxrl_tab.lanes.rules import indexing, keys, loops, numbers, places, sums
+
+__all__ = ["indexing", "keys", "loops", "numbers", "places", "sums"]

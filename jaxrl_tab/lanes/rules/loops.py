@@ -1,0 +1,193 @@
+"""Loops and branches: while, scan, cond."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from jaxrl_tab.lanes.arrays import (
+    Array,
+    Known,
+    Parts,
+    Plain,
+    Stored,
+    flat,
+    is_small,
+    like,
+    made_by,
+    made_of,
+    size_of,
+)
+from jaxrl_tab.lanes.code import Value
+from jaxrl_tab.lanes.lowering import Lowering
+from jaxrl_tab.lanes.registry import rule
+from jaxrl_tab.lanes.rules.indexing import clamped
+from jaxrl_tab.lanes.rules.numbers import word_of
+
+
+@rule("while", of_parts=True)
+def while_(code: Lowering, equation: Any, *args: Array) -> list[Array]:
+    p = equation.params
+    of_condition, of_body, first = _split(args, p["cond_nconsts"], p["body_nconsts"])
+    return code.while_loop(
+        first,
+        lambda carried: code.closed(p["cond_jaxpr"], *of_condition, *carried)[0].item(0),
+        lambda carried: code.closed(p["body_jaxpr"], *of_body, *carried),
+    )
+
+
+@rule("scan", of_parts=True)
+def scan(code: Lowering, equation: Any, *args: Array) -> list[Array]:
+    p = equation.params
+    consts, first, rows = _split(args, p["num_consts"], p["num_carry"])
+    length, closed, count = p["length"], p["jaxpr"], p["num_carry"]
+    stacked = [_stack(code, length, v.aval) for v in closed.jaxpr.outvars[count:]]
+
+    def body(carried: list[Any]) -> list[Array]:
+        turn = carried[0].item(0)
+        at = code.op("sub", np.int32, code.const(length - 1, np.int32), turn) if p["reverse"] else turn
+        after = code.closed(closed, *consts, *carried[1 : 1 + count], *(_row(code, x, at) for x in rows))
+        filled = zip(flat(carried[1 + count :]), flat(after[count:]), strict=True)
+        new = like(stacked, [_put(code, x, y, at) for x, y in filled])
+        return [made_of(code, (), np.int32, [code.plus(turn, 1)]), *after[:count], *new]
+
+    def goes_on(carried: list[Any]) -> Value:
+        return code.op("lt", bool, carried[0].item(0), code.const(length, np.int32))
+
+    return code.while_loop([code.known(np.int32(0)), *first, *stacked], goes_on, body)[1:]
+
+
+@rule("cond", of_parts=True)
+def cond(code: Lowering, equation: Any, which: Plain, *args: Array) -> Sequence[Array]:
+    """Several branches, of which each is a loop of one turn at most: lanes that take another one write nothing.
+
+    Short branches are all worked out, and one of their results is chosen.
+    """
+    branches, number = equation.params["branches"], which.item(0)
+    number = code.op("convert", np.int32, number) if number.dtype == bool else number
+    number = clamped(code, number, len(branches) - 1)
+    if number.op == "const":
+        return code.closed(branches[int(number.number)], *args)
+    if all(_is_short(branch.jaxpr) for branch in branches):
+        return _chosen(code, number, [code.closed(branch, *args) for branch in branches])
+    places = _changed_in_place(branches)
+    results: list[Any] = [
+        args[places[k]] if k in places else _empty(code, v.aval.shape, v.aval)
+        for k, v in enumerate(equation.outvars)
+    ]
+    for case, branch in enumerate(branches):
+        if _gives_back(branch, places):
+            continue
+        taken = code.op("eq", bool, number, code.const(case, np.int32))
+
+        def once(carried: list[Array], branch: Any = branch) -> list[Array]:
+            own = list(args)
+            for k, j in places.items():
+                own[j] = carried[1 + k]
+            return [code.known(np.bool_(False)), *code.closed(branch, *own)]
+
+        first = [made_of(code, (), bool, [taken]), *results]
+        results = code.while_loop(first, lambda carried: carried[0].item(0), once)[1:]
+    return results
+
+
+def _is_short(jaxpr: Any) -> bool:
+    """Whether a branch may as well be worked out where it is not taken: without loops and large results."""
+    for equation in jaxpr.eqns:
+        inner = [p.jaxpr if hasattr(p, "jaxpr") else p for p in equation.params.values()]
+        if equation.primitive.name in ("while", "scan", "cond"):
+            return False
+        if not all(_is_short(p) for p in inner if hasattr(p, "eqns")):
+            return False
+    return all(is_small(v.aval.shape) for e in jaxpr.eqns for v in e.outvars) and all(
+        is_small(v.aval.shape) for v in jaxpr.outvars
+    )
+
+
+def _chosen(code: Lowering, number: Value, cases: Sequence[Sequence[Array]]) -> list[Array]:
+    """The results of the case of a number."""
+    flat_cases = [flat(case) for case in cases]
+
+    def choose(*xs: Plain) -> Plain:
+        def at(i: Value) -> Value:
+            chosen = xs[0].read(i)
+            for k, x in enumerate(xs[1:], 1):
+                is_it = code.op("eq", bool, number, code.const(k, np.int32))
+                chosen = code.op("select", x.dtype, is_it, chosen, x.read(i))
+            return chosen
+
+        return made_by(code, xs[0].shape, xs[0].dtype, at)
+
+    return like(cases[0], [choose(*xs) for xs in zip(*flat_cases, strict=True)])
+
+
+def _changed_in_place(branches: Sequence[Any]) -> dict[int, int]:
+    """result -> the argument in whose memory it lies: one that a branch gives back, or else one like it."""
+    places: dict[int, int] = {}
+    for gives_back in (True, False):
+        for branch in branches:
+            for k, v in enumerate(branch.jaxpr.outvars):
+                for j, argument in enumerate(branch.jaxpr.invars):
+                    alike = v is argument if gives_back else str(v.aval) == str(argument.aval)
+                    if alike and not is_small(v.aval.shape) and k not in places and j not in places.values():
+                        places[k] = j
+    return places
+
+
+def _gives_back(branch: Any, places: dict[int, int]) -> bool:
+    """Whether a branch gives back its arguments, where the results lie already."""
+    invars = branch.jaxpr.invars
+    return all(k in places and v is invars[places[k]] for k, v in enumerate(branch.jaxpr.outvars))
+
+
+def _split(xs: Sequence[Any], *counts: int) -> list[list[Any]]:
+    """The first so many, the next so many, and the rest."""
+    ends = [0, *np.cumsum(counts), len(xs)]
+    return [list(xs[a:b]) for a, b in pairwise(ends)]
+
+
+def _empty(code: Lowering, shape: Sequence[int], aval: Any) -> Array:
+    """An array that is written before it is read."""
+    dtype, count = word_of(aval)
+    if is_small(shape):
+        words: list[Plain] = [Known(np.zeros(shape, dtype), code)] * count
+    else:
+        words = [code.empty(shape, dtype) for _ in range(count)]
+    return words[0] if count == 1 else Parts(tuple(words))
+
+
+def _stack(code: Lowering, length: int, aval: Any) -> Array:
+    """Memory for the rows that a scan gives."""
+    dtype, count = word_of(aval)
+    words = [code.empty((length, *aval.shape), dtype) for _ in range(count)]
+    return words[0] if count == 1 else Parts(tuple(words))
+
+
+def _row(code: Lowering, x: Array, i: Value) -> Array:
+    """`x[i]`; i is in range."""
+    if isinstance(x, Parts):
+        return Parts(tuple(_plain_row(code, part, i) for part in x.arrays))
+    return _plain_row(code, x, i)
+
+
+def _plain_row(code: Lowering, x: Plain, i: Value) -> Plain:
+    shape = x.shape[1:]
+    first = code.times(i, size_of(shape))
+    return made_by(code, shape, x.dtype, lambda k: x.read(_sum(code, first, k)), [x])
+
+
+def _put(code: Lowering, x: Plain, y: Plain, i: Value) -> Stored:
+    """`x` with `x[i] = y`; i is in range."""
+    to, size = code.to_change(x), size_of(y.shape)
+    first = code.times(i, size)
+    if is_small(y.shape):
+        for k in range(size):
+            code.store(to.buffer, code.plus(first, k), y.item(k))
+    else:
+        code.each(size, lambda k: code.store(to.buffer, _sum(code, first, k), y.read(k)))
+    return to
+
+
+def _sum(code: Lowering, i: Value, k: Value) -> Value:
+    return code.plus(i, int(k.number)) if k.op == "const" else code.op("add", np.int32, i, k)
