@@ -112,7 +112,7 @@ def test_names_tell_apart_what_differs_in_class_type_or_value(programs_folder, m
 
 
 def test_weak_types_dtypes_and_shapes_are_part_of_the_name(programs_folder):
-    """Broken once: no weak types -> the second shares the name of the first."""
+    """Broken once: dtypes and shapes alone -> the second shares the name of the first."""
     values = jnp.float32(1), 1.0, jnp.int32(1), jnp.ones(2), jnp.ones((1, 2))
     names = {programs._file(room.signature(rl.QLearning(alpha=x)).name) for x in values[:3]}
     names |= {programs._file(room.signature(x).name) for x in values[3:]}

@@ -1,24 +1,26 @@
 """What is compiled outlives the process: a second start of the command finds it by what it was made from.
 
 That is the sources of this package, the versions and settings of JAX, the machine, and a name: the method, the
-environment and the budget, or the text of a program. In such a name stand only this package's own classes: the
-code behind anybody else's may change without a trace. For those the text of what was traced can be the name.
+environment and the budget. Only this package's own classes have such a name, for the code behind anybody else's may
+change without a trace. The text of what was traced is a name, too, whoever wrote the class.
 
 Compiled code is run. So what is read must be what this user wrote, to the last bit; otherwise one line of the log
 says what is wrong, and it is made again. Three things see to that:
 
-- The folder and each file are the user's own, and no link, and only the user may write them: nobody else can have
-  put anything there.
+- The folder and each file are the user's own, and no link, and only the user may write them. So nobody else can
+  have put anything there.
 - Each file begins with a keyed checksum (HMAC-SHA256) of its name and its content. The key is 32 random bytes in a
-  file beside them, which only the user may read. This finds all damage, and what came there by other ways, such
-  as an archive of somebody else's that was unpacked in the folder: without the key nobody can work it out.
-- What is kept is plain bytes, which nobody looks at before their checksum is found right. No pickle is read.
+  file beside them, which only the user may read. This finds all damage, and all that the user did not make here,
+  such as files out of somebody else's archive: without the key nobody can work out a checksum.
+- What is kept is plain bytes. Nothing looks at them before their checksum is found to be right, and nothing is
+  unpickled.
 
 Nothing helps against somebody who can read and write as the user.
 
-The programs of XLA are left to JAX's own cache, which spares the compiler, but not the tracing before it. JAX
-checks none of this, so where the folder is ours it is the user's own, too. Nothing is kept until `keep` is called,
-which the command line does.
+The programs of XLA are left to JAX's own cache, which spares the compiler, but not the tracing before it. JAX checks
+nothing of this kind. Its cache lies in a folder that was checked here, unless the user chose one.
+
+Nothing is kept until `keep` is called, which the command line does.
 """
 
 import contextlib
@@ -82,9 +84,9 @@ def kept(name: Any, make: Callable[[], T], pack: Callable[[T], bytes], unpack: C
     """What `make` gives, or gave in an earlier process under the same `name`.
 
     Args:
-        name: all that it depends on, besides code, versions, settings and machine: plain data and instances of
-            this package's own classes; or text, or bytes, such as a program or its digest. With any other
-            object in it nothing is kept.
+        name: all that it depends on, besides code, versions, settings and machine: plain data, such as the text
+            of a program or its digest, and instances of this package's own classes. Where anything else is in
+            it, nothing is kept.
         make: makes it.
         pack, unpack: to bytes, and back. `unpack` is given what `pack` gave, to the last bit; where it raises
             something, one line of the log says so, and it is made again.
