@@ -7,10 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from lanes_tools import assert_as_xla, by_lanes
+from lanes_tools import assert_as_xla
 
-from jaxrl_tab.lanes.code import Unsupported
-from jaxrl_tab.lanes.lower import lower
 from jaxrl_tab.lanes.registry import RULES
 
 EDGES = {

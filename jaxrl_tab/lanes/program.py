@@ -1,13 +1,15 @@
 """Compiled programs, as plain data that can be kept."""
 
+import json
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxrl_tab.lanes import calls, machine
 from jaxrl_tab.lanes.analysis import Facts, operations
-from jaxrl_tab.lanes.calls import Exported
+from jaxrl_tab.lanes.calls import Exported, Kind
 from jaxrl_tab.lanes.emit import emit
 from jaxrl_tab.lanes.layout import lane_after_lane
 from jaxrl_tab.lanes.lower import lower
@@ -38,10 +40,48 @@ class Program(NamedTuple):
     target: Target
     lanes: int
     scratch: int
-    inputs: list[tuple[tuple[int, ...], np.dtype]]
-    outputs: list[tuple[tuple[int, ...], np.dtype]]
+    inputs: list[Kind]
+    outputs: list[Kind]
     tables: list[np.ndarray]
     calls: list[Exported]
+
+    def to_bytes(self) -> bytes:
+        """All of it: how long the head is, the head, and what is no text, one after another."""
+        parts = [self.code, *(x.tobytes() for x in self.tables), *(call.code for call in self.calls)]
+        head = {
+            "target": list(self.target),
+            "lanes": self.lanes,
+            "scratch": self.scratch,
+            "inputs": [_plain(kind) for kind in self.inputs],
+            "outputs": [_plain(kind) for kind in self.outputs],
+            "tables": [_plain((x.shape, x.dtype)) for x in self.tables],
+            "calls": [[[_plain(kind) for kind in kinds] for kinds in call[1:]] for call in self.calls],
+            "sizes": [len(part) for part in parts],
+        }
+        text = json.dumps(head).encode()
+        return b"".join([len(text).to_bytes(8, "little"), text, *parts])
+
+    @staticmethod
+    def from_bytes(data: bytes) -> "Program":
+        """The program of which `to_bytes` made these bytes."""
+        start = 8 + int.from_bytes(data[:8], "little")
+        head = json.loads(data[8:start])
+        ends = np.cumsum([start, *head["sizes"]]).tolist()
+        code, *parts = (data[a:b] for a, b in pairwise(ends))
+        tables = [_kind_of(*x) for x in head["tables"]]
+        return Program(
+            code,
+            Target(*head["target"]),
+            head["lanes"],
+            head["scratch"],
+            [_kind_of(*x) for x in head["inputs"]],
+            [_kind_of(*x) for x in head["outputs"]],
+            [np.frombuffer(x, dtype).reshape(shape) for x, (shape, dtype) in zip(parts, tables, strict=False)],
+            [
+                Exported(x, *([_kind_of(*kind) for kind in kinds] for kinds in both))
+                for x, both in zip(parts[len(tables) :], head["calls"], strict=True)
+            ],
+        )
 
 
 def compile(
@@ -114,3 +154,13 @@ def _swept(code: Lowering, facts: Facts, width: int) -> int:
     stores = {value.attr for value in operations(code.region) if value.op == "store" and value in facts.live}
     swept = [b for b in stores - by_lanes if b.role == "scratch" and b in facts.varying and b.size >= LONG]
     return sum(b.size * b.dtype.itemsize for b in swept)
+
+
+def _plain(kind: Kind) -> list[Any]:
+    """A shape and a dtype as JSON has them."""
+    shape, dtype = kind
+    return [dtype.name, *shape]
+
+
+def _kind_of(dtype: str, *shape: int) -> Kind:
+    return shape, np.dtype(dtype)
