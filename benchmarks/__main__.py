@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
-from benchmarks import growth, problems, report
+from benchmarks import growth, machine, problems, report
 from benchmarks.rounds import Task, cores_in_words, measure
 from benchmarks.tasks import FULL, QUICK, ROWS, SLOW
 
@@ -27,11 +27,11 @@ def main() -> int:
     size = QUICK if args.quick else FULL
     rounds = args.rounds or (QUICK_ROUNDS if args.quick else ROUNDS)
     record: dict[str, Any] = {
-        "machine": report.machine(),
-        "versions": report.versions(),
+        "machine": machine.settings(),
+        "versions": machine.versions(),
         "settings": {"cores": cores, "rounds": rounds, **size._asdict(), **problems.settings()},
     }
-    _say(f"{report.cpu_model()}, {cores_in_words(cores)}")
+    _say(f"{machine.processor()}, {cores_in_words(cores)}")
     if args.growth:
         points = growth.measure(size, cores, _say)
         growth.draw(points, args.growth)

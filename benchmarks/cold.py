@@ -35,14 +35,14 @@ def imports_and_steps() -> Round:
 
     def run(number: int) -> Timing:
         seconds = _seconds("-c", "import jax, matplotlib, xarray")
-        with h5py.File(_folder(number) / "again" / "results.nc") as data:
+        with h5py.File(folder(number) / "again" / "results.nc") as data:
             return Timing(seconds + sum(method.attrs["seconds"].item() for method in data.values()))
 
     return run
 
 
 def _sweep(number: int, out: str) -> Timing:
-    cache, out_folder = _folder(number) / "cache", _folder(number) / out
+    cache, out_folder = folder(number) / "cache", folder(number) / out
     command = ["-m", "jaxrl_tab", *SWEEP, "--out", str(out_folder)]
     return Timing(_seconds(*command, JAX_COMPILATION_CACHE_DIR=str(cache)))
 
@@ -54,5 +54,5 @@ def _seconds(*arguments: str, **variables: str) -> float:
     return time.perf_counter() - begun
 
 
-def _folder(number: int) -> Path:
+def folder(number: int) -> Path:
     return Path(SCRATCH.name) / str(number)

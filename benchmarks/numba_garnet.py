@@ -4,22 +4,21 @@ import numpy as np
 
 from benchmarks.numba_tools import (
     ACTIONS,
+    LOW_24,
     U,
     best,
+    epsilon_greedy_40,
     four_in_turn,
     generator,
     inline,
     one_after_another,
-    one_of_the_best,
     rounds,
+    values_of,
     xoshiro256pp,
 )
-from benchmarks.problems import ALPHA, EPSILON, garnet
+from benchmarks.problems import ALPHA, garnet
 from benchmarks.rounds import Round
 
-# A word of a step is cut into 24 bits for S', 20 for exploring and 20 for the action.
-BITS_24, BITS_20 = U(2**24 - 1), U(2**20 - 1)
-EXPLORE_BELOW_20 = U(round(EPSILON * 2**20))
 STEP_SIZE = np.float32(ALPHA)
 
 
@@ -42,9 +41,9 @@ EDGES, ENTERED, REWARDS = _tables()
 @inline
 def step(q, lane):
     row, a, episodes, rng = lane
-    word, rng = xoshiro256pp(rng)
+    word, rng = xoshiro256pp(rng)  # 24 bits for S', 20 for exploring and 20 for the action
     here = row + a
-    below, edge = np.uint32(word & BITS_24), here << U(2)
+    below, edge = np.uint32(word & LOW_24), here << U(2)
     k = U(EDGES[edge] <= below) + U(EDGES[edge + U(1)] <= below)
     k += U(EDGES[edge + U(2)] <= below) + U(EDGES[edge + U(3)] <= below)
     into = U(ENTERED[(here << U(3)) + k])
@@ -52,9 +51,7 @@ def step(q, lane):
     row = into - done
     q[here] += STEP_SIZE * (REWARDS[here] + best(q, row) - q[here])  # the rows of terminal states stay 0
     row *= U(1) - done  # episodes start in state 0
-    explore = (word >> U(44)) < EXPLORE_BELOW_20
-    below_12 = (((word >> U(24)) & BITS_20) * U(12)) >> U(20)
-    return row, one_of_the_best(q, row, explore, below_12), episodes + done, rng
+    return row, epsilon_greedy_40(values_of(q, row), word), episodes + done, rng
 
 
 @inline

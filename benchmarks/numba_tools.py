@@ -18,7 +18,8 @@ from benchmarks.rounds import Round, Timing
 U = np.uint64
 ACTIONS = 4
 EXPLORE_BELOW_32 = U(EPSILON * 2**32)
-LOW_32 = U(2**32 - 1)
+EXPLORE_BELOW_20 = U(round(EPSILON * 2**20))
+LOW_32, LOW_24, LOW_20 = U(2**32 - 1), U(2**24 - 1), U(2**20 - 1)
 
 inline = numba.njit(forceinline=True)
 
@@ -110,21 +111,34 @@ def best(q, row):
 
 
 @inline
-def one_of_the_best(q, row, explore, below_12):
-    """A maximal action, or where it explores any, by a random number below 12."""
-    high = best(q, row)
-    bits = U(1) if q[row] == high else U(0)
-    bits |= U(2) if q[row + U(1)] == high else U(0)
-    bits |= U(4) if q[row + U(2)] == high else U(0)
-    bits |= U(8) if q[row + U(3)] == high else U(0)
+def one_of(values, explore, below_12):
+    """An action whose value is the largest of four, or where it explores any, by a random number below 12."""
+    q0, q1, q2, q3 = values
+    high = larger(larger(q0, q1), larger(q2, q3))
+    bits = U(1) if q0 == high else U(0)
+    bits |= U(2) if q1 == high else U(0)
+    bits |= U(4) if q2 == high else U(0)
+    bits |= U(8) if q3 == high else U(0)
     bits = U(15) if explore else bits
     return U(TIE[(bits << U(4)) + below_12])
 
 
 @inline
+def values_of(q, row):
+    """The four values of a row."""
+    return q[row], q[row + U(1)], q[row + U(2)], q[row + U(3)]
+
+
+@inline
 def epsilon_greedy(q, row, word):
     """An action by one word: the upper half decides on exploring, the lower half on the action."""
-    return one_of_the_best(q, row, (word >> U(32)) < EXPLORE_BELOW_32, ((word & LOW_32) * U(12)) >> U(32))
+    return one_of(values_of(q, row), (word >> U(32)) < EXPLORE_BELOW_32, ((word & LOW_32) * U(12)) >> U(32))
+
+
+@inline
+def epsilon_greedy_40(values, word):
+    """An action by the upper 40 bits of a word: 20 decide on exploring, 20 on the action."""
+    return one_of(values, (word >> U(44)) < EXPLORE_BELOW_20, (((word >> U(24)) & LOW_20) * U(12)) >> U(20))
 
 
 # --- lanes -------------------------------------------------------------------------------------------

@@ -1,30 +1,25 @@
 """From the records to ratios, verdicts, a table and JSON."""
 
-import contextlib
-import importlib.metadata
 import itertools
-import os
-import platform
 from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rich.table import Table
 from scipy import stats
 
+from benchmarks import machine
 from benchmarks.rounds import Record, Target, Task, cores_in_words
 
 TOLERANCE = 4  # standard errors
-PACKAGES = ("jaxrl-tab", "jax", "jaxlib", "numba", "llvmlite", "numpy")
 
 
 class Row(NamedTuple):
     """A comparison of two parties.
 
     Attributes:
-        speed, speed_against: units of work per second, medians over rounds.
-        ratio: the median over rounds of the ratio within a round.
+        speed, speed_against: units of work per second, medians over rounds; against nobody None.
+        ratio: the median over rounds of the ratio within a round; against nobody the median of the seconds.
         low, high: the smallest and the largest of these ratios.
         verdict: "aim", "met", "missed", or "" where nothing was promised.
     """
@@ -33,9 +28,9 @@ class Row(NamedTuple):
     cores: int
     unit: str
     party: str
-    against: str
+    against: str | None
     speed: float
-    speed_against: float
+    speed_against: float | None
     ratio: float
     low: float
     high: float
@@ -51,11 +46,13 @@ def rows(task: Task, records: Iterable[Record]) -> list[Row]:
         party.name: np.array([r.seconds for r in _of(task, records) if r.party == party.name])
         for party in task.parties
     }
-    return [_row(task, target, seconds[target.party], seconds[target.against]) for target in task.targets]
+    of = lambda name: None if name is None else seconds[name]
+    return [_row(task, target, seconds[target.party], of(target.against)) for target in task.targets]
 
 
-def _row(task: Task, target: Target, mine: np.ndarray, theirs: np.ndarray) -> Row:
-    ratios = mine / theirs if target.times else theirs / mine
+def _row(task: Task, target: Target, mine: np.ndarray, theirs: np.ndarray | None) -> Row:
+    against = 1.0 if theirs is None else theirs  # second
+    ratios = mine / against if target.times else against / mine
     ratio = float(np.median(ratios))
     return Row(
         task=task.name,
@@ -63,7 +60,7 @@ def _row(task: Task, target: Target, mine: np.ndarray, theirs: np.ndarray) -> Ro
         unit=task.unit,
         **target._asdict(),
         speed=task.work / float(np.median(mine)),
-        speed_against=task.work / float(np.median(theirs)),
+        speed_against=None if theirs is None else task.work / float(np.median(theirs)),
         ratio=ratio,
         low=float(ratios.min()),
         high=float(ratios.max()),
@@ -75,11 +72,10 @@ def verdict(target: Target, ratio: float) -> str:
     """Whether the promise was kept: "aim", "met", "missed"; "" where there was none."""
     if target.least is None:
         return ""
-    if target.times:
-        return "met" if ratio < target.least else "missed"
-    if target.aim is not None and ratio >= target.aim:
+    reached = lambda bound: ratio < bound if target.times else ratio >= bound
+    if target.aim is not None and reached(target.aim):
         return "aim"
-    return "met" if ratio >= target.least else "missed"
+    return "met" if reached(target.least) else "missed"
 
 
 def _of(task: Task, records: Iterable[Record]) -> list[Record]:
@@ -132,10 +128,10 @@ def _pooled(records: Sequence[Record]) -> Mean:
 
 
 def table(rows: Iterable[Row], rounds: int) -> Table:
-    """All comparisons; speeds in millions of steps or episodes per second, or seconds of a start."""
+    """All comparisons; speeds in millions of steps or episodes per second, or seconds where times are compared."""
     view = Table(
         *("task", "cores", "", "million/s", "against", "million/s", "ratio", "lowest, highest", "target", ""),
-        caption=f"medians of {rounds} rounds; the ratios are those within a round",
+        caption=f"{machine.processor()}\nmedians of {rounds} rounds; the ratios are those within a round",
     )
     for i in (1, 3, 5, 6, 7, 8):
         view.columns[i].justify = "right"
@@ -150,10 +146,10 @@ def table(rows: Iterable[Row], rounds: int) -> Table:
             str(row.cores) if first else "",
             row.party,
             _speed(row, row.speed),
-            row.against,
-            _speed(row, row.speed_against),
-            f"{row.ratio:.3g}",
-            f"{row.low:.3g}, {row.high:.3g}",
+            row.against or "",
+            "" if row.speed_against is None else _speed(row, row.speed_against),
+            f"{row.ratio:.3g}{_unit(row)}",
+            f"{row.low:.3g}, {row.high:.3g}{_unit(row)}",
             _promise(row),
             f"[{style}]{row.verdict}[/]" if style else "",
         )
@@ -161,31 +157,16 @@ def table(rows: Iterable[Row], rounds: int) -> Table:
 
 
 def _speed(row: Row, speed: float) -> str:
-    return f"{1 / speed:.2f} s" if row.times else f"{speed / 1e6:.3g}"
+    return f"{1 / speed:.3g} s" if row.times else f"{speed / 1e6:.3g}"
 
 
 def _promise(row: Row) -> str:
     if row.least is None:
         return ""
-    aim = "" if row.aim is None else f", aim {row.aim:g}"
-    return f"{'<' if row.times else '≥'} {row.least:g}{aim}"
+    aim = "" if row.aim is None else f", aim {row.aim:g}{_unit(row)}"
+    return f"{'<' if row.times else '≥'} {row.least:g}{_unit(row)}{aim}"
 
 
-def machine() -> dict[str, Any]:
-    return {"cpu": cpu_model(), "cores": os.cpu_count(), "system": platform.platform()}
-
-
-def versions() -> dict[str, str]:
-    """Of Python and of the packages that are there."""
-    installed = {"python": platform.python_version()}
-    for name in PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            installed[name] = importlib.metadata.version(name)
-    return installed
-
-
-def cpu_model() -> str:
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            return line.partition(":")[2].strip()
-    return platform.processor()
+def _unit(row: Row) -> str:
+    """Of its ratio, which against nobody is a time."""
+    return " s" if row.against is None else ""

@@ -22,7 +22,8 @@ class Timing(NamedTuple):
     """One round of one party.
 
     Attributes:
-        seconds: time from the call to the results, compilation apart.
+        seconds: time from the call to the results, compilation apart; where it is compilation that is
+            measured, what the party says.
         outcomes: a number for each lane that tells what it learned, [lanes]; None where there is none.
     """
 
@@ -53,13 +54,13 @@ class Target(NamedTuple):
     """What a party is compared with: the ratio of their speeds within a round, party / against.
 
     Attributes:
-        party, against: their names.
+        party, against: their names; against None its own seconds are judged, as a time.
         least, aim: the ratio to reach, and the one to hope for; None: none was set.
-        times: it is the ratio of their times, and `least` the one to stay under.
+        times: it is the ratio of their times, and `least` and `aim` are those to stay under.
     """
 
     party: str
-    against: str
+    against: str | None
     least: float | None = None
     aim: float | None = None
     times: bool = False

@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 
 from benchmarks.rounds import Party, Target, Task, fresh
 
-OURS = "jaxrl_tab"
-LANE_BY_LANE, ABREAST = "Numba, lane by lane", "Numba, 4 lanes abreast"
+OURS, BY_XLA = "jaxrl_tab", "jaxrl_tab by XLA"
+LANE_BY_LANE, ABREAST, ALONE = "Numba, lane by lane", "Numba, 4 lanes abreast", "Numba, one run"
 METHODS = ("q-learning", "sarsa")
+BACKENDS = ("lanes", "xla")
 
 
 class Size(NamedTuple):
@@ -49,15 +50,13 @@ class Peer(NamedTuple):
 
 def windy(size: Size, cores: int) -> list[Task]:
     """Q-learning and Sarsa on the windy gridworld, on as many cores as there are."""
-    peers = (
-        Peer(LANE_BY_LANE, "numba_windy:lane_by_lane", least=1.0, aim=2.0),
-        Peer(ABREAST, "numba_windy:four_abreast"),
+    others = (
+        Peer(ABREAST, "numba_windy:four_abreast", least=1.0, aim=1.3),
         Peer("naive JAX", "naive_jax:many_lanes", least=25, aim=45),
     )
-    work = {"lanes": size.lanes, "steps": size.steps}
     return [
-        _beside(f"{method}, windy gridworld", cores, "ours:windy", {"method": method, **work}, *peers)
-        for method in METHODS
+        _windy("q-learning", size, cores, (1.8, 2.5), *others),
+        _windy("sarsa", size, cores, (1.3, 2.0), *others),
     ]
 
 
@@ -69,11 +68,21 @@ def windy_on_one_core(size: Size, cores: int) -> list[Task]:
     return [task._replace(targets=unpromised(task)) for task in windy(size, cores=1)]
 
 
+def more_windy(size: Size, cores: int) -> list[Task]:
+    """Other methods on the windy gridworld; the last one beside our own other backend, too."""
+    abreast, by_xla = Peer(ABREAST, "numba_windy:four_abreast"), Peer(BY_XLA, "xla:windy", least=2.5)
+    return [
+        _windy("expected-sarsa", size, cores, (1.2, 1.8), abreast),
+        _windy("double-q-learning", size, cores, (1.2, 1.8), abreast),
+        _windy("n-step-sarsa", size, cores, (0.8, 1.2), abreast, by_xla),
+    ]
+
+
 def one_run(size: Size, cores: int) -> list[Task]:
     """One run alone, which cannot use more than one core."""
     peers = (
         Peer("naive JAX", "naive_jax:one_run", least=100),
-        Peer(LANE_BY_LANE, "numba_windy:one_run"),
+        Peer(ALONE, "numba_windy:one_run", least=0.7, aim=1.0),
     )
     work = {"steps": size.lone_steps}
     return [
@@ -84,7 +93,7 @@ def one_run(size: Size, cores: int) -> list[Task]:
 
 def sarsa_lambda(size: Size, cores: int) -> list[Task]:
     peers = (
-        Peer("Numba, every pair", "numba_sarsa_lambda:every_pair", least=0.8, aim=1.5),
+        Peer("Numba, every pair", "numba_sarsa_lambda:every_pair", least=1.5, aim=2.2),
         Peer("Numba, pairs when read", "numba_sarsa_lambda:when_read"),
     )
     work = {"lanes": size.slow_lanes, "steps": size.steps}
@@ -93,7 +102,7 @@ def sarsa_lambda(size: Size, cores: int) -> list[Task]:
 
 def garnet(size: Size, cores: int) -> list[Task]:
     peers = (
-        Peer(LANE_BY_LANE, "numba_garnet:lane_by_lane", least=0.8, aim=1.5),
+        Peer(LANE_BY_LANE, "numba_garnet:lane_by_lane", least=1.5, aim=2.0),
         Peer(ABREAST, "numba_garnet:four_abreast"),
     )
     work = {"lanes": size.lanes, "steps": size.steps}
@@ -101,7 +110,7 @@ def garnet(size: Size, cores: int) -> list[Task]:
 
 
 def blackjack(size: Size, cores: int) -> list[Task]:
-    peer = Peer(LANE_BY_LANE, "numba_blackjack:lane_by_lane", least=0.5, aim=1.0)
+    peer = Peer(LANE_BY_LANE, "numba_blackjack:lane_by_lane", least=1.0, aim=1.3)
     work = {"lanes": size.slow_lanes, "episodes": size.games}
     task = _beside("monte-carlo, blackjack", cores, "ours:blackjack", work, peer)
     return [task._replace(unit="episodes", outcome="mean return in the last tenth")]
@@ -116,7 +125,7 @@ def devices(size: Size, cores: int) -> list[Task]:
         name: _party(name, "ours:on_devices", {**work, "devices": count})
         for count, name in enumerate(("one device", "two devices"), start=1)
     }
-    return [_task("q-learning, devices", 2, work, parties, Target(*reversed(parties), least=1.9))]
+    return [_task("q-learning, devices", 2, work, parties, Target(*reversed(parties), least=1.9, aim=1.97))]
 
 
 def methods(size: Size, cores: int) -> list[Task]:
@@ -129,6 +138,21 @@ def methods(size: Size, cores: int) -> list[Task]:
     return [task._replace(outcome=None)]
 
 
+def compiling(size: Size, cores: int) -> list[Task]:
+    """Compiling a method by either backend with an empty cache, and starting again with what that has kept."""
+
+    def by_either(name: str, call: str, *targets: Target) -> Task:
+        parties = {backend: _party(backend, call, {"backend": backend}) for backend in BACKENDS}
+        return _task(name, cores, {}, parties, *targets)._replace(unit="programs", outcome=None)
+
+    first = Target("lanes", "xla", least=1 / 4, aim=1 / 8, times=True)
+    again = Target("lanes", None, least=0.03, aim=0.01, times=True)
+    return [
+        by_either("compiling, CPU time", "compiling:first", first),
+        by_either("a second start", "compiling:again", again, Target("lanes", "xla", times=True)),
+    ]
+
+
 def command(size: Size, cores: int) -> list[Task]:
     """The README's command from a cold start, and again."""
     first, again, basis = "empty cache", "filled cache", "imports and steps"
@@ -136,6 +160,13 @@ def command(size: Size, cores: int) -> list[Task]:
     parties = {name: _party(name, f"cold:{function}", {}) for name, function in functions.items()}
     targets = Target(first, basis, least=2.0, times=True), Target(again, basis, least=1.2, times=True)
     return [_task("the README's sweep", cores, {}, parties, *targets)._replace(unit="starts", outcome=None)]
+
+
+def _windy(method: str, size: Size, cores: int, promise: tuple[float, float], *others: Peer) -> Task:
+    """A method on the windy gridworld; `promise` is what was promised beside lanes one after another."""
+    work = {"method": method, "lanes": size.lanes, "steps": size.steps}
+    lane_by_lane = Peer(LANE_BY_LANE, "numba_windy:lane_by_lane", *promise)
+    return _beside(f"{method}, windy gridworld", cores, "ours:windy", work, lane_by_lane, *others)
 
 
 def _beside(name: str, cores: int, call: str, work: Mapping[str, Any], *peers: Peer) -> Task:
@@ -163,12 +194,19 @@ def _party(name: str, call: str, arguments: Mapping[str, Any]) -> Party:
 ROWS: dict[str, Callable[[Size, int], list[Task]]] = {
     "windy": windy,
     "windy-one-core": windy_on_one_core,
+    "more-windy": more_windy,
     "one-run": one_run,
     "sarsa-lambda": sarsa_lambda,
     "garnet": garnet,
     "blackjack": blackjack,
     "devices": devices,
     "methods": methods,
+    "compiling": compiling,
     "command": command,
 }
-SLOW = ("windy-one-core", "methods", "command")  # a quick run leaves them out: they compile for too long
+SLOW = (
+    "windy-one-core",
+    "methods",
+    "compiling",
+    "command",
+)  # a quick run leaves them out: they compile for too long

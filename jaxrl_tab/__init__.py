@@ -40,7 +40,7 @@ from jaxrl_tab.core.types import Outcome, Transition
 from jaxrl_tab.core.version import __version__ as __version__
 from jaxrl_tab.engine import batch, offline
 from jaxrl_tab.engine.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
-from jaxrl_tab.engine.batch import use_all_cores
+from jaxrl_tab.engine.by_xla import use_all_cores
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.offline import collect, learn, replay
 from jaxrl_tab.engine.results import SweepResult

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -32,9 +31,3 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 @pytest.fixture(scope="session")
 def windy():
     return rl.make("windy-gridworld")
-
-
-@pytest.fixture
-def step_by_step(monkeypatch):
-    """Episodes without chunks of steps: a third to compile, and the same runs (test_record)."""
-    monkeypatch.setattr(sys.modules["jaxrl_tab.engine.loop"], "CHUNKS", ())

@@ -5,30 +5,27 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxrl_tab.lanes.kernel import compile as compile_lanes
+from jaxrl_tab.lanes.kernel import Kernel
+from jaxrl_tab.lanes.program import MANY
+from jaxrl_tab.lanes.program import compile as compile_lanes
 
-WIDTH, GROUPS = 8, 2  # lanes of a vector, and vectors of a block
-LANES = WIDTH * GROUPS
 
-
-def by_lanes(function: Any, *args: np.ndarray, shared: Any = (), width: int = WIDTH) -> list[np.ndarray]:
+def by_lanes(function: Any, *args: np.ndarray, shared: Any = (), lanes: int = MANY) -> list[np.ndarray]:
     """What the machine code of `lanes` gives, for arguments with a leading axis of lanes.
 
     Args:
         function: of one lane's arrays.
         args: its arguments; their number of lanes is padded to whole blocks with lanes of zeros.
         shared: further arguments, the same in all lanes.
-        width: lanes of a vector.
+        lanes: for how many it is compiled.
     """
-    lanes = len(args[0])
-    padded = -(-lanes // (width * GROUPS)) * width * GROUPS
+    count = len(args[0])
     closed = jax.make_jaxpr(function)(*(x[0] for x in args), *shared)
     varying = [True] * len(args) + [False] * len(shared)
-    kernel = compile_lanes(closed, varying, [None] * len(args) + list(shared), width, GROUPS)
-    full = [np.concatenate([x, np.zeros((padded - lanes, *x.shape[1:]), x.dtype)]) for x in args]
-    results = kernel(padded, *(x.reshape(padded, *([-1] if x[0].size > 1 else [])) for x in full))
-    shapes = [v.aval.shape for v in closed.jaxpr.outvars]
-    return [y[:lanes].reshape(lanes, *shape) for y, shape in zip(results, shapes, strict=True)]
+    program = compile_lanes(closed, varying, [None] * len(args) + list(shared), lanes=lanes)
+    more = -count % program.lanes
+    full = [np.concatenate([x, np.zeros((more, *x.shape[1:]), x.dtype)]) for x in args]
+    return [y[:count] for y in Kernel(program)(*full)]
 
 
 def by_xla(function: Any, *args: np.ndarray, shared: Any = ()) -> list[np.ndarray]:
@@ -39,7 +36,7 @@ def by_xla(function: Any, *args: np.ndarray, shared: Any = ()) -> list[np.ndarra
 
 def assert_same_bits(results: Any, expected: Any) -> None:
     """Equal dtypes and bits; any NaN is as good as another."""
-    for x, y in zip(results, expected, strict=True):
+    for k, (x, y) in enumerate(zip(results, expected, strict=True)):
         assert x.dtype == y.dtype
         assert x.shape == y.shape
         same = x == y
@@ -48,10 +45,10 @@ def assert_same_bits(results: Any, expected: Any) -> None:
             same = (x.view(words) == y.view(words)) | (np.isnan(x) & np.isnan(y))
         places = np.argwhere(~same)[:5]
         shown = [(tuple(map(int, at)), x[tuple(at)], y[tuple(at)]) for at in places]
-        assert same.all(), f"{(~same).sum()} of {same.size} differ: {shown}"
+        assert same.all(), f"of result {k}, {(~same).sum()} of {same.size} differ: {shown}"
 
 
-def assert_as_xla(function: Any, *args: np.ndarray, shared: Any = (), width: int = WIDTH) -> None:
+def assert_as_xla(function: Any, *args: np.ndarray, shared: Any = (), lanes: int = MANY) -> None:
     assert_same_bits(
-        by_lanes(function, *args, shared=shared, width=width), by_xla(function, *args, shared=shared)
+        by_lanes(function, *args, shared=shared, lanes=lanes), by_xla(function, *args, shared=shared)
     )

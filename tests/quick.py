@@ -18,8 +18,8 @@ import numpy as np
 import xarray  # noqa: F401  So that none of the processes has to.
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, cli, plot
-from jaxrl_tab.engine import programs
+from jaxrl_tab import cli, plot
+from jaxrl_tab.engine import by_xla, programs
 from jaxrl_tab.experiment import runner, shards
 
 SELECTED = rl.Experiment(
@@ -43,7 +43,7 @@ def picture(_datasets, _env, folder):
 
 
 def conduct(folder: Path) -> None:
-    batch.use_all_cores()
+    by_xla.use_all_cores()
     programs.keep()
     if folder.exists():
         runner.resume(folder)

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, interop, policies
-from jaxrl_tab.engine import programs, room
+from jaxrl_tab import interop, policies
+from jaxrl_tab.engine import by_xla, programs, room
 
 STEPS = {"num_seeds": 3, "num_steps": 40, "log_every": 20}
 
@@ -47,8 +47,8 @@ def linear_algebra() -> dict[str, np.ndarray]:
     program = programs.kept(
         "linear algebra",
         lambda _: jax.jit(all_of_it).lower(matrix).compile(),
-        pack=batch._pack,
-        unpack=partial(batch._unpack, devices=jax.devices()[:1]),
+        pack=by_xla._pack,
+        unpack=partial(by_xla._unpack, devices=jax.devices()[:1]),
     )
     return {f"linear algebra {i}": np.asarray(x) for i, x in enumerate(jax.tree.leaves(program(matrix)))}
 
@@ -61,8 +61,7 @@ def everything() -> dict[str, np.ndarray]:
 
 
 if __name__ == "__main__":
-    sys.modules["jaxrl_tab.engine.loop"].CHUNKS = ()  # a third to compile, as the fixture `step_by_step`
-    batch.use_all_cores()
+    by_xla.use_all_cores()
     programs.keep()
     np.savez(sys.argv[1], **everything())
     print(room.traced_program.cache_info().misses)

@@ -291,7 +291,6 @@ def test_the_mean_of_a_sample_backup_is_a_full_backup(method):
 # --- as anyone runs it -------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("step_by_step")
 def test_maximization_bias_is_the_one_of_the_book():
     """Figure 6.5: the numbers of 40 000 plain loops with two actions in A (standard error .0025 in the end).
 

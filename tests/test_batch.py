@@ -71,7 +71,7 @@ def test_progress_ends_with_all_runs():
     seen = []
     algorithms = rl.Sarsa(*(np.full(300, x, np.float32) for x in (0.5, 0.1, 1, 0)))
     batches.run(rl.WindyGridworld(), algorithms, np.arange(300), BUDGET, progress=seen.append)
-    assert seen == [128, 300]  # one block on each of two devices, then as many as a call may take
+    assert seen == sorted(set(seen)) and seen[-1] == 300
 
 
 def python(code, **env):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
-from benchmarks import problems, report
+from benchmarks import machine, problems, report
+from benchmarks.__main__ import ROUNDS
 from benchmarks.rounds import Party, Record, Target, Task
 from benchmarks.tasks import QUICK, ROWS, SLOW
 
@@ -35,6 +36,8 @@ def test_a_ratio_is_the_median_of_those_within_a_round():
         (Target("we", "they", least=1.0, aim=2.0), 2.0, "aim"),
         (Target("we", "they", least=2.0, times=True), 1.9, "met"),
         (Target("we", "they", least=2.0, times=True), 2.0, "missed"),
+        (Target("we", "they", least=0.25, aim=0.125, times=True), 0.125, "met"),
+        (Target("we", "they", least=0.25, aim=0.125, times=True), 0.12, "aim"),
     ],
 )
 def test_verdict(target, ratio, expected):
@@ -45,6 +48,17 @@ def test_a_start_that_takes_longer_has_the_larger_ratio_of_times():
     found = records("we", [3.0]) + records("they", [2.0])
     (row,) = report.rows(task(Target("we", "they", least=2.0, times=True)), found)
     assert row.ratio == 1.5
+
+
+def test_against_nobody_the_seconds_are_judged():
+    """Broken once: with speeds instead, as in a target that is no time -> fails."""
+    found = records("we", [0.02, 0.04, 0.025]) + records("they", [1.0] * 3)
+    (row,) = report.rows(task(Target("we", None, least=0.03, aim=0.01, times=True)), found)
+    assert (row.ratio, row.low, row.high, row.verdict) == (0.025, 0.02, 0.04, "met")
+    assert row.speed_against is None
+    shown = {column.header: [*column.cells] for column in report.table([row], rounds=3).columns}
+    assert shown["ratio"] == ["0.025 s"] and shown["against"] == [""]
+    assert shown["target"] == ["< 0.03 s, aim 0.01 s"]
 
 
 def test_parties_agree_within_four_standard_errors():
@@ -99,5 +113,35 @@ def test_every_target_names_parties_of_its_task():
         for row in ROWS[name](QUICK, 2):
             names = [party.name for party in row.parties]
             assert len(set(names)) == len(names)
-            assert {target.party for target in row.targets} | {t.against for t in row.targets} <= set(names)
+            compared = {target.party for target in row.targets} | {target.against for target in row.targets}
+            assert compared - {None} <= set(names)
     assert set(SLOW) <= set(ROWS)
+
+
+@pytest.mark.parametrize(
+    ("cpu", "model", "vectors"),
+    [
+        (
+            {"model name": "EPYC", "cpu family": "25", "model": "1", "flags": "fma avx avx2"},
+            "EPYC (cpu family 25, model 1)",
+            "AVX2 (256 bits)",
+        ),
+        ({"model name": "Xeon", "flags": "avx2 avx512f avx512vl"}, "Xeon", "AVX-512 (512 bits)"),
+        ({"model name": "Neoverse", "Features": "fp asimd"}, "Neoverse", "NEON (128 bits)"),
+        ({"model name": "Atom", "flags": "sse4_2 avx2_not"}, "Atom", "vectors of unknown width"),
+    ],
+)
+def test_the_processor_is_named_with_the_width_of_its_vectors(cpu, model, vectors):
+    assert (machine.model(cpu), machine.vectors(cpu)) == (model, vectors)
+
+
+def test_the_table_says_on_what_processor_it_was_measured():
+    assert machine.processor() in report.table([], rounds=9).caption
+    assert ROUNDS >= 9
+
+
+def test_a_program_that_was_kept_is_measured_after_it_was_made():
+    """By each backend in a folder of its own: one process of the benchmark has them all."""
+    first, again = ROWS["compiling"](QUICK, 2)
+    for made, kept in zip(first.parties, again.parties, strict=True):
+        assert (made.library, made.arguments) == (kept.library, kept.arguments)

@@ -201,7 +201,7 @@ def test_sweep_records_exact_values_and_schedules(tmp_path):
     assert json.loads(ds.attrs["fixed"])["epsilon"] == "glie"
 
 
-def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_path, capsys, step_by_step):
+def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_path, capsys):
     """The random walk with ends 0 and 1: v_pi from the middle is 1/2, and there is no optimum to reach."""
     out = tmp_path / "walk"
     command = "sweep random-walk td-lambda --states 5 --left-reward 0 --lam 0 1 --alpha 0.1 --episodes 30"

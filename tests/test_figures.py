@@ -17,8 +17,6 @@ from jaxrl_tab.cli import main
 from jaxrl_tab.figures import FIGURES, Check, Number
 from jaxrl_tab.figures.page import page
 
-pytestmark = pytest.mark.usefixtures("step_by_step")
-
 
 def with_budget(figure, budget, **changes):
     return dataclasses.replace(figure, experiment=functools.partial(figure.experiment, **budget), **changes)

@@ -164,7 +164,7 @@ def test_variance_with_loops_is_that_of_a_plain_simulation(exact):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weighting", ["ordinary", "per-decision"])
-def test_the_spread_of_estimates_over_seeds_is_the_exact_variance(weighting, exact, step_by_step):
+def test_the_spread_of_estimates_over_seeds_is_the_exact_variance(weighting, exact):
     """V of the start after 20 episodes has the variance Var / 20: over 1024 seeds, within 4 standard errors.
 
     Broken once: the ratio of the state's own action left out -> fails; the two weightings exchanged -> fails.

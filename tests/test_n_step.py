@@ -129,7 +129,7 @@ def test_nothing_is_remembered_of_the_episode_before():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("n", "alpha", "error"), [(2, 0.6, 0.27683), (8, 0.25, 0.27650)])
-def test_root_mean_square_error_on_the_walk(n, alpha, error, step_by_step):
+def test_root_mean_square_error_on_the_walk(n, alpha, error):
     """Mean over the first 10 episodes and the 19 states (book, figure 7.2), by long simulation elsewhere."""
     truth = np.arange(-9, 10) / 10
     rms = lambda state: {"rms": jnp.sqrt(((state.q[1:-1, 0] - truth) ** 2).mean())}

@@ -55,7 +55,7 @@ def test_learning_from_the_log_of_a_run_gives_the_q_of_the_run_bit_for_bit():
     assert np.any(state.q < -10)
 
 
-def test_off_policy_monte_carlo_learns_from_episodes_what_it_learned_in_the_run(log, step_by_step):
+def test_off_policy_monte_carlo_learns_from_episodes_what_it_learned_in_the_run(log):
     ends = np.flatnonzero(log.terminal)
     whole = rl.Experience(*(getattr(log, name)[: ends[-1] + 1] for name in FIELDS))
     method = OffPolicyMonteCarlo(gamma=GAMMA, target=EpsilonGreedy(0.1), behaviour=Table(UNIFORM))
@@ -66,7 +66,7 @@ def test_off_policy_monte_carlo_learns_from_episodes_what_it_learned_in_the_run(
 
 
 @pytest.mark.parametrize("cls", [prediction.OffPolicyTD, prediction.OffPolicyMonteCarloPrediction])
-def test_state_values_of_another_policy_are_learned_from_a_log(cls, step_by_step):
+def test_state_values_of_another_policy_are_learned_from_a_log(cls):
     """Up to the last full episode of the run, which ends with it; b must be known, though it is uniform."""
     method, key = cls(pi=some_policies(1)[0], behaviour=UNIFORM, gamma=GAMMA), jax.random.key(0)
     state, log = rl.train(key, method, CLIFF, num_episodes=20)

@@ -127,9 +127,7 @@ def test_what_all_methods_promise(name):
     exact = name in ("td", "off-policy-td")  # of two of them: all measure alike, and it is slow to compile
     budget = {"num_steps": PLAYED, "log_every": PLAYED // 3, "exact": exact, "record": values}
     result = rl.sweep(env, name, {"gamma": [0.5, 0.9], **fixed}, num_seeds=RUNS, **budget)
-    programs = batch._compiled.cache_info().misses
     few = rl.sweep(env, name, {"gamma": 0.9, **fixed}, num_seeds=3, **budget)
-    assert batch._compiled.cache_info().misses == programs
     np.testing.assert_array_equal(few.q, result.q[1, :3])
     np.testing.assert_array_equal(few.log.recorded["v"], result.log.recorded["v"][1, :3])
     assert result.q.shape == (2, RUNS, 5, 1)

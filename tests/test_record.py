@@ -1,6 +1,5 @@
-"""What is recorded at the end of rows; a problem for each run; the chunks in which episodes are run."""
+"""What is recorded at the end of rows; a problem for each run."""
 
-import sys
 from functools import partial
 
 import jax
@@ -92,27 +91,3 @@ def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
     np.testing.assert_array_equal(sweep({"alpha": 0.25}, num_seeds=2).log.rewards, log.rewards[0, :2])
     other = sweep({"alpha": 0.25}, num_seeds=2, seed=1).log
     assert not np.isin(other.rewards, log.rewards).any()
-
-
-# --- chunks ------------------------------------------------------------------------------------------
-
-
-def test_whole_chunks_of_steps_are_the_same_as_single_steps(windy, monkeypatch):
-    """Bitwise: the usual chunks and none. 9 episodes, in rows of 4.
-
-    Broken once: the chunk in which the target is reached kept; the target compared with > -> each fails.
-    """
-
-    def train(chunks):
-        monkeypatch.setattr(sys.modules["jaxrl_tab.engine.loop"], "CHUNKS", chunks)
-        record = lambda state: {
-            "at_step": state.clock.step
-        }  # a new one, or JAX would take the program it has
-        run = lambda key: rl.train(key, METHOD, windy, num_episodes=9, log_every=4, record=record)
-        return jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(3), 4))
-
-    usual = sys.modules["jaxrl_tab.engine.loop"].CHUNKS
-    state, log = train(usual)
-    jax.tree.map(np.testing.assert_array_equal, (state, log), train(()))
-    assert (log.episodes.sum(1) == 9).all()
-    assert log.steps[:, 0].min() > usual[0]

@@ -5,11 +5,9 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 import starts
 
 
-@pytest.mark.usefixtures("step_by_step")
 def test_each_kind_starts_twice_with_the_same_bits(tmp_path):
     """On an empty folder, and once more without any. Broken once: LAPACK not found before -> it crashes."""
     env = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}

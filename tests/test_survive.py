@@ -17,9 +17,10 @@ import quick
 import xarray as xr
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch, cli, plot, stats
+from jaxrl_tab import cli, plot, stats
 from jaxrl_tab.cli import interrupt
 from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.engine import by_xla
 from jaxrl_tab.experiment import runner, shards, storage
 
 QUICK = [sys.executable, str(Path(quick.__file__))]
@@ -450,7 +451,7 @@ def test_a_full_disk_is_one_line_and_no_shard_is_lost(small_disk, tmp_path, undi
 @pytest.fixture
 def little_memory(monkeypatch):
     """Programs that say, as XLA does, that memory runs out where a device is given more than so many runs."""
-    compiled, most, asked = batch._compiled, [0], []
+    compiled, most, asked = by_xla._compiled, [0], []
 
     def program(*args):
         def call(blocks, root, seeds, *rest):
@@ -461,7 +462,7 @@ def little_memory(monkeypatch):
 
         return call
 
-    monkeypatch.setattr(batch, "_compiled", program)
+    monkeypatch.setattr(by_xla, "_compiled", program)
     return most, asked
 
 
@@ -491,7 +492,7 @@ def test_other_errors_of_jax_are_not_taken_for_want_of_memory(windy, monkeypatch
     def broken(*_):
         raise jax.errors.JaxRuntimeError("INTERNAL: broken")
 
-    monkeypatch.setattr(batch, "_compiled", lambda *_: broken)
+    monkeypatch.setattr(by_xla, "_compiled", lambda *_: broken)
     with pytest.raises(jax.errors.JaxRuntimeError, match="broken"):
         rl.sweep(windy, "sarsa", {}, num_seeds=1, num_steps=10)
 

@@ -14,7 +14,7 @@ from jaxrl_tab.algorithms.prediction import METHOD, METHODS, PREDICTION
 from jaxrl_tab.cli.options import Group
 from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, nearest, one_line, shown
-from jaxrl_tab.engine import batch, programs
+from jaxrl_tab.engine import by_xla, programs
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import storage
 
@@ -35,7 +35,7 @@ HYPERPARAMETERS = Group(
 
 def prepare() -> None:
     """What must be settled before anything is computed."""
-    batch.use_all_cores()
+    by_xla.use_all_cores()
     programs.keep()
 
 

@@ -26,7 +26,8 @@ from jaxrl_tab.cli.screen import busy, print_json, show_outcome
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError, one_line
 from jaxrl_tab.core.names import is_from_outside
-from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.core.pytree import checked_dataclass, field, static
+from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.executors import Executor
@@ -123,6 +124,7 @@ class Sweep(Where):
             log. (The error of methods of prediction is always recorded.)
         record: Also record at every row what a function of your own says of the learner, such as
             mine.py:q_of_start.
+        backend: What compiles it: lanes, which is for CPUs and fast, or xla. By default lanes, where it can.
         out: New folder for the data and the pictures.
         dry_run: Show what would be run, in how much memory, and stop.
         write_template: Write an experiment that explains itself, to FILE or, without one, to the screen, and
@@ -139,6 +141,7 @@ class Sweep(Where):
     select: bool = False
     exact: bool = False
     record: str | None = None
+    backend: Backend = static("auto")
     out: Path | None = None
     dry_run: bool = False
     write_template: bool = False
@@ -153,6 +156,7 @@ OF_EXPERIMENT = (
     "--select",
     "--exact",
     "--record",
+    "--backend",
 )
 
 
@@ -227,6 +231,7 @@ def _experiment(
         seed=options.seed,
         exact=options.exact,
         record=options.record,
+        backend=options.backend,
         select={} if options.select else None,
     )
 

@@ -96,7 +96,12 @@ _word_impl = jex.random.define_prng_impl(
 
 def key(seed: int) -> Key[Array, ""]:
     """`jax.random.key(seed)` as JAX has it by default: of Threefry, whatever generator and offset are chosen."""
-    return jax.random.wrap_key_data(jnp.array([0, seed], jnp.uint32), impl="threefry2x32")
+    return from_data(jnp.array([0, seed], jnp.uint32))
+
+
+def from_data(data: UInt32[Array, "2"]) -> Key[Array, ""]:
+    """The key of Threefry with these two words."""
+    return jax.random.wrap_key_data(data, impl="threefry2x32")
 
 
 def as_key(word: UInt32[Array, "*n"]) -> Key[Array, "*n"]:

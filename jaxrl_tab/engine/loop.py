@@ -5,7 +5,6 @@ The random words of a step (`rng`) depend on its number alone, so the learner's 
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -22,7 +21,6 @@ from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
 
 DRAWN_TOGETHER = 32  # for so many steps at most the random words are worked out at once; see `_steps`
-CHUNKS = 256, 16  # so many steps are taken at once where a run ends with an episode; see `_run_until`
 
 
 class _Run(NamedTuple):
@@ -200,13 +198,8 @@ def _drawn_together(number: int) -> int:
 
 def bytes_of_words(budget: Budget) -> int:
     """The most bytes of random words that a run holds; words that no decision uses are never drawn."""
-    number = max(CHUNKS, default=1) if budget.num_steps is None else min(budget.num_steps, budget.row)
+    number = 1 if budget.num_steps is None else min(budget.num_steps, budget.row)
     return len(IN_A_STEP) * rng.bytes_of_words(_drawn_together(number))
-
-
-def _step(stream: rng.Stream, one: Callable, carry: Any) -> Any:
-    """One of the `_steps`, by itself."""
-    return one(carry, IN_A_STEP.map(lambda decision: rng.as_key(rng.word(stream, carry[0].t, decision))))
 
 
 def _run_steps(
@@ -251,30 +244,17 @@ def _run_episodes(
 
 
 def _run_until(stream: rng.Stream, step: Step, carry, target: int | Int[Array, ""], log_every: int):
-    """Runs on until `target` episodes are over. `carry` is (run, log [rows], episodes).
+    """Runs on until `target` episodes are over. `carry` is (run, log [rows], episodes)."""
 
-    Under `vmap` a loop whose length differs from lane to lane keeps the lanes that are done by selecting
-    their whole state anew in every iteration. So whole chunks of steps are run as long as the target is not
-    reached in one; the chunk in which it is, is run again in smaller ones, and in the end step by step.
-    """
-
-    def one(carry, keys):
+    def one(carry):
         run, log, episodes = carry
+        keys = IN_A_STEP.map(lambda decision: rng.as_key(rng.word(stream, run.t, decision)))
         run, now = step(run, keys)
         row = episodes // log_every
         log = tables.lane_by_lane(_add_to_row, log, row, now)
         return run, log, episodes + now.episodes
 
-    def run_chunk(size, state):
-        carry, _ = state
-        after = _steps(stream, one, carry, size)
-        reached = after[-1] >= target
-        return jax.tree.map(lambda old, new: jnp.where(reached, old, new), carry, after), reached
-
-    for size in CHUNKS:
-        state = carry, carry[-1] >= target
-        carry, _ = lax.while_loop(lambda state: ~state[1], partial(run_chunk, size), state)
-    return lax.while_loop(lambda carry: carry[-1] < target, partial(_step, stream, one), carry)
+    return lax.while_loop(lambda carry: carry[-1] < target, one, carry)
 
 
 def _zero_log(run: _Run) -> Log:

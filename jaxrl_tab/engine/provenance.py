@@ -23,6 +23,8 @@ from typing import Any
 import jax
 
 from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.engine import backend
+from jaxrl_tab.lanes import machine
 
 PACKAGE = Path(__file__).parent.parent
 SETTINGS = (
@@ -36,6 +38,7 @@ SETTINGS = (
     "jax_optimization_level",
     "jax_disable_most_optimizations",
 )
+BACKEND = "backend"  # the name of that setting which is not JAX's
 # It says how many devices the CPU is, and no number depends on that.
 _DEVICE_COUNT = "--xla_force_host_platform_device_count"
 # Of all that a processor can do, what XLA's arithmetic may be compiled to: on x86, and on ARM.
@@ -50,19 +53,21 @@ _ABOVE = {
 
 
 def settings() -> dict[str, Any]:
-    """The settings of JAX that change numbers, as they are in this thread: name -> plain value."""
+    """The settings that change numbers, JAX's and the backend, as they are in this thread: name -> plain value."""
     current = jax.config.values
-    values = {name: current[name] for name in SETTINGS if name in current}
+    values = {name: current[name] for name in SETTINGS if name in current} | {BACKEND: backend.chosen()}
     return {name: x.value if isinstance(x, enum.Enum) else x for name, x in values.items()}
 
 
 @contextlib.contextmanager
 def using(chosen: Mapping[str, Any]) -> Iterator[None]:
-    """Gives JAX these settings within the block, and its own back afterwards.
+    """Makes these `settings` within the block, and gives JAX its own back afterwards.
 
     Raises:
         InputError: JAX does not take one of them, or a block such as `jax.enable_x64` is stronger.
     """
+    chosen = dict(chosen)
+    compiled_by = chosen.pop(BACKEND, "auto")
     # A new thread sees the settings of the process, without those of a block such as `jax.enable_x64`.
     with ThreadPoolExecutor(1) as elsewhere:
         before = elsewhere.submit(lambda: jax.config.values).result()
@@ -76,10 +81,20 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
                 raise InputError(
                     f"{name} must be {value!r}, and is set otherwise by a block of JAX around this"
                 )
-        yield
+        with backend.using(compiled_by):
+            yield
     finally:
         for name in chosen:
             jax.config.update(name, before[name])
+
+
+def set_for_good(chosen: Mapping[str, Any]) -> None:
+    """Makes these `settings` in this process."""
+    for name, value in chosen.items():
+        if name == BACKEND:
+            backend.choose(value)
+        else:
+            jax.config.update(name, value)
 
 
 def installed() -> dict[str, Any]:
@@ -100,6 +115,7 @@ def surroundings(libraries: Mapping[str, str] = MappingProxyType({})) -> dict[st
         **installed(),
         **libraries,
         **settings(),
+        "LLVM": machine.version() if backend.chosen() == "lanes" else "",
         "XLA_FLAGS": " ".join(flags),
         "device": f"{device.platform} {device.device_kind}",
         "instruction set": instructions() if device.platform == "cpu" else "",

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxrl_tab.core import memory
+from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
 from jaxrl_tab.engine import programs, provenance
@@ -172,7 +172,7 @@ def smaller_call(call: memory.Call, lanes: int, most: int, devices: Sequence[Any
 def program_arguments(budget: Budget, root: Any, seed: Any, algorithm: Any, env: Any) -> tuple:
     """The arguments of a program; for exact values with the numbers of method and environment in full."""
     full = in_full if budget.exact else lambda _: None
-    return root, seed, (algorithm, full(algorithm)), (env, full(env))
+    return jax.random.key_data(root), seed, (algorithm, full(algorithm)), (env, full(env))
 
 
 class Signature(NamedTuple):
@@ -203,7 +203,7 @@ def signature(args: Any) -> Signature:
     return Signature(treedef, tuple(jax.typeof(x) for x in leaves), tuple(provenance.settings().values()))
 
 
-class _Needs(NamedTuple):
+class Needs(NamedTuple):
     """What a run needs of memory.
 
     Attributes:
@@ -215,14 +215,14 @@ class _Needs(NamedTuple):
     call: memory.Call
 
 
-def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> _Needs:
+def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Needs:
     """What one run of this method needs of memory. Its hyperparameters are arrays, whose values do not matter."""
     return _needs(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
 
 
 @functools.lru_cache(maxsize=64)
-def _needs(budget: Budget, signature: Signature) -> _Needs:
-    def make(_: str) -> _Needs:
+def _needs(budget: Budget, signature: Signature) -> Needs:
+    def make(_: str) -> Needs:
         traced = traced_program(budget, signature)
         root, seed, algorithm, envs = signature.arguments
         env, _ = envs
@@ -234,7 +234,7 @@ def _needs(budget: Budget, signature: Signature) -> _Needs:
             kept=memory.size((seed, algorithm, results)),
             working=_working(env, budget, memory.size(carried)),
         )
-        return _Needs(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), results), call)
+        return Needs(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), results), call)
 
     same = lambda x: x
     return programs.kept(("needs", budget, signature.name), make, pack=same, unpack=same)
@@ -247,7 +247,7 @@ def traced_program(budget: Budget, signature: Signature) -> Any:
     def one(root, seed, algorithms, envs):
         (algorithm, exact_algorithm), (env, exact_env) = algorithms, envs
         full = (exact_algorithm, exact_env) if budget.exact else None
-        state, log = unchecked(jax.random.fold_in(root, seed), algorithm, env, full, budget)
+        state, log = unchecked(jax.random.fold_in(rng.from_data(root), seed), algorithm, env, full, budget)
         return (state.q, log), state
 
     return jax.jit(one).trace(*signature.arguments)
@@ -263,8 +263,6 @@ def _tables(env: Environment) -> int:
 
 def _working(env: Environment, budget: Budget, carried: int) -> int:
     """The bytes with which one run works: what its loop carries, random words, and exact values."""
-    if budget.num_episodes:  # a chunk of steps may have to be taken back: see `loop._run_until`
-        carried *= 2
     carried += bytes_of_words(budget)
     if not budget.exact:
         return carried

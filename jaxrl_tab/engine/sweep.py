@@ -30,7 +30,9 @@ from jaxrl_tab.core.checks import (
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
+from jaxrl_tab.engine import backend as backends
 from jaxrl_tab.engine.axes import DRAW, check_settings, spread, swept_names
+from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.part import Computed, Part, compute
 from jaxrl_tab.engine.results import SweepResult, label, parameters
@@ -52,6 +54,7 @@ def sweep(
     seed: int = 0,
     exact: bool = False,
     record: Record | None = None,
+    backend: Backend = "auto",
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
 ) -> SweepResult:
@@ -72,6 +75,8 @@ def sweep(
         num_draws: how many trials of what is drawn at random; they are the axis `draw` of the result.
         num_steps, num_episodes, log_every, exact, record: as in `train`.
         seed: which sequence of seeds, a whole number >= 0.
+        backend: what compiles it: "lanes" (for CPUs, and fast), "xla", or "auto": what `JAXRL_TAB_BACKEND` says,
+            or else `lanes` where it can. See `engine.backend`.
         memory: how many bytes it may take, at least 1: results and what is being computed. By default half
             of what is free. It changes no number: with less, fewer runs are under way at a time, and results
             that do not fit are in files of the temporary folder (`TMPDIR`), which go away with them.
@@ -86,6 +91,7 @@ def sweep(
     env, algorithm = cast(Environment, env), cast(type[Algorithm] | str, algorithm)
     if memory is not None and (not isinstance(memory, Integral) or memory < 1):
         raise InputError(f"memory must be a number of bytes, at least 1, not {shown(memory)}")
+    backends.check(backend)
     part = prepare(
         env,
         algorithm,
@@ -109,7 +115,8 @@ def sweep(
             report(state._replace(done=done, steps=steps, seconds=seconds, left=left))
 
         report(state)
-        computed = compute(part, memory=memory, progress=tell)
+        with backends.using(backend):
+            computed = compute(part, memory=memory, progress=tell)
     return result(part, computed)
 
 

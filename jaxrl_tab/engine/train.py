@@ -17,13 +17,14 @@ from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree, concrete
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
-from jaxrl_tab.core.types import Algorithm, Environment, available_actions, restricted
+from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
 from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.log import Log, recorded
 from jaxrl_tab.engine.loop import Measured
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.exact import planning
+from jaxrl_tab.lanes.outside import prepared
 
 L = TypeVar("L")
 T = TypeVar("T")
@@ -128,19 +129,24 @@ def _restored(full: T, obj: T) -> T:
 # --- what is measured at the end of a row -----------------------------------------------------------
 
 
-def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Record | None):
+def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Record | None) -> Measured | None:
     """What is measured at the end of a row, from the state of the learner, as fields of the Log."""
     if full is None and record is None:
         return None
-    measures = []
-    if full is not None:
-        with planning.doubled():
-            exact_algorithm, exact_env = _restored(full, (algorithm, env))
-            exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
-        measures.append(_exact_measurer(exact_algorithm, exact_env))
-    if record is not None:
-        measures.append(lambda learner: {"recorded": recorded(record, algorithm, learner)})
-    return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
+
+    def make(algorithm: Algorithm, env: Environment, full: Any) -> Measured:
+        measures = []
+        if full is not None:
+            with planning.doubled():
+                exact_algorithm, exact_env = _restored(full, (algorithm, env))
+                exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
+            measures.append(_exact_measurer(exact_algorithm, exact_env))
+        if record is not None:
+            measures.append(lambda learner: {"recorded": recorded(record, algorithm, learner)})
+        return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
+
+    like = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
+    return prepared(make, algorithm, env, full, like=like)
 
 
 def _exact_measurer(algorithm: Any, env: Environment) -> Measured:

@@ -25,7 +25,7 @@ import numpy as np
 from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import batch, provenance, room
+from jaxrl_tab.engine import backend, batch, provenance, room
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
 from jaxrl_tab.engine.results import is_diverged
@@ -146,7 +146,7 @@ def _go_on(
     libraries = library_versions(experiment.data())
     job = Job.of(experiment, limit, libraries)
     select = experiment.select
-    with settings_of(store, records), reporting(progress) as report:
+    with backend.using(experiment.backend), settings_of(store, records), reporting(progress) as report:
         meter = Meter(report)
         origin = Origin.of(store, records, mixed, libraries)
         if _missing(store, job):

@@ -39,6 +39,7 @@ from jaxrl_tab.core.checks import InputError, as_path, checked, nearest, one_lin
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.pytree import field
 from jaxrl_tab.core.types import init_learner
+from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import recorded_shapes
 from jaxrl_tab.engine.part import Part
@@ -86,6 +87,7 @@ class Experiment:
         exact: whether exact values are recorded at every row; prediction always records its error.
         record: a function that records more at every row, as in `train`, or its name, "mine.py:function" or
             "package.module:function"; its arrays are variables of the results.
+        backend: what compiles it: "lanes", "xla", or "auto", which is `lanes` where it can; see `engine.backend`.
         select: whether the best setting of each method is run again on fresh seeds, and by what it is chosen:
             a dict as `Selection` has it; None: not.
         source: the file that it was read from; not part of the data.
@@ -101,6 +103,7 @@ class Experiment:
     seed: int = field(default=0, at_least=0)
     exact: bool = field(default=False)
     record: Any = None
+    backend: Backend = dataclasses.field(default="auto", metadata={"static": True})
     select: Any = None
     source: Source | None = dataclasses.field(default=None, repr=False, compare=False)
     references: References = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)

@@ -57,6 +57,9 @@ class Facts:
                 self._around[value] = around
             if value.op == "store":
                 self._stores.setdefault(value.attr, []).append(value)
+            if value.op == "outside":
+                for buffer in value.attr.outputs:
+                    self._stores.setdefault(buffer, []).append(value)
             if isinstance(loop := value.attr, Loop):
                 for k, param in enumerate(loop.body.params):
                     self._loop_of[param] = value, k
@@ -96,7 +99,8 @@ class Facts:
                 stack += [loop, loop.args[k], loop.attr.body.results[k]]
             else:
                 stack += value.args
-                if (buffer := buffer_of(value)) is not None and buffer.role == "scratch":
+                read = value.attr.inputs if value.op == "outside" else [buffer_of(value)]
+                for buffer in read:
                     stack += self._stores.get(buffer, ())
 
     def carried(self, loop: Value) -> list[int]:
@@ -143,6 +147,8 @@ class Facts:
                     if alone or self.varies(value.args[k]) or self.varies(loop.body.results[k]):
                         self.varying.add(loop.body.params[k])
                 self._spread_once(loop.body, alone)
+            elif value.op == "outside":
+                self.varying |= {value, *value.attr.inputs, *value.attr.outputs}
             elif value.op == "store":
                 if within or any(map(self.varies, value.args)) or value.attr.role == "output":
                     self.varying |= {value, value.attr}

@@ -58,7 +58,8 @@ class Buffer:
     Attributes:
         size: how many numbers it holds.
         known: the numbers, where they are known while compiling; such a buffer is only read.
-        role: "scratch", or "input" and "output": arrays of the caller, with a leading axis of lanes.
+        role: "scratch"; "input" and "output": arrays of the caller, with a leading axis of lanes; or "outside":
+            of a call of what is not compiled.
         changes: while lowering, the sites at which it has been changed so far.
     """
 
@@ -94,6 +95,20 @@ class Loop:
 
     condition: Region
     body: Region
+
+
+@dataclass(frozen=True)
+class Outside:
+    """A call of what is not compiled.
+
+    Attributes:
+        number: which of the program's such calls it is.
+        inputs, outputs: the buffers that it reads and writes; those of all lanes lie one behind the other.
+    """
+
+    number: int
+    inputs: list[Buffer]
+    outputs: list[Buffer]
 
 
 class Builder:

@@ -7,20 +7,21 @@ import numpy as np
 
 from jaxrl_tab.lanes.arrays import Array, Known, Parts, Plain, Stale, Stored, is_small, made_of, size_of
 from jaxrl_tab.lanes.code import Buffer, Unsupported
-from jaxrl_tab.lanes.lowering import Lowering
+from jaxrl_tab.lanes.lowering import Call, Lowering
 from jaxrl_tab.lanes.rules import keys
 from jaxrl_tab.lanes.rules.numbers import impl_of
 
-__all__ = ["Lowering", "lower"]
+__all__ = ["Call", "Lowering", "lower"]
 
 
-def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any]) -> Lowering:
+def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any], results: int | None = None) -> Lowering:
     """The program of one lane.
 
     Args:
         closed: the jaxpr of one run.
         varying: for each of its arguments, whether it differs from lane to lane.
         given: the others, as NumPy arrays (keys as their data), and None for those that differ.
+        results: how many of its results are wanted, from the first on; None: all.
 
     Raises:
         Unsupported: where the jaxpr holds something that is not compiled.
@@ -31,7 +32,8 @@ def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any]) -> Lowerin
         try:
             arguments = zip(closed.jaxpr.invars, varying, given, strict=True)
             args = [_argument(code, v.aval, None if differs else x) for v, differs, x in arguments]
-            for v, x in zip(closed.jaxpr.outvars, code.closed(closed, *args), strict=True):
+            outputs = code.closed(closed, *args)[:results]
+            for v, x in zip(closed.jaxpr.outvars[:results], outputs, strict=True):
                 _give(code, v.aval, x)
             return code
         except Stale as stale:
@@ -61,4 +63,4 @@ def _give(code: Lowering, aval: Any, x: Array) -> None:
         raise Unsupported("a complex result is not compiled")
     buffer = Buffer(x.dtype, size_of(x.shape), role="output")
     code.outputs.append(buffer)
-    code.copy(x, buffer)
+    code.fill(buffer, x)

@@ -5,13 +5,15 @@ finds out (`Stale`), and all is lowered once more, with a copy made before that 
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax.extend import core as jex
 
 from jaxrl_tab.lanes.arrays import (
+    SMALL,
     Array,
+    Items,
     Known,
     Parts,
     Plain,
@@ -22,7 +24,8 @@ from jaxrl_tab.lanes.arrays import (
     made_of,
     size_of,
 )
-from jaxrl_tab.lanes.code import Buffer, Builder, Unsupported, Value
+from jaxrl_tab.lanes.code import Buffer, Builder, Outside, Unsupported, Value
+from jaxrl_tab.lanes.outside import is_outside
 from jaxrl_tab.lanes.registry import OF_PARTS, RULES
 
 # The primitives that merely call a jaxpr. For `custom_vmap_call` it is what the function means for one lane.
@@ -38,6 +41,20 @@ CALLS = (
     "checkpoint",
 )
 
+FEW = 4  # numbers that lie in memory are copied one by one, and more in a loop
+
+
+class Call(NamedTuple):
+    """A call of what is not compiled.
+
+    Attributes:
+        closed: the jaxpr of one lane.
+        known: of each of its arguments the numbers that are known; None where they differ from lane to lane.
+    """
+
+    closed: Any
+    known: list[np.ndarray | None]
+
 
 class Lowering(Builder):
     """The program of one lane, while it is written.
@@ -45,6 +62,7 @@ class Lowering(Builder):
     Attributes:
         copied: the sites of changes before which the memory is copied.
         inputs, outputs: the buffers of what differs from lane to lane and of the results, in their order.
+        calls: what is left to XLA, in the order of the calls.
     """
 
     def __init__(self, copied: frozenset[int] = frozenset()):
@@ -52,6 +70,7 @@ class Lowering(Builder):
         self.copied = copied
         self.inputs: list[Buffer] = []
         self.outputs: list[Buffer] = []
+        self.calls: list[Call] = []
         self._sites = 0
         self._own: list[set[Buffer]] = [set()]  # the memory that a loop may change, for each that is written
 
@@ -82,6 +101,8 @@ class Lowering(Builder):
 
     def equation(self, equation: Any, args: Sequence[Array]) -> Sequence[Any]:
         name = equation.primitive.name
+        if is_outside(equation):
+            return self.outside(equation, args)
         if name in CALLS:
             inner = next(equation.params[p] for p in ("jaxpr", "call", "call_jaxpr") if p in equation.params)
             return self.closed(inner, *args) if hasattr(inner, "consts") else self.jaxpr(inner, (), args)
@@ -101,6 +122,27 @@ class Lowering(Builder):
         ]
         return [Parts(tuple(parts)) for parts in zip(*each, strict=True)]
 
+    def outside(self, equation: Any, args: Sequence[Array]) -> list[Any]:
+        """Calls what is not compiled: what it takes is put into buffers, and what it gives is read from others."""
+        closed = equation.params["jaxpr"]
+        if any(isinstance(x, Parts) for x in args):
+            raise Unsupported("random keys for a call that is left to XLA are not compiled")
+        known = [x.numbers if isinstance(x, Known) else None for x in args]
+        inputs = [self.buffer_for(x) for x in flat(args) if not isinstance(x, Known)]
+        avals = [v.aval for v in closed.jaxpr.outvars]
+        outputs = [Buffer(aval.dtype, size_of(aval.shape), role="outside") for aval in avals]
+        self.add(Value("outside", bool, attr=Outside(len(self.calls), inputs, outputs)))
+        self.calls.append(Call(closed, known))
+        return [Stored(aval.shape, buffer, 0, self) for aval, buffer in zip(avals, outputs, strict=True)]
+
+    def buffer_for(self, x: Plain) -> Buffer:
+        """A buffer with the numbers of `x`, for a call of what is not compiled."""
+        if isinstance(x, Stored) and x.buffer.role == "outside":  # it is what another call gave
+            return x.buffer
+        buffer = Buffer(x.dtype, size_of(x.shape), role="outside")
+        self.fill(buffer, x)
+        return buffer
+
     # --- memory
 
     def each(self, size: int, do: Callable[[Value], None]) -> None:
@@ -117,9 +159,9 @@ class Lowering(Builder):
         most = self.const(size, np.int32)
         self.loop([self.const(0, np.int32)], lambda i: self.op("lt", bool, i, most), body)
 
-    def copy(self, x: Plain, buffer: Buffer) -> None:
-        """Puts the numbers of `x` into a buffer."""
-        if is_small(x.shape):
+    def fill(self, buffer: Buffer, x: Plain) -> None:
+        """Writes the numbers of `x` into a buffer."""
+        if buffer.size <= (SMALL if isinstance(x, Items | Known) else FEW):
             numbers = [x.item(i) for i in range(buffer.size)]
             for i, number in enumerate(numbers):
                 self.store(buffer, self.const(i, np.int32), number)
@@ -129,7 +171,7 @@ class Lowering(Builder):
     def stored(self, x: Plain) -> Stored:
         """A new array in memory with the numbers of `x`."""
         new = self.empty(x.shape, x.dtype)
-        self.copy(x, new.buffer)
+        self.fill(new.buffer, x)
         return new
 
     def in_memory(self, x: Plain) -> Plain:
@@ -192,7 +234,7 @@ class Lowering(Builder):
             # All are read before one is written.
             moved = [(x.buffer, self.stored(y)) for x, y in memory if not _is_in(y, x)]
             for buffer, y in moved:
-                self.copy(y, buffer)
+                self.fill(buffer, y)
                 buffer.changes.append(self._sites)
             return result
 

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core.checks import InputError, RunError
-from jaxrl_tab.engine import batch, provenance
+from jaxrl_tab.engine import by_xla, provenance
 
 Arrays = Mapping[str, np.ndarray]
 Work = Callable[[int], Arrays]
@@ -91,10 +91,9 @@ class Job(NamedTuple):
 
     def _set_up(self) -> None:
         self._compare(provenance.installed())  # before the settings, which another JAX may not have
-        for name, value in self.settings.items():
-            jax.config.update(name, value)
+        provenance.set_for_good(self.settings)
         if self.cores is None:
-            batch.use_all_cores()
+            by_xla.use_all_cores()
         else:
             with suppress(RuntimeError):  # JAX has started, for an earlier task
                 jax.config.update("jax_num_cpu_devices", self.cores)

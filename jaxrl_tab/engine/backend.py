@@ -1,0 +1,71 @@
+"""By what runs are compiled: by `lanes`, our own compiler, or by XLA.
+
+`lanes` makes code for CPUs in which every number is a vector over runs; it takes llvmlite. XLA, which is JAX's own
+compiler, makes code for all devices. On a CPU both give the same numbers, but for those that the documentation of
+performance lists, and `lanes` is two to three times as fast.
+"""
+
+import contextlib
+import importlib.util
+import os
+from collections.abc import Iterator
+from contextvars import ContextVar
+from functools import cache
+from typing import Any, Literal, TypeAlias
+
+import jax
+
+from jaxrl_tab.core.checks import InputError, nearest, shown
+
+Backend: TypeAlias = Literal["auto", "lanes", "xla"]
+NAMES = ("auto", "lanes", "xla")
+VARIABLE = "JAXRL_TAB_BACKEND"
+_asked: ContextVar[str | None] = ContextVar("backend", default=None)
+
+
+def check(name: Any) -> Backend:
+    """The name of a backend. Raises InputError where it is none, or there is no llvmlite for it."""
+    if name not in NAMES:
+        hint = nearest(name, NAMES) if isinstance(name, str) else f"it is one of {', '.join(NAMES)}"
+        raise InputError(f"there is no backend {shown(name)}; {hint}", field="backend")
+    if name == "lanes" and not is_installed():
+        raise InputError("the backend 'lanes' needs llvmlite: pip install llvmlite", field="backend")
+    return name
+
+
+@cache
+def is_installed() -> bool:
+    """Whether there is what `lanes` needs."""
+    return importlib.util.find_spec("llvmlite") is not None
+
+
+@contextlib.contextmanager
+def using(name: str) -> Iterator[None]:
+    """Within the block runs are compiled by this backend; "auto": as around it."""
+    check(name)
+    token = _asked.set(_asked.get() if name == "auto" else name)
+    try:
+        yield
+    finally:
+        _asked.reset(token)
+
+
+def choose(name: str) -> None:
+    """From now on runs are compiled by this backend, where nothing else is asked for."""
+    _asked.set(check(name))
+
+
+def asked() -> Backend:
+    """The backend that was asked for: by `using`, or else by the variable of the environment.
+
+    Raises:
+        InputError: there is no such backend.
+    """
+    return check(_asked.get() or os.environ.get(VARIABLE) or "auto")
+
+
+def chosen() -> Literal["lanes", "xla"]:
+    """The backend by which runs are compiled: where nothing was asked for, `lanes` on a CPU. It starts JAX."""
+    if (name := asked()) != "auto":
+        return name
+    return "lanes" if is_installed() and jax.default_backend() == "cpu" else "xla"

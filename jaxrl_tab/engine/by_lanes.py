@@ -1,0 +1,155 @@
+"""Runs on a CPU that `lanes` compiles: threads, each with blocks of lanes.
+
+A run is one lane. Each thread works through blocks of lanes, and hands some of them back at a time, so memory stays
+bounded and progress can be shown. Which runs are in a block, in which thread it is done, and how wide the vectors
+are changes no bit of what a run gives.
+"""
+
+import functools
+import hashlib
+import os
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxrl_tab.core import memory
+from jaxrl_tab.core.checks import RunError
+from jaxrl_tab.engine import programs
+from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.room import CALL_BYTES, Signature, signature, traced_program
+from jaxrl_tab.engine.runs import Runs
+from jaxrl_tab.lanes import machine
+from jaxrl_tab.lanes.kernel import Kernel, Stop
+from jaxrl_tab.lanes.program import MANY, Program, compile
+from jaxrl_tab.lanes.target import host
+
+TASK_SECONDS = 0.1  # about so long a thread works before it hands results back
+ASK_SECONDS = 0.2  # after so long at most the main thread sees that it is interrupted
+
+
+def threads(devices: Sequence[Any] | None = None) -> int:
+    """How many threads work: as many as there are devices, where their number was chosen; else one for each core."""
+    if devices is not None:
+        return len(devices)
+    number = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
+    if number > 0:
+        return number
+    if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
+        return len(jax.local_devices(backend="cpu"))
+    cores = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))  # Linux alone has it
+    return len(cores(0))
+
+
+class ByLanes:
+    """A batch of runs, compiled.
+
+    Attributes:
+        threads: how many work.
+        most: how many blocks of lanes a thread does before it hands them back, at most.
+    """
+
+    def __init__(self, runs: Runs, room: int, devices: Sequence[Any] | None):
+        """Compiles. Raises Unsupported where the program holds something for which there is no rule."""
+        self.runs, self.threads = runs, threads(devices)
+        results, self._tree = jax.tree.flatten(runs.needs.results)
+        arguments = runs.arguments(np.array(0))
+        of_thread = -(-len(runs) // self.threads)
+        lanes = next(size for size in (1, host().width, MANY) if of_thread <= size)  # so few programs are made
+        self._kernel = _kernel(runs.budget, signature(arguments), _Shared(arguments), len(results), lanes)
+        self.lanes, scratch = self._kernel.program.lanes, self._kernel.program.scratch
+        # While a thread works on some blocks, what it gave before may still wait to be kept.
+        self.most = max(1, (min(room, CALL_BYTES) - scratch) // (2 * self.lanes * runs.needs.call.kept))
+
+    def results(self) -> Iterator[tuple[np.ndarray, Any]]:
+        """The places of some runs, int [n], and what they gave: their tables and the Log, [n, ...] each."""
+        first, blocks, stop = 0, 1, Stop()
+        again: list[tuple[int, int]] = []  # tasks for which there was not enough memory, cut in two
+        pending: dict[Future, tuple[int, int]] = {}
+        with ThreadPoolExecutor(self.threads) as pool:
+            try:
+                while first < len(self.runs) or again or pending:
+                    # One task more than there are threads, so that none ever waits for this one.
+                    while (first < len(self.runs) or again) and len(pending) <= self.threads:
+                        task = again.pop() if again else (first, blocks)
+                        pending[pool.submit(self._run, *task, stop)] = task
+                        first = max(first, task[0] + task[1] * self.lanes)
+                    for future in wait(pending, ASK_SECONDS, FIRST_COMPLETED).done:
+                        begin, size = pending.pop(future)
+                        try:
+                            places, output, seconds = future.result()
+                        except MemoryError:
+                            again += self._halves(begin, size)
+                            blocks = 1
+                            continue
+                        yield places, output
+                        # The last tasks are small, so that all threads end at about the same time.
+                        left = -(-(len(self.runs) - first) // (2 * self.threads * self.lanes))
+                        blocks = max(1, min(self.most, int(size * TASK_SECONDS / seconds), left))
+            finally:  # also where it is interrupted, or nobody wants the rest
+                stop.set()
+
+    def _halves(self, first: int, blocks: int) -> list[tuple[int, int]]:
+        """A task in two. Raises RunError where it is too small for that."""
+        if blocks == 1:
+            needed = self.runs.needs.call.bytes(self.lanes, 1)
+            raise RunError(
+                f"there is not enough memory for {self.lanes} runs at a time in each thread ({self.threads}), "
+                f"the smallest number possible, which need {memory.words(self.threads * needed)}: take a "
+                "larger log_every, or a smaller environment"
+            ) from None
+        self.most = half = blocks // 2
+        return [(first, half), (first + half * self.lanes, blocks - half)]
+
+    def _run(self, first: int, blocks: int, stop: Stop) -> tuple[np.ndarray, Any, float]:
+        """What so many blocks of runs from place `first` on give, and how many seconds it took."""
+        begun = time.perf_counter()
+        places = first + np.arange(blocks * self.lanes)
+        outputs = self._kernel(*_inputs(self.runs.arguments(places), len(places)), stop=stop)
+        there = places[places < len(self.runs)]
+        output = jax.tree.unflatten(self._tree, [x[: len(there)] for x in outputs])
+        return there, output, time.perf_counter() - begun
+
+
+class _Shared:
+    """What is the same for all runs of a program: the leaves of the environment. Two that are equal are one key."""
+
+    def __init__(self, arguments: tuple):
+        *_, env = arguments
+        self.leaves = [_plain(x) for x in jax.tree.leaves(env)]
+        parts = [f"{x.dtype} {x.shape} ".encode() + x.tobytes() for x in self.leaves]
+        self.digest = hashlib.sha256(b"".join(parts)).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Shared) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+
+def _plain(x: Any) -> np.ndarray:
+    """A leaf in the dtype in which JAX takes it."""
+    return np.asarray(x, jax.typeof(x).dtype)
+
+
+def _inputs(arguments: tuple, lanes: int) -> list[np.ndarray]:
+    """What differs from run to run, [lanes, ...] each: what names its random numbers, and its hyperparameters."""
+    root, *of_runs, _ = arguments
+    return [np.broadcast_to(_plain(root), (lanes, *root.shape)), *map(_plain, jax.tree.leaves(of_runs))]
+
+
+@functools.lru_cache(maxsize=64)
+def _kernel(budget: Budget, signature: Signature, shared: _Shared, results: int, lanes: int) -> Kernel:
+    """The program for blocks of at most so many lanes. It gives the first `results` arrays that a run gives."""
+
+    def make(_: str) -> Program:
+        closed = traced_program(budget, signature).jaxpr
+        inputs = len(closed.jaxpr.invars) - len(shared.leaves)
+        varying = [True] * inputs + [False] * len(shared.leaves)
+        return compile(closed, varying, [*[None] * inputs, *shared.leaves], results, lanes=lanes)
+
+    name = "lanes", machine.version(), host(), budget, signature.name, shared.digest, lanes
+    return Kernel(programs.kept(name, make, pack=lambda program: program, unpack=lambda program: program))
