@@ -14,10 +14,83 @@ from jaxrl_tab.lanes.lower import lower
 from jaxrl_tab.lanes.registry import RULES
 
 EDGES = {
-    np.float32: [0, -0.0, 0.5, -0.5, 1, -1, 1.5, 2.5, -2.5, 3, 7.25, 1e-3, 2**23 + 1, -(2**31), 2**31, 2**32, 3e9]
-    + [-3e9, 1e20, -1e20, 3.4e38, np.inf, -np.inf, np.nan, 1e-40, -1e-40, 1.2e-38, 88.9, -104, 0.49999997, 1e-5],
-    np.int32: [0, 1, -1, 2, -2, 3, 5, 7, -7, 31, 32, 33, 64, -33, 100, 46341, 2**30, 2**31 - 1, -(2**31), 1 - 2**31],
-    np.uint32: [0, 1, 2, 3, 5, 7, 31, 32, 33, 64, 100, 65535, 65536, 2**31 - 1, 2**31, 2**31 + 1, 2**32 - 2, 2**32 - 1],
+    np.float32: [
+        0,
+        -0.0,
+        0.5,
+        -0.5,
+        1,
+        -1,
+        1.5,
+        2.5,
+        -2.5,
+        3,
+        7.25,
+        1e-3,
+        2**23 + 1,
+        -(2**31),
+        2**31,
+        2**32,
+        3e9,
+    ]
+    + [
+        -3e9,
+        1e20,
+        -1e20,
+        3.4e38,
+        np.inf,
+        -np.inf,
+        np.nan,
+        1e-40,
+        -1e-40,
+        1.2e-38,
+        88.9,
+        -104,
+        0.49999997,
+        1e-5,
+    ],
+    np.int32: [
+        0,
+        1,
+        -1,
+        2,
+        -2,
+        3,
+        5,
+        7,
+        -7,
+        31,
+        32,
+        33,
+        64,
+        -33,
+        100,
+        46341,
+        2**30,
+        2**31 - 1,
+        -(2**31),
+        1 - 2**31,
+    ],
+    np.uint32: [
+        0,
+        1,
+        2,
+        3,
+        5,
+        7,
+        31,
+        32,
+        33,
+        64,
+        100,
+        65535,
+        65536,
+        2**31 - 1,
+        2**31,
+        2**31 + 1,
+        2**32 - 2,
+        2**32 - 1,
+    ],
     np.bool_: [False, True],
 }
 F, I, U, B = np.float32, np.int32, np.uint32, np.bool_
@@ -27,14 +100,20 @@ def pairs(*dtypes):
     """Every edge of each dtype with every edge of the others, and some random numbers: one array for each."""
     grid = np.meshgrid(*(np.array(EDGES[dtype], dtype) for dtype in dtypes))
     rng = np.random.default_rng(0)
-    return [np.concatenate([x.ravel(), numbers(rng, dtype, 64)]) for x, dtype in zip(grid, dtypes, strict=True)]
+    return [
+        np.concatenate([x.ravel(), numbers(rng, dtype, 64)]) for x, dtype in zip(grid, dtypes, strict=True)
+    ]
 
 
 def numbers(rng, dtype, *shape):
     if dtype == np.float32:
         return (rng.normal(size=shape) * 10.0 ** rng.integers(-3, 4, shape)).astype(dtype)
     info = np.iinfo(dtype) if dtype != np.bool_ else None
-    return rng.integers(0, 2, shape).astype(bool) if info is None else rng.integers(info.min, info.max, shape, dtype)
+    return (
+        rng.integers(0, 2, shape).astype(bool)
+        if info is None
+        else rng.integers(info.min, info.max, shape, dtype)
+    )
 
 
 def arrays(dtype, *shape, lanes=40, seed=0):
@@ -136,10 +215,15 @@ CASES = {
     "population_count": each(lax.population_count, *WHOLE),
     "clz": each(lax.clz, *WHOLE),
     "convert_element_type": [
-        (partial(lax.convert_element_type, new_dtype=to), *pairs(dtype)) for dtype in EDGES for to in EDGES if to != dtype
+        (partial(lax.convert_element_type, new_dtype=to), *pairs(dtype))
+        for dtype in EDGES
+        for to in EDGES
+        if to != dtype
     ],
     "bitcast_convert_type": [
-        (partial(lax.bitcast_convert_type, new_dtype=to), *pairs(dtype)) for dtype in (F, I, U) for to in (I, U)
+        (partial(lax.bitcast_convert_type, new_dtype=to), *pairs(dtype))
+        for dtype in (F, I, U)
+        for to in (I, U)
     ]
     + [(partial(lax.bitcast_convert_type, new_dtype=F), small(I))],
     "select_n": each(lax.select_n, (B, F, F), (B, I, I), (B, B, B))
@@ -163,13 +247,17 @@ CASES = {
     "tile": both(lambda x: jnp.tile(x.reshape(5, -1), (2, 3))),
     "slice": both(lambda x: lax.slice(x.reshape(5, -1), (1, 0), (4, 1)))
     + [(lambda x: lax.slice(x, (1, 2), (9, 12), (3, 2)), arrays(F, 9, 13))],
-    "transpose": both(lambda x: x.reshape(5, -1).T) + [(lambda x: lax.transpose(x, (2, 0, 1)), arrays(I, 3, 4, 5))],
-    "rev": both(lambda x: lax.rev(x.reshape(5, -1), (0,))) + [(lambda x: lax.rev(x, (0, 2)), arrays(B, 3, 4, 5))],
-    "iota": both(lambda x: x + lax.iota(F, len(x))) + [(lambda x: x + lax.broadcasted_iota(I, (6, 7), 1), arrays(I))],
+    "transpose": both(lambda x: x.reshape(5, -1).T)
+    + [(lambda x: lax.transpose(x, (2, 0, 1)), arrays(I, 3, 4, 5))],
+    "rev": both(lambda x: lax.rev(x.reshape(5, -1), (0,)))
+    + [(lambda x: lax.rev(x, (0, 2)), arrays(B, 3, 4, 5))],
+    "iota": both(lambda x: x + lax.iota(F, len(x)))
+    + [(lambda x: x + lax.broadcasted_iota(I, (6, 7), 1), arrays(I))],
     "concatenate": both(lambda x: lax.concatenate([x, x[:3], x * 2], 0))
     + [(lambda x, y: lax.concatenate([x, y], 1), arrays(F, 3, 7), arrays(F, 3, 8, seed=1))],
     "stack": both(lambda x: jnp.stack([x, -x], 1)),
-    "split": both(lambda x: lax.split(x, (2, len(x) - 2))) + [(lambda x: lax.split(x, (2, 5), 1), arrays(F, 6, 7))],
+    "split": both(lambda x: lax.split(x, (2, len(x) - 2)))
+    + [(lambda x: lax.split(x, (2, 5), 1), arrays(F, 6, 7))],
     "unstack": both(lambda x: tuple(jnp.unstack(x.reshape(5, -1), axis=0))),
     "pad": both(lambda x: lax.pad(x, x[0] + 1, [(2, 3, 1)]))
     + [(lambda x: lax.pad(x, F(7), [(-1, 2, 0), (1, -2, 2)]), arrays(F, 6, 9))],
@@ -190,7 +278,12 @@ CASES = {
         for i in (index(), index().astype(U))
     ]
     + [
-        (lambda x, y, i: lax.dynamic_update_slice(x, y, (i[0], i[1])), arrays(I, 9, 11), arrays(I, *sizes), index(40, 2))
+        (
+            lambda x, y, i: lax.dynamic_update_slice(x, y, (i[0], i[1])),
+            arrays(I, 9, 11),
+            arrays(I, *sizes),
+            index(40, 2),
+        )
         for sizes in ((1, 1), (3, 2), (7, 6))
     ],
     "gather": [
@@ -202,9 +295,15 @@ CASES = {
     ]
     + [(lambda x, i: x[i], arrays(dtype, 50), index(40, 3)) for dtype in (U, B)]
     + [(lambda x, i: x[i[0], i[1]], arrays(F, 6, 9), index(40, 2))]
-    + [(lambda x, i: x[:, i[1]], arrays(F, 6, 9), index(40, 2)), (lambda x, i: x[i], arrays(F, 6, 9), index())]
+    + [
+        (lambda x, i: x[:, i[1]], arrays(F, 6, 9), index(40, 2)),
+        (lambda x, i: x[i], arrays(F, 6, 9), index()),
+    ]
     + [(lambda x, i: jnp.take_along_axis(x, i, 1), arrays(F, 6, 9), index(40, 6, 2))]
-    + [(lambda i: jnp.arange(70.0)[i], index(40, 50)), (lambda x, i: x.at[i].get(mode="promise_in_bounds"), arrays(F, 50), abs(index()) % 50)],
+    + [
+        (lambda i: jnp.arange(70.0)[i], index(40, 50)),
+        (lambda x, i: x.at[i].get(mode="promise_in_bounds"), arrays(F, 50), abs(index()) % 50),
+    ],
     "sort": [(lax.sort, arrays(dtype, 7)) for dtype in (F, I, U, B)]
     + [(lambda x: jnp.sort(x, axis=0, descending=True), arrays(F, 5, 3)), (jnp.argsort, small(I, 12))]
     + [(lambda x, y: lax.sort((x, y, x + y), num_keys=2), small(I, 9), arrays(F, 9))],
@@ -223,16 +322,38 @@ for name in ("scatter", "scatter-add", "scatter-sub", "scatter-mul", "scatter-ma
         for mode in ("clip", "drop")
         for dtype in (F, I)
     ] + [
-        (lambda x, i, y, method=method: getattr(x.at[i[0], i[1]], method)(y), arrays(F, 6, 9), index(40, 2), arrays(F)),
-        (lambda x, i, y, method=method: getattr(x.at[i], method)(y), arrays(F, 6, 9), index(), arrays(F, 9, seed=1)),
+        (
+            lambda x, i, y, method=method: getattr(x.at[i[0], i[1]], method)(y),
+            arrays(F, 6, 9),
+            index(40, 2),
+            arrays(F),
+        ),
+        (
+            lambda x, i, y, method=method: getattr(x.at[i], method)(y),
+            arrays(F, 6, 9),
+            index(),
+            arrays(F, 9, seed=1),
+        ),
     ]
 for name in ("sum", "prod", "max", "min", "and", "or", "xor"):
     bitwise = name in ("and", "or", "xor")
     reduce = getattr(lax, f"reduce_{name}")
     CASES[f"reduce_{name}"] = [
-        (partial(reduce, axes=axes), arrays(dtype, *shape, lanes=FEW) if bitwise or name in ("max", "min") else small(dtype, *shape, lanes=FEW))
+        (
+            partial(reduce, axes=axes),
+            arrays(dtype, *shape, lanes=FEW)
+            if bitwise or name in ("max", "min")
+            else small(dtype, *shape, lanes=FEW),
+        )
         for dtype in ((I, U, B) if bitwise else (F, I, U))
-        for shape, axes in (((5,), (0,)), ((3, 4), (0,)), ((3, 4), (0, 1)), ((50,), (0,)), ((6, 9), (1,)), ((40, 3), (0,)))
+        for shape, axes in (
+            ((5,), (0,)),
+            ((3, 4), (0,)),
+            ((3, 4), (0, 1)),
+            ((50,), (0,)),
+            ((6, 9), (1,)),
+            ((40, 3), (0,)),
+        )
     ]
 for name in ("argmax", "argmin"):
     find = getattr(lax, name)
@@ -244,7 +365,10 @@ for name in ("argmax", "argmin"):
 for name in ("cumsum", "cumprod", "cummax", "cummin"):
     run = getattr(lax, name)
     CASES[name] = [
-        (lambda x, run=run, axis=axis, reverse=reverse: run(x, axis, reverse), small(dtype, *shape, lanes=FEW))
+        (
+            lambda x, run=run, axis=axis, reverse=reverse: run(x, axis, reverse),
+            small(dtype, *shape, lanes=FEW),
+        )
         for dtype in (F, I)
         for shape, axis in (((5,), 0), ((3, 4), 1), ((30,), 0), ((6, 9), 0), ((70,), 0))
         for reverse in (False, True)
@@ -255,31 +379,62 @@ CASES["dot_general"] = [
     for x, y in (((2,), (2,)), ((4,), (4,)), ((4,), (4, 3)), ((3, 4), (4,)), ((2, 3), (3, 2)))
 ]
 CASES["while"] = [
-    (lambda x, n: lax.while_loop(lambda c: c[0] < n, lambda c: (c[0] + 1, c[1] * 0.5 + c[0]), (0, x)), small(F, *shape), small(I))
+    (
+        lambda x, n: lax.while_loop(lambda c: c[0] < n, lambda c: (c[0] + 1, c[1] * 0.5 + c[0]), (0, x)),
+        small(F, *shape),
+        small(I),
+    )
     for shape in ((), SMALL, LARGE)
 ]
 CASES["scan"] = [
-    (lambda x, reverse=reverse: lax.scan(lambda c, y: (c * 0.5 + y, (c, y > 0)), x[0], x, reverse=reverse), small(F, *shape))
+    (
+        lambda x, reverse=reverse: lax.scan(lambda c, y: (c * 0.5 + y, (c, y > 0)), x[0], x, reverse=reverse),
+        small(F, *shape),
+    )
     for shape in ((4,), (40,), (7, 9), (3, 40))
     for reverse in (False, True)
 ]
 CASES["cond"] = [
-    (lambda i, x: lax.cond(i > 3, lambda x: x * 2, lambda x: x + 1, x), small(I), small(F, *shape)) for shape in ((), SMALL, LARGE)
+    (lambda i, x: lax.cond(i > 3, lambda x: x * 2, lambda x: x + 1, x), small(I), small(F, *shape))
+    for shape in ((), SMALL, LARGE)
 ] + [
     (lambda i, x: lax.cond(i > 3, lambda x: x.at[2].set(0.0), lambda x: x, x), small(I), small(F, 50)),
-    (lambda i, x: (x[2], lax.cond(i > 3, lambda x: x.at[2].set(0.0), lambda x: x.at[i].add(1.0), x), x), small(I), small(F, 50)),
-    (lambda i, x: lax.switch(i, [lambda x: x + 1, lambda x: x * 2, lambda x: jnp.sum(x) + x], x), small(I), small(F, 40)),
-    (lambda i, x: lax.switch(i, [lambda x: x + 1, lambda x: lax.fori_loop(0, i, lambda k, x: x + k, x), lambda x: x], x), small(I), small(F)),
+    (
+        lambda i, x: (x[2], lax.cond(i > 3, lambda x: x.at[2].set(0.0), lambda x: x.at[i].add(1.0), x), x),
+        small(I),
+        small(F, 50),
+    ),
+    (
+        lambda i, x: lax.switch(i, [lambda x: x + 1, lambda x: x * 2, lambda x: jnp.sum(x) + x], x),
+        small(I),
+        small(F, 40),
+    ),
+    (
+        lambda i, x: lax.switch(
+            i, [lambda x: x + 1, lambda x: lax.fori_loop(0, i, lambda k, x: x + k, x), lambda x: x], x
+        ),
+        small(I),
+        small(F),
+    ),
 ]
 KEYS = small(U, 2)
 CASES |= {
     "random_wrap": [(lambda k: jax.random.key_data(jax.random.wrap_key_data(k)), KEYS)],
-    "random_unwrap": [(lambda k: jax.random.key_data(jax.random.split(jax.random.wrap_key_data(k), (2, 3))[1]), KEYS)],
+    "random_unwrap": [
+        (lambda k: jax.random.key_data(jax.random.split(jax.random.wrap_key_data(k), (2, 3))[1]), KEYS)
+    ],
     "random_seed": [(lambda i: jax.random.key_data(jax.random.key(i)), index())],
-    "random_bits": [(lambda k, shape=shape: jax.random.bits(jax.random.wrap_key_data(k), shape), KEYS) for shape in ((), (3,), (50,))]
+    "random_bits": [
+        (lambda k, shape=shape: jax.random.bits(jax.random.wrap_key_data(k), shape), KEYS)
+        for shape in ((), (3,), (50,))
+    ]
     + [(lambda k: jax.vmap(jax.random.bits)(jax.random.split(jax.random.wrap_key_data(k), 3)), KEYS)],
-    "random_split": [(lambda k: [jax.random.bits(x) for x in jax.random.split(jax.random.wrap_key_data(k), 3)], KEYS)],
-    "random_fold_in": [(lambda k, i: jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(k), i)), KEYS, index())],
+    "random_split": [
+        (lambda k: [jax.random.bits(x) for x in jax.random.split(jax.random.wrap_key_data(k), 3)], KEYS)
+    ],
+    "random_fold_in": [
+        (lambda k, i: jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(k), i)), KEYS, index())
+    ],
     "threefry2x32": [(lambda k: jax.random.uniform(jax.random.wrap_key_data(k), (3, 4)), KEYS)],
     "iota_2x32_shape": [(lambda k: jax.random.normal(jax.random.wrap_key_data(k), (50,)), KEYS)],
 }
