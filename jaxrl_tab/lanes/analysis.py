@@ -16,6 +16,7 @@ import numpy as np
 from jaxrl_tab.lanes.code import Buffer, Loop, Region, Value
 
 TURNS = 3  # of a loop, after which a bound that still moves is given up
+USUAL = 100  # turns of a loop of which nothing is known
 
 
 def operations(region: Region) -> Iterator[Value]:
@@ -124,6 +125,20 @@ class Facts:
     def size(self, loop: Loop) -> int:
         """How many operations a loop has."""
         return sum(value in self.live for part in (loop.condition, loop.body) for value in operations(part))
+
+    def turns(self, value: Value) -> int:
+        """How often an operation is done, so far as the loops around it tell."""
+        times = 1
+        while (loop := self._around.get(value)) is not None:
+            times *= self._turns_of(loop)
+            value = loop
+        return times
+
+    def _turns_of(self, loop: Value) -> int:
+        if (counter := self._counter(loop)) is None:
+            return USUAL
+        place, bound = counter
+        return max(1, self.bounds(bound)[1] - self.bounds(loop.args[place])[0])
 
     # --- what differs from lane to lane
 

@@ -20,6 +20,8 @@ import numpy as np
 from jaxrl_tab.lanes.code import Buffer, Builder, Value
 
 SMALL = 32  # arrays of so many numbers at most are taken apart
+FEW = 4  # also where they lie in memory
+FOLDED = 2**14  # numbers at most are worked out while compiling, where they are made of known ones
 
 
 class Stale(Exception):
@@ -138,6 +140,17 @@ class Parts:
 Array: TypeAlias = Plain | Parts
 
 
+def is_taken_apart(shape: Sequence[int], arrays: Sequence[Array]) -> bool:
+    """Whether an array of this shape that is made from these is taken apart.
+
+    A small one is; but numbers that lie in memory are worked on when they are read, unless there are very few: else
+    all would be read, and most of them for nothing.
+    """
+    if (size := size_of(shape)) > FEW:
+        return size <= SMALL and any(isinstance(x, Items) and size_of(x.shape) > 1 for x in arrays)
+    return True
+
+
 def size_of(shape: Sequence[int]) -> int:
     return int(np.prod(shape, dtype=np.int64))
 
@@ -153,9 +166,11 @@ def made_of(code: Builder, shape: Sequence[int], dtype: Any, values: Sequence[Va
     return Items(tuple(shape), np.dtype(dtype), list(values), code)
 
 
-def made_by(code: Builder, shape: Sequence[int], dtype: Any, rule: Callable[[Value], Value]) -> Plain:
-    """The array of the numbers that a rule gives at each flat index."""
-    if is_small(shape):
+def made_by(
+    code: Builder, shape: Sequence[int], dtype: Any, rule: Callable[[Value], Value], of: Sequence["Plain"] = ()
+) -> "Plain":
+    """The array of the numbers that a rule gives at each flat index; `of` are the arrays that it reads."""
+    if is_taken_apart(shape, of) if of else is_small(shape):
         return made_of(code, shape, dtype, [rule(code.const(i, np.int32)) for i in range(size_of(shape))])
     return Lazy(tuple(shape), np.dtype(dtype), rule, code)
 
@@ -223,7 +238,7 @@ def moved(
     """
     if isinstance(x, Known):
         return Known(move(x.numbers), code)
-    if is_small(shape):
+    if is_taken_apart(shape, [x]):
         places = move(np.arange(size_of(x.shape)).reshape(x.shape)).ravel()
         return made_of(code, shape, x.dtype, [x.item(int(i)) for i in places])
     return made_by(

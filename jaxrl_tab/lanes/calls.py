@@ -9,7 +9,7 @@ import numpy as np
 from jax import export
 from jax.extend.core import jaxpr_as_fun
 
-from jaxrl_tab.lanes.lower import Call
+from jaxrl_tab.lanes.lowering import Call
 
 
 class Exported(NamedTuple):

@@ -66,7 +66,8 @@ class Buffer:
     __slots__ = ("changes", "dtype", "known", "role", "size")
 
     def __init__(self, dtype: Any, size: int, known: np.ndarray | None = None, role: str = "scratch"):
-        self.dtype, self.size, self.known, self.role = _compiled(dtype), size, known, role
+        self.dtype = np.dtype(dtype) if role == "outside" else _compiled(dtype)
+        self.size, self.known, self.role = size, known, role
         self.changes: list[int] = []
 
     @property

@@ -14,7 +14,7 @@ import numpy as np
 from jaxrl_tab.lanes.analysis import Facts
 from jaxrl_tab.lanes.code import Outside, Region, Unsupported, Value
 from jaxrl_tab.lanes.layout import Layout
-from jaxrl_tab.lanes.lower import Lowering
+from jaxrl_tab.lanes.lowering import Lowering
 from jaxrl_tab.lanes.names import Names
 from jaxrl_tab.lanes.segment import Segment, going_on, uniform, uniform_address
 from jaxrl_tab.lanes.target import Target

@@ -1,9 +1,12 @@
 """Where the arrays of a block of lanes lie in memory.
 
-A block is some groups of lanes, and a group as many lanes as a vector holds. An array of which each lane wants
-another entry lies lane after lane, as the caller's arrays do. One of which all lanes want the same entry at a time
-lies entry after entry, so that the numbers of a group lie side by side.
+A block is some groups of lanes, and a group as many lanes as a vector holds. An array of which each lane mostly wants
+an entry of its own lies lane after lane, as the caller's arrays do: then a row of a table is read at once. One of
+which all lanes mostly want the same entry at a time lies entry after entry, so that the numbers of a group lie side
+by side.
 """
+
+from collections import Counter
 
 from jaxrl_tab.lanes.analysis import Facts, buffer_of, operations
 from jaxrl_tab.lanes.code import Buffer, Region
@@ -11,6 +14,7 @@ from jaxrl_tab.lanes.text import Function
 from jaxrl_tab.lanes.types import bytes_of
 
 LINE = 64  # bytes of a cache line, to which all that a thread works with is aligned
+FAR = 1.2  # as much work it is to read an entry where those of the same lane do not lie together
 APART = 5 * LINE  # between two arrays: else all of them might want the same few places in the cache
 
 
@@ -31,12 +35,24 @@ class Layout:
         self.tables: dict[Buffer, int] = {}
         self.first_lane = ""
         self._place: dict[Buffer, str] = {}
-        self._at_own_index: set[Buffer] = set()
+        self._by_lanes = self._chosen(region)
+
+    def _chosen(self, region: Region) -> set[Buffer]:
+        """The buffers that lie lane after lane: those for which it is less work, so far as one can tell."""
+        lane_after_lane: Counter = Counter()  # the instructions that either way takes, for each lane
+        entry_after_entry: Counter = Counter()
         for value in operations(region):
-            if value not in facts.live or not (value.op == "store" or buffer_of(value) is not None):
+            buffer = value.attr if value.op == "store" else buffer_of(value)
+            if value not in self.facts.live or buffer is None:
                 continue
-            if value.op == "row" or facts.varies(value.args[0]):
-                self._at_own_index.add(value.attr if value.op == "store" else buffer_of(value))
+            turns, count = self.facts.turns(value), value.attr[1] if value.op == "row" else 1
+            if value.op == "row" or self.facts.varies(value.args[0]):
+                lane_after_lane[buffer] += turns
+                entry_after_entry[buffer] += turns * count * FAR
+            else:
+                lane_after_lane[buffer] += turns
+                entry_after_entry[buffer] += turns / self.width
+        return {buffer for buffer, work in lane_after_lane.items() if work <= entry_after_entry[buffer]}
 
     @property
     def lanes(self) -> int:
@@ -69,7 +85,7 @@ class Layout:
         return buffer.size + (buffer in self.facts.masked)
 
     def lane_after_lane(self, buffer: Buffer) -> bool:
-        return buffer in self._at_own_index or buffer.role != "scratch"
+        return buffer in self._by_lanes or buffer.role != "scratch"
 
     def is_shared(self, buffer: Buffer) -> bool:
         """Whether it is the same in all lanes, and there once."""

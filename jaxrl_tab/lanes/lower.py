@@ -7,14 +7,16 @@ import numpy as np
 
 from jaxrl_tab.lanes.arrays import Array, Known, Parts, Plain, Stale, Stored, is_small, made_of, size_of
 from jaxrl_tab.lanes.code import Buffer, Unsupported
-from jaxrl_tab.lanes.lowering import Call, Lowering
+from jaxrl_tab.lanes.lowering import Lowering
 from jaxrl_tab.lanes.rules import keys
 from jaxrl_tab.lanes.rules.numbers import impl_of
 
-__all__ = ["Call", "Lowering", "lower"]
+__all__ = ["Lowering", "lower"]
 
 
-def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any], results: int | None = None) -> Lowering:
+def lower(
+    closed: Any, varying: Sequence[bool], given: Sequence[Any], results: int | None = None
+) -> Lowering:
     """The program of one lane.
 
     Args:
@@ -32,8 +34,8 @@ def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any], results: i
         try:
             arguments = zip(closed.jaxpr.invars, varying, given, strict=True)
             args = [_argument(code, v.aval, None if differs else x) for v, differs, x in arguments]
-            outputs = code.closed(closed, *args)[:results]
-            for v, x in zip(closed.jaxpr.outvars[:results], outputs, strict=True):
+            wanted = closed.jaxpr.outvars[:results]
+            for v, x in zip(wanted, code.closed(closed, *args)[:results], strict=True):
                 _give(code, v.aval, x)
             return code
         except Stale as stale:
@@ -63,4 +65,4 @@ def _give(code: Lowering, aval: Any, x: Array) -> None:
         raise Unsupported("a complex result is not compiled")
     buffer = Buffer(x.dtype, size_of(x.shape), role="output")
     code.outputs.append(buffer)
-    code.fill(buffer, x)
+    code.copy(x, buffer)

@@ -11,15 +11,16 @@ import numpy as np
 from jax.extend import core as jex
 
 from jaxrl_tab.lanes.arrays import (
-    SMALL,
+    FOLDED,
     Array,
-    Items,
     Known,
+    Lazy,
     Parts,
     Plain,
     Stored,
     flat,
     is_small,
+    is_taken_apart,
     like,
     made_of,
     size_of,
@@ -41,8 +42,6 @@ CALLS = (
     "checkpoint",
 )
 
-FEW = 4  # numbers that lie in memory are copied one by one, and more in a loop
-
 
 class Call(NamedTuple):
     """A call of what is not compiled.
@@ -62,7 +61,7 @@ class Lowering(Builder):
     Attributes:
         copied: the sites of changes before which the memory is copied.
         inputs, outputs: the buffers of what differs from lane to lane and of the results, in their order.
-        calls: what is left to XLA, in the order of the calls.
+        calls: what is called and not compiled.
     """
 
     def __init__(self, copied: frozenset[int] = frozenset()):
@@ -102,7 +101,7 @@ class Lowering(Builder):
     def equation(self, equation: Any, args: Sequence[Array]) -> Sequence[Any]:
         name = equation.primitive.name
         if is_outside(equation):
-            return self.outside(equation, args)
+            return self._outside(equation.params["jaxpr"], args)
         if name in CALLS:
             inner = next(equation.params[p] for p in ("jaxpr", "call", "call_jaxpr") if p in equation.params)
             return self.closed(inner, *args) if hasattr(inner, "consts") else self.jaxpr(inner, (), args)
@@ -111,7 +110,37 @@ class Lowering(Builder):
         if name not in OF_PARTS and any(isinstance(x, Parts) for x in args):
             return self._by_parts(equation, args)
         results = RULES[name](self, equation, *args)
-        return results if equation.primitive.multiple_results else [results]
+        results = results if equation.primitive.multiple_results else [results]
+        if all(isinstance(x, Known) for x in args):
+            results = [self._worked_out(x) if isinstance(x, Lazy) else x for x in results]
+        return results
+
+    def _worked_out(self, x: Lazy) -> Plain:
+        """An array that is made of known ones, known as well, if its numbers can be worked out while compiling."""
+        if size_of(x.shape) <= FOLDED:
+            numbers = [x.item(i) for i in range(size_of(x.shape))]
+            if all(number.op == "const" for number in numbers):
+                return made_of(self, x.shape, x.dtype, numbers)
+        return x
+
+    def _outside(self, closed: Any, args: Sequence[Array]) -> list[Stored]:
+        """Calls what is not compiled: what it takes is put into buffers, and what it gives is read from others."""
+        if any(isinstance(x, Parts) for x in args):
+            raise Unsupported("a key or a complex number for what is not compiled")
+        inputs = [self._handed_on(x) for x in args if not isinstance(x, Known)]
+        outputs = [Buffer(v.aval.dtype, size_of(v.aval.shape), role="outside") for v in closed.jaxpr.outvars]
+        self.add(Value("outside", bool, attr=Outside(len(self.calls), inputs, outputs)))
+        self.calls.append(Call(closed, [x.numbers if isinstance(x, Known) else None for x in args]))
+        results = zip(closed.jaxpr.outvars, outputs, strict=True)
+        return [Stored(v.aval.shape, buffer, 0, self) for v, buffer in results]
+
+    def _handed_on(self, x: Plain) -> Buffer:
+        """A buffer with the numbers of `x`, for a call of what is not compiled."""
+        if isinstance(x, Stored) and x.buffer.role == "outside":  # it is what another call gave
+            return x.buffer
+        buffer = Buffer(x.dtype, size_of(x.shape), role="outside")
+        self.copy(x, buffer)
+        return buffer
 
     def _by_parts(self, equation: Any, args: Sequence[Array]) -> list[Parts]:
         """What a rule gives for numbers of two words: it puts them elsewhere, each word for itself."""
@@ -121,27 +150,6 @@ class Lowering(Builder):
             for k in range(count)
         ]
         return [Parts(tuple(parts)) for parts in zip(*each, strict=True)]
-
-    def outside(self, equation: Any, args: Sequence[Array]) -> list[Any]:
-        """Calls what is not compiled: what it takes is put into buffers, and what it gives is read from others."""
-        closed = equation.params["jaxpr"]
-        if any(isinstance(x, Parts) for x in args):
-            raise Unsupported("random keys for a call that is left to XLA are not compiled")
-        known = [x.numbers if isinstance(x, Known) else None for x in args]
-        inputs = [self.buffer_for(x) for x in flat(args) if not isinstance(x, Known)]
-        avals = [v.aval for v in closed.jaxpr.outvars]
-        outputs = [Buffer(aval.dtype, size_of(aval.shape), role="outside") for aval in avals]
-        self.add(Value("outside", bool, attr=Outside(len(self.calls), inputs, outputs)))
-        self.calls.append(Call(closed, known))
-        return [Stored(aval.shape, buffer, 0, self) for aval, buffer in zip(avals, outputs, strict=True)]
-
-    def buffer_for(self, x: Plain) -> Buffer:
-        """A buffer with the numbers of `x`, for a call of what is not compiled."""
-        if isinstance(x, Stored) and x.buffer.role == "outside":  # it is what another call gave
-            return x.buffer
-        buffer = Buffer(x.dtype, size_of(x.shape), role="outside")
-        self.fill(buffer, x)
-        return buffer
 
     # --- memory
 
@@ -159,9 +167,9 @@ class Lowering(Builder):
         most = self.const(size, np.int32)
         self.loop([self.const(0, np.int32)], lambda i: self.op("lt", bool, i, most), body)
 
-    def fill(self, buffer: Buffer, x: Plain) -> None:
-        """Writes the numbers of `x` into a buffer."""
-        if buffer.size <= (SMALL if isinstance(x, Items | Known) else FEW):
+    def copy(self, x: Plain, buffer: Buffer) -> None:
+        """Puts the numbers of `x` into a buffer."""
+        if is_taken_apart(x.shape, [x]):
             numbers = [x.item(i) for i in range(buffer.size)]
             for i, number in enumerate(numbers):
                 self.store(buffer, self.const(i, np.int32), number)
@@ -171,7 +179,7 @@ class Lowering(Builder):
     def stored(self, x: Plain) -> Stored:
         """A new array in memory with the numbers of `x`."""
         new = self.empty(x.shape, x.dtype)
-        self.fill(new.buffer, x)
+        self.copy(x, new.buffer)
         return new
 
     def in_memory(self, x: Plain) -> Plain:
@@ -234,7 +242,7 @@ class Lowering(Builder):
             # All are read before one is written.
             moved = [(x.buffer, self.stored(y)) for x, y in memory if not _is_in(y, x)]
             for buffer, y in moved:
-                self.fill(buffer, y)
+                self.copy(y, buffer)
                 buffer.changes.append(self._sites)
             return result
 

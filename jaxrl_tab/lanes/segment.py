@@ -137,13 +137,15 @@ class Segment(Vectors):
         return self._bases[buffer]
 
     def _addresses(self, buffer: Buffer, index: Value, beyond: str | None = None) -> list[str]:
-        """Where each lane finds its entry `index` of a buffer that lies lane after lane, or is there once.
+        """Where each lane finds its entry `index` of a buffer.
 
         Lanes in which the mask `beyond` is false are sent behind the entries, where nothing is read.
         """
         layout, kind = self.layout, in_memory(buffer.dtype)
         shared = layout.is_shared(buffer)
         base = layout.place(buffer) if shared else self._base(buffer)
+        to_next = 1 if shared or layout.lane_after_lane(buffer) else layout.lanes  # from an entry to the next
+        of_lane = layout.stride(buffer) if to_next == 1 else 1
         if beyond is not None:
             of, nowhere = self.kind(np.int32), self.splat(np.int32, str(buffer.size))
             at = self.value(f"select {self.kind(bool)} {beyond}, {of} {self.vector(index)}, {of} {nowhere}")
@@ -156,8 +158,9 @@ class Segment(Vectors):
         for j, i in enumerate(places):
             lane = base
             if j and not shared:
-                lane = self.value(f"getelementptr {kind}, ptr {base}, i64 {j * layout.stride(buffer)}")
-            addresses.append(self.value(f"getelementptr {kind}, ptr {lane}, i64 {i}"))
+                lane = self.value(f"getelementptr {kind}, ptr {base}, i64 {j * of_lane}")
+            at = i if to_next == 1 else self.value(f"mul i64 {i}, {to_next}")
+            addresses.append(self.value(f"getelementptr {kind}, ptr {lane}, i64 {at}"))
         return addresses
 
     def _side_by_side(self, buffer: Buffer, index: Value) -> str:
@@ -174,9 +177,14 @@ class Segment(Vectors):
         """An index that is the same in all lanes, as 64 bits."""
         return self._writer.value(f"sext i32 {self.names.scalar(index)} to i64")
 
+    def _at_once(self, buffer: Buffer, index: Value) -> bool:
+        """Whether all lanes want the same entry of a buffer that lies entry after entry."""
+        layout = self.layout
+        return not (layout.lane_after_lane(buffer) or layout.is_shared(buffer) or self.facts.varies(index))
+
     def _load(self, value: Value) -> str:
         buffer, index, kind = value.attr, value.args[0], in_memory(value.dtype)
-        if self.layout.lane_after_lane(buffer) or self.layout.is_shared(buffer):
+        if not self._at_once(buffer, index):
             numbers = [self.value(f"load {kind}, ptr {address}") for address in self._addresses(buffer, index)]
             return self.from_memory(self.joined(kind, numbers), value.dtype)
         address, whole = self._side_by_side(buffer, index), vector(self.width, kind)
@@ -185,13 +193,15 @@ class Segment(Vectors):
 
     def _load_row(self, value: Value) -> list[str]:
         (buffer, count), kind = value.attr, in_memory(value.dtype)
+        apart = not (self.layout.lane_after_lane(buffer) or self.layout.is_shared(buffer))
         addresses = self._addresses(buffer, value.args[0])
-        if count == 4 and value.dtype != bool and self.width % 4 == 0:
+        if not apart and count == 4 and value.dtype != bool and self.width % 4 == 0:
             rows = [self.value(f"load <4 x {kind}>, ptr {address}, align 4") for address in addresses]
             return self.transposed(rows, kind)
         columns = []
         for k in range(count):
-            at = [self.value(f"getelementptr {kind}, ptr {address}, i64 {k}") for address in addresses]
+            offset = k * self.layout.lanes if apart else k
+            at = [self.value(f"getelementptr {kind}, ptr {address}, i64 {offset}") for address in addresses]
             numbers = self.joined(kind, [self.value(f"load {kind}, ptr {address}") for address in at])
             columns.append(self.from_memory(numbers, value.dtype))
         return columns
@@ -199,7 +209,7 @@ class Segment(Vectors):
     def _store(self, value: Value) -> None:
         buffer, (index, x), kind = value.attr, self.facts.args(value), in_memory(value.dtype)
         numbers, mask, whole = self.to_memory(self.vector(x), value.dtype), self.mask(), vector(self.width, kind)
-        if self.layout.lane_after_lane(buffer):
+        if not self._at_once(buffer, index):
             for j, address in enumerate(self._addresses(buffer, index, mask)):
                 number = self.value(f"extractelement {whole} {numbers}, i32 {j}")
                 self.line(f"store {kind} {number}, ptr {address}")

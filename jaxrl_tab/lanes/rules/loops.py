@@ -174,7 +174,7 @@ def _row(code: Lowering, x: Array, i: Value) -> Array:
 def _plain_row(code: Lowering, x: Plain, i: Value) -> Plain:
     shape = x.shape[1:]
     first = code.times(i, size_of(shape))
-    return made_by(code, shape, x.dtype, lambda k: x.read(_sum(code, first, k)))
+    return made_by(code, shape, x.dtype, lambda k: x.read(_sum(code, first, k)), [x])
 
 
 def _put(code: Lowering, x: Plain, y: Plain, i: Value) -> Stored:

@@ -48,7 +48,7 @@ def each_number(code: Lowering, equation: Any, write: Callable[..., Value], args
     def at(i: Value) -> Value:
         return write(*(x.item(0) if size_of(x.shape) == 1 else x.read(i) for x in args))
 
-    return made_by(code, shape, dtype, at)
+    return made_by(code, shape, dtype, at, args)
 
 
 @rule(*(name for name in NAMES if name not in ("select", "convert", "bitcast", "sign")))
