@@ -7,10 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from lanes_tools import assert_as_xla, by_lanes
+from lanes_tools import assert_as_xla
 
-from jaxrl_tab.lanes.code import Unsupported
-from jaxrl_tab.lanes.lower import lower
 from jaxrl_tab.lanes.registry import RULES
 
 EDGES = {
@@ -26,15 +24,13 @@ EDGES = {
         -2.5,
         3,
         7.25,
-        1e-3,
+        0.001,
         2**23 + 1,
         -(2**31),
         2**31,
         2**32,
-        3e9,
-    ]
-    + [
-        -3e9,
+        3000000000.0,
+        -3000000000.0,
         1e20,
         -1e20,
         3.4e38,
@@ -47,7 +43,7 @@ EDGES = {
         88.9,
         -104,
         0.49999997,
-        1e-5,
+        1e-05,
     ],
     np.int32: [
         0,
@@ -229,8 +225,12 @@ CASES = {
     "select_n": each(lax.select_n, (B, F, F), (B, I, I), (B, B, B))
     + [(lax.select_n, arrays(I), small(F), small(F, seed=1), small(F, seed=2))]
     + [(lax.select_n, arrays(B), arrays(F, *shape), arrays(F, *shape, seed=1)) for shape in (SMALL, LARGE)],
-    "clamp": [(lax.clamp, *pairs(F, F, F)), (lax.clamp, *pairs(I, I, I)), (lax.clamp, *pairs(U, U, U))]
-    + [(lax.clamp, arrays(F), arrays(F, *LARGE), arrays(F, seed=2))],
+    "clamp": [
+        (lax.clamp, *pairs(F, F, F)),
+        (lax.clamp, *pairs(I, I, I)),
+        (lax.clamp, *pairs(U, U, U)),
+        (lax.clamp, arrays(F), arrays(F, *LARGE), arrays(F, seed=2)),
+    ],
     "complex": [(lambda x, y: lax.real(lax.complex(x, y)), arrays(F), arrays(F, seed=1))],
     "real": [(lambda x, y: lax.real(lax.complex(x, y)[1:]), arrays(F, 5), arrays(F, 5, seed=1))],
     "imag": [(lambda x, y: lax.imag(lax.complex(x, y)[1:]), arrays(F, 50), arrays(F, 50, seed=1))],
@@ -245,22 +245,36 @@ CASES = {
     "broadcast_in_dim": both(lambda x: lax.broadcast_in_dim(x, (4, len(x), 3), (1,)))
     + both(lambda x: x[:, None] + jnp.arange(3.0)[None]),
     "tile": both(lambda x: jnp.tile(x.reshape(5, -1), (2, 3))),
-    "slice": both(lambda x: lax.slice(x.reshape(5, -1), (1, 0), (4, 1)))
-    + [(lambda x: lax.slice(x, (1, 2), (9, 12), (3, 2)), arrays(F, 9, 13))],
-    "transpose": both(lambda x: x.reshape(5, -1).T)
-    + [(lambda x: lax.transpose(x, (2, 0, 1)), arrays(I, 3, 4, 5))],
-    "rev": both(lambda x: lax.rev(x.reshape(5, -1), (0,)))
-    + [(lambda x: lax.rev(x, (0, 2)), arrays(B, 3, 4, 5))],
-    "iota": both(lambda x: x + lax.iota(F, len(x)))
-    + [(lambda x: x + lax.broadcasted_iota(I, (6, 7), 1), arrays(I))],
-    "concatenate": both(lambda x: lax.concatenate([x, x[:3], x * 2], 0))
-    + [(lambda x, y: lax.concatenate([x, y], 1), arrays(F, 3, 7), arrays(F, 3, 8, seed=1))],
+    "slice": [
+        *both(lambda x: lax.slice(x.reshape(5, -1), (1, 0), (4, 1))),
+        (lambda x: lax.slice(x, (1, 2), (9, 12), (3, 2)), arrays(F, 9, 13)),
+    ],
+    "transpose": [
+        *both(lambda x: x.reshape(5, -1).T),
+        (lambda x: lax.transpose(x, (2, 0, 1)), arrays(I, 3, 4, 5)),
+    ],
+    "rev": [
+        *both(lambda x: lax.rev(x.reshape(5, -1), (0,))),
+        (lambda x: lax.rev(x, (0, 2)), arrays(B, 3, 4, 5)),
+    ],
+    "iota": [
+        *both(lambda x: x + lax.iota(F, len(x))),
+        (lambda x: x + lax.broadcasted_iota(I, (6, 7), 1), arrays(I)),
+    ],
+    "concatenate": [
+        *both(lambda x: lax.concatenate([x, x[:3], x * 2], 0)),
+        (lambda x, y: lax.concatenate([x, y], 1), arrays(F, 3, 7), arrays(F, 3, 8, seed=1)),
+    ],
     "stack": both(lambda x: jnp.stack([x, -x], 1)),
-    "split": both(lambda x: lax.split(x, (2, len(x) - 2)))
-    + [(lambda x: lax.split(x, (2, 5), 1), arrays(F, 6, 7))],
+    "split": [
+        *both(lambda x: lax.split(x, (2, len(x) - 2))),
+        (lambda x: lax.split(x, (2, 5), 1), arrays(F, 6, 7)),
+    ],
     "unstack": both(lambda x: tuple(jnp.unstack(x.reshape(5, -1), axis=0))),
-    "pad": both(lambda x: lax.pad(x, x[0] + 1, [(2, 3, 1)]))
-    + [(lambda x: lax.pad(x, F(7), [(-1, 2, 0), (1, -2, 2)]), arrays(F, 6, 9))],
+    "pad": [
+        *both(lambda x: lax.pad(x, x[0] + 1, [(2, 3, 1)])),
+        (lambda x: lax.pad(x, F(7), [(-1, 2, 0), (1, -2, 2)]), arrays(F, 6, 9)),
+    ],
     # indexing
     "dynamic_slice": [
         (lambda x, i: lax.dynamic_slice(x, (i,), (3,)), arrays(F, *shape), i)
@@ -268,10 +282,10 @@ CASES = {
         for i in (index(), index().astype(U))
     ]
     + [
-        (lambda x, i: lax.dynamic_slice(x, (i[0], i[1]), sizes), arrays(F, 9, 11), index(40, 2))
+        (lambda x, i, sizes=sizes: lax.dynamic_slice(x, (i[0], i[1]), sizes), arrays(F, 9, 11), index(40, 2))
         for sizes in ((1, 1), (1, 4), (3, 2), (2, 11), (7, 6))
     ]
-    + [(lambda i: lax.dynamic_slice(jnp.arange(60.0), (i,), (n,)), index()) for n in (1, 2, 40)],
+    + [(lambda i, n=n: lax.dynamic_slice(jnp.arange(60.0), (i,), (n,)), index()) for n in (1, 2, 40)],
     "dynamic_update_slice": [
         (lambda x, y, i: lax.dynamic_update_slice(x, y, (i,)), arrays(F, *shape), arrays(F, 3, seed=1), i)
         for shape in (SMALL, LARGE)
