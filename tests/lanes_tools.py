@@ -1,28 +1,37 @@
 """A function of JAX arrays, compiled by `lanes` and by XLA, and what both give for the same lanes."""
 
+import re
 from typing import Any
 
 import jax
 import numpy as np
 
 from jaxrl_tab.lanes.kernel import Kernel
-from jaxrl_tab.lanes.program import MANY
 from jaxrl_tab.lanes.program import compile as compile_lanes
+from jaxrl_tab.lanes.target import Target, host
 
 
-def by_lanes(function: Any, *args: np.ndarray, shared: Any = (), lanes: int = MANY) -> list[np.ndarray]:
+def narrow() -> Target:
+    """This processor with its shortest vectors: code for them is made several times as fast."""
+    wide = re.compile(r"\+(avx512\w*|avx10\w*|avx2|evex512|vaes|vpclmulqdq|gfni|amx\w*)(?=,|$)")
+    return host()._replace(features=wide.sub(r"-\1", host().features))
+
+
+def by_lanes(
+    function: Any, *args: np.ndarray, shared: Any = (), target: Target | None = None
+) -> list[np.ndarray]:
     """What the machine code of `lanes` gives, for arguments with a leading axis of lanes.
 
     Args:
         function: of one lane's arrays.
         args: its arguments; their number of lanes is padded to whole blocks with lanes of zeros.
         shared: further arguments, the same in all lanes.
-        lanes: for how many it is compiled.
+        target: the processor for which it is compiled, by default this one with short vectors.
     """
     count = len(args[0])
     closed = jax.make_jaxpr(function)(*(x[0] for x in args), *shared)
     varying = [True] * len(args) + [False] * len(shared)
-    program = compile_lanes(closed, varying, [None] * len(args) + list(shared), lanes=lanes)
+    program = compile_lanes(closed, varying, [None] * len(args) + list(shared), target=target or narrow())
     more = -count % program.lanes
     full = [np.concatenate([x, np.zeros((more, *x.shape[1:]), x.dtype)]) for x in args]
     return [y[:count] for y in Kernel(program)(*full)]
@@ -48,7 +57,7 @@ def assert_same_bits(results: Any, expected: Any) -> None:
         assert same.all(), f"of result {k}, {(~same).sum()} of {same.size} differ: {shown}"
 
 
-def assert_as_xla(function: Any, *args: np.ndarray, shared: Any = (), lanes: int = MANY) -> None:
+def assert_as_xla(function: Any, *args: np.ndarray, shared: Any = (), target: Target | None = None) -> None:
     assert_same_bits(
-        by_lanes(function, *args, shared=shared, lanes=lanes), by_xla(function, *args, shared=shared)
+        by_lanes(function, *args, shared=shared, target=target), by_xla(function, *args, shared=shared)
     )
