@@ -20,6 +20,8 @@ import pytest
 
 annotations.check()
 
+from keeping import programs_folder, said  # noqa: F401  Fixtures of several files.
+
 import jaxrl_tab as rl
 
 jax.config.update("jax_numpy_rank_promotion", "raise")

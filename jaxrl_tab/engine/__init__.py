@@ -7,7 +7,7 @@ Its modules, from the ground up:
     loop        step after step of an agent in its environment
     train       one run, checked and compiled
     provenance  what the bits of a result depend on beside the experiment
-    programs    compiled programs that outlive the process
+    programs    what is compiled outlives the process
     room        how much memory runs take, and so how many are computed at once
     batch       many runs as one program, on all devices
     axes        what a sweep tries of a hyperparameter: grids in steps, and random draws

@@ -145,11 +145,11 @@ def _inputs(arguments: tuple, lanes: int) -> list[np.ndarray]:
 def _kernel(budget: Budget, signature: Signature, shared: _Shared, results: int, lanes: int) -> Kernel:
     """The program for blocks of at most so many lanes. It gives the first `results` arrays that a run gives."""
 
-    def make(_: str) -> Program:
+    def make() -> Program:
         closed = traced_program(budget, signature).jaxpr
         inputs = len(closed.jaxpr.invars) - len(shared.leaves)
         varying = [True] * inputs + [False] * len(shared.leaves)
         return compile(closed, varying, [*[None] * inputs, *shared.leaves], results, lanes=lanes)
 
     name = "lanes", machine.version(), host(), budget, signature.name, shared.digest, lanes
-    return Kernel(programs.kept(name, make, pack=lambda program: program, unpack=lambda program: program))
+    return Kernel(programs.kept(name, make, Program.to_bytes, Program.from_bytes))

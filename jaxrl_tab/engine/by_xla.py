@@ -20,7 +20,6 @@ Two settings must be made before JAX starts its backend:
 import functools
 import math
 import os
-import re
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -30,11 +29,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.experimental import serialize_executable
 from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
-from jaxrl_tab.engine import programs
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.room import Signature, signature, smaller_call, traced_program, width_of_call
 from jaxrl_tab.engine.runs import Runs
@@ -139,36 +136,6 @@ def _started() -> bool:
 @functools.lru_cache(maxsize=64)
 def _compiled(devices: tuple[Any, ...], budget: Budget, signature: Signature):
     """The program for one call: every device trains so many blocks of its own, one after another."""
-    return programs.kept(
-        ("program", [d.id for d in devices], budget, signature.name),
-        lambda called: _compile(called, devices, budget, signature),
-        pack=_pack,
-        unpack=functools.partial(_unpack, devices=devices),
-    )
-
-
-# What a program may call outside of itself and still be kept: what XLA has, and what JAX registers on import.
-_OUTSIDE = re.compile(r"__.*|lapack_.*|cusolver_.*|cu_.*")
-
-
-def _pack(program: Any) -> Any:
-    """A program as plain data, and what it calls outside of itself."""
-    called = set(re.findall(r'custom_call_target="([^"]*)"', program.as_text()))
-    if strange := [name for name in called if not _OUTSIDE.fullmatch(name)]:
-        raise ValueError(f"in another process there may be no {strange[0]}")
-    return called, serialize_executable.serialize(program)
-
-
-def _unpack(packed: Any, devices: Sequence[Any]) -> Any:
-    called, serialized = packed
-    if any(name.startswith("lapack_") for name in called):
-        # JAX finds LAPACK when it first lowers a call of it, and this one was lowered in another process.
-        traced = jax.jit(lax.linalg.cholesky).trace(jax.ShapeDtypeStruct((1, 1), np.float32))
-        traced.lower(lowering_platforms=("cpu",))
-    return serialize_executable.deserialize_and_load(*serialized, execution_devices=devices)
-
-
-def _compile(called: str, devices: tuple[Any, ...], budget: Budget, signature: Signature):
     root, seeds, algorithms, env = signature.arguments
     of_one = jax.tree.map(lambda x: x.update(shape=x.shape[3:]), (seeds, algorithms))
     avals = tuple(jax.tree.leaves((root, *of_one, env)))
@@ -190,7 +157,6 @@ def _compile(called: str, devices: tuple[Any, ...], budget: Budget, signature: S
 
         return jax.tree.map(lambda x: x[None], lax.fori_loop(0, blocks, put, empty))
 
-    device.__name__ = called  # JAX calls the program so, see `programs.kept`
     split, shared = PartitionSpec("devices"), PartitionSpec()
     program = jax.shard_map(
         device,

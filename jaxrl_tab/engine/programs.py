@@ -1,27 +1,40 @@
-"""Compiled programs that outlive the process: a second start of the command neither traces nor compiles.
+"""What is compiled outlives the process: a second start of the command finds it by what it was made from.
 
-JAX's own persistent cache spares the compiler, but not the tracing before it, which takes as long. Here a
-program is found by what it is made from: the sources of this package, the versions and settings of JAX, the
-machine, and the method, environment and budget. Only what consists of this package's own classes is kept:
-the code behind anybody else's may change without a trace in the name.
+That is the sources of this package, the versions and settings of JAX, the machine, and a name: the method, the
+environment and the budget. Only this package's own classes have such a name, for the code behind anybody else's may
+change without a trace. The text of what was traced is a name, too, whoever wrote the class.
 
-A program is code, and it is run. So it is read only where nobody else can have put it: the file and its folder
-are the user's own, and no link, and only the user may write them. And only as it was written: it begins with
-the SHA-256 of its name and its content. (That finds all damage. Nothing helps against somebody who can write as
-the user.) Otherwise one line of the log says what is wrong, and the program is compiled again.
+Compiled code is run. So what is read must be what this user wrote, to the last bit; otherwise one line of the log
+says what is wrong, and it is made again. Three things see to that:
 
-Off until `keep` is called, which the command line does.
+- The folder and each file are the user's own, and no link, and only the user may write them. So nobody else can
+  have put anything there.
+- Each file begins with a keyed checksum (HMAC-SHA256) of its name and its content. The key is 32 random bytes in a
+  file beside them, which only the user may read. This finds all damage, and all that the user did not make here,
+  such as files out of somebody else's archive: without the key nobody can work out a checksum.
+- What is kept is plain bytes. Nothing looks at them before their checksum is found to be right, and nothing is
+  unpickled.
+
+Nothing helps against somebody who can read and write as the user.
+
+The programs of XLA are left to JAX's own cache, which spares the compiler, but not the tracing before it. JAX checks
+nothing of this kind. Its cache lies in a folder that was checked here, unless the user chose one.
+
+Nothing is kept until `keep` is called, which the command line does.
 """
 
 import contextlib
+import dataclasses
 import hashlib
-import io
+import hmac
 import logging
+import operator
 import os
-import pickle
 import platform
 import re
+import secrets
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -36,18 +49,22 @@ from jaxrl_tab.engine import provenance
 
 T = TypeVar("T")
 
-AT_MOST = 512  # programs; of more, those that were unused for longest are removed
+AT_MOST = 512  # files; of more, those that were unused for longest are removed
 UNFINISHED_SECONDS = 3600  # what was begun so long ago was left by a process that died
-_OWN = re.compile(r"[0-9a-f]{64}\.program(?P<unfinished>\.\w+)?")  # the names of our files
+COMPILE_SECONDS = 0.2  # JAX keeps what took at least so long to compile; by default a second, too long for us
+_OWN = re.compile(r"[0-9a-f]{64}\.program")  # the names of our files, beside the key
+_UNFINISHED = re.compile(r"([0-9a-f]{64}\.program|key)\.\w+")
+_KEY_BYTES, _CHECKSUM_BYTES = 32, hashlib.sha256().digest_size
+_READ, _WRITE = stat.S_IRGRP | stat.S_IROTH, stat.S_IWGRP | stat.S_IWOTH  # what others may do
 _folder: Path | None = None
 
 
 def keep(folder: Path | None = None) -> None:
-    """From now on keeps compiled programs in `folder`, for this process and later ones.
+    """From now on keeps what is compiled in `folder`, for this process and later ones.
 
     By default that is where the user's `JAX_COMPILATION_CACHE_DIR` says, or else the user's cache folder
-    (`XDG_CACHE_HOME`), and JAX is told to keep there what else it compiles. `JAX_ENABLE_COMPILATION_CACHE=0`
-    turns both off. Where the folder cannot be used, one line of the log says why.
+    (`XDG_CACHE_HOME`), and JAX is told to keep its programs there. `JAX_ENABLE_COMPILATION_CACHE=0` turns
+    both off. Where the folder cannot be used, one line of the log says why.
     """
     global _folder
     if not jax.config.jax_enable_compilation_cache:  # pyright: ignore[reportAttributeAccessIssue]
@@ -58,38 +75,39 @@ def keep(folder: Path | None = None) -> None:
         if chosen is None or not _is_usable(chosen):
             return
         jax.config.update("jax_compilation_cache_dir", str(chosen))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", COMPILE_SECONDS)
     _folder = Path(chosen) / "programs"
 
 
-def kept(name: Any, make: Callable[[str], T], pack: Callable[[T], Any], unpack: Callable[[Any], T]) -> T:
+def kept(name: Any, make: Callable[[], T], pack: Callable[[T], bytes], unpack: Callable[[bytes], T]) -> T:
     """What `make` gives, or gave in an earlier process under the same `name`.
 
     Args:
-        name: a pytree of all that it depends on, besides code, versions and settings.
-        make: makes it, under the name in JAX that it is given: a program that is kept here is never one that
-            JAX took from its own cache, see `_unknown_to_jax`.
-        pack, unpack: to something that can be pickled, and back. `pack` may raise: then it is not kept.
+        name: all that it depends on, besides code, versions, settings and machine: plain data, such as the text
+            of a program or its digest, and instances of this package's own classes. Where anything else is in
+            it, nothing is kept.
+        make: makes it.
+        pack, unpack: to bytes, and back. `unpack` is given what `pack` gave, to the last bit; where it raises
+            something, one line of the log says so, and it is made again.
     """
     file = _file(name)
-    if file is None or not _is_usable(file.parent):
-        return make("program")
+    if file is None or (key := _key(file.parent)) is None:
+        return make()
     try:
-        program = unpack(pickle.loads(_read(file)))
+        found = unpack(_read(file, key))
         os.utime(file)  # `_make_room` takes the time for that of the last use
-        return program
+        return found
     except FileNotFoundError:
         pass
-    except Exception as error:  # jaxlib's have no common type
+    except Exception as error:  # what LLVM raises has no common type
         _warn(f"{file} is not used, and made again: {reason(error)}")
-    with _unknown_to_jax():
-        made = make("kept_program")
-    with contextlib.suppress(Exception):
-        packed = pickle.dumps(pack(made))
-        try:
-            _write(file, packed)
-        except OSError as error:
-            _warn(f"compiled programs are not kept in {file.parent}: {reason(error)}")
+    made = make()
+    packed = pack(made)
+    try:
+        _write(file, key, packed)
+    except OSError as error:
+        _warn(f"compiled programs are not kept in {file.parent}: {reason(error)}")
     return made
 
 
@@ -102,32 +120,19 @@ def _default() -> Path | None:
         return None
 
 
-@contextlib.contextmanager
-def _unknown_to_jax() -> Iterator[None]:
-    """Keeps what is compiled within out of JAX's cache: what comes from there cannot be written down again.
-
-    (On a CPU with jax 0.10.2 it can, but what is read then says "Function ... not found" when it is called.)
-    """
-    setting = "jax_persistent_cache_min_compile_time_secs"
-    before = jax.config.values[setting]
-    jax.config.update(setting, 1e9)
-    try:
-        yield
-    finally:
-        jax.config.update(setting, before)
+# --- names -------------------------------------------------------------------------------------------
 
 
 def _file(name: Any) -> Path | None:
-    """The file in which the program with this name is kept; None where it is not kept."""
+    """The file in which what has this name is kept; None where it is not kept."""
     if _folder is None:
         return None
-    pickled = io.BytesIO()
     try:
-        _Named(pickled, protocol=5).dump(name)
-    except (pickle.PicklingError, AttributeError, TypeError):
+        text = _as_text(name)
+    except TypeError:
         return None
     parts = (
-        pickled.getvalue(),
+        text.encode(),
         repr(sorted(jax.config.values.items())).encode(),
         os.environ.get("XLA_FLAGS", "").encode(),
         _code_and_machine(),
@@ -136,18 +141,35 @@ def _file(name: Any) -> Path | None:
     return _folder / f"{digest}.program"
 
 
-class _Named(pickle.Pickler):
-    """Refuses classes and functions whose code is not in this package, in JAX or in NumPy."""
+def _as_text(x: Any) -> str:
+    """A text that no two objects share unless they are of the same class, with the same values of the same types.
 
-    def reducer_override(self, obj: Any) -> Any:
-        definition = obj if hasattr(obj, "__qualname__") else type(obj)  # classes and functions have a name
-        if (definition.__module__ or "").partition(".")[0] not in _COVERED:
-            raise pickle.PicklingError(f"{obj} is not of jaxrl_tab")
-        return NotImplemented
+    Raises TypeError for anything but plain data and instances of this package's own classes.
+    """
+    if x is None or type(x) in (bool, int, float, str, bytes):
+        return repr(x)  # all digits, and in quotes what could be taken for something else
+    if type(x) is tuple:
+        return f"({','.join(map(_as_text, x))})"
+    if type(x) is list:
+        return f"[{','.join(map(_as_text, x))}]"
+    if type(x) is dict:
+        return f"{{{','.join(f'{_as_text(key)}:{_as_text(value)}' for key, value in x.items())}}}"
+    name = f"{type(x).__module__}.{type(x).__qualname__}"
+    if _is_own(type(x)) and dataclasses.is_dataclass(x):
+        return f"{name}({_as_text(vars(x))})"
+    if _is_own(type(x)) and isinstance(x, tuple):  # a NamedTuple
+        return f"{name}({','.join(map(_as_text, x))})"
+    raise TypeError(f"{name} is neither plain data nor a class of jaxrl_tab")
 
 
-# Packages that a name may refer to: their versions are part of it too, or their code shapes no program.
-_COVERED = ("jaxrl_tab", "jax", "jaxlib", "numpy", "ml_dtypes", "builtins", "copyreg")
+def _is_own(cls: type) -> bool:
+    """Whether it is what this package has under its name, and not made by a function, as others may be."""
+    if cls.__module__.partition(".")[0] != "jaxrl_tab":
+        return False
+    try:
+        return operator.attrgetter(cls.__qualname__)(sys.modules.get(cls.__module__)) is cls
+    except AttributeError:
+        return False
 
 
 @cache
@@ -163,73 +185,106 @@ def _code_and_machine() -> bytes:
 
 @cache
 def _is_usable(folder: Path) -> bool:
-    """Whether programs can be kept in `folder`, which is created; where they cannot, the log says so once."""
+    """Whether something can be kept in `folder`, which is created; where it cannot, the log says so once."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _check_own(folder.lstat(), stat.S_ISDIR)
+        _check_own(folder.lstat(), stat.S_ISDIR, _WRITE)
     except OSError as error:
         _warn(f"compiled programs are not kept in {folder}: {reason(error)}")
         return False
     return True
 
 
-def _check_own(status: os.stat_result, is_kind: Callable[[int], bool]) -> None:
-    """Raises OSError unless it is the user's own, nobody else may write it, and it is no link."""
+@cache
+def _key(folder: Path) -> bytes | None:
+    """The key of the checksums in `folder`; both are created. None where that cannot be: the log says so once."""
+    if not _is_usable(folder):
+        return None
+    file = folder / "key"
+    try:
+        if not os.path.lexists(file):
+            with (
+                _on_disk(file, secrets.token_bytes(_KEY_BYTES)) as unfinished,
+                contextlib.suppress(FileExistsError),
+            ):
+                os.link(unfinished, file)  # which does not replace that of a process that was faster
+        key = _contents(file, _READ | _WRITE)
+        if len(key) != _KEY_BYTES:
+            raise OSError(f"it has {len(key)} bytes instead of {_KEY_BYTES}; remove it")
+    except OSError as error:
+        _warn(f"compiled programs are not kept in {folder}: the key in it cannot be used: {reason(error)}")
+        return None
+    return key
+
+
+def _check_own(status: os.stat_result, is_kind: Callable[[int], bool], forbidden: int) -> None:
+    """Raises OSError unless it is the user's own, others have none of these rights, and it is no link."""
     if not is_kind(status.st_mode):
         raise OSError("it is a link, or of another kind")
     if os.name == "nt":  # whose rights are not in the mode; a user's cache folder is the user's there
         return
     if status.st_uid != os.geteuid():
         raise OSError(f"it belongs to another user ({status.st_uid})")
-    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise OSError(f"others may write it, too (its mode is {stat.S_IMODE(status.st_mode):o}); remove it")
+    if rights := status.st_mode & forbidden:
+        verb = "write" if rights & _WRITE else "read"
+        raise OSError(f"others may {verb} it, too (its mode is {stat.S_IMODE(status.st_mode):o}); remove it")
 
 
-def _read(file: Path) -> bytes:
-    """What `_write` was given under this name. Raises OSError where it is not that, or not there."""
+def _contents(file: Path, forbidden: int) -> bytes:
+    """All that is in a file. Raises OSError where it is not the user's own, or others have these rights."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
     with open(os.open(file, flags), "rb") as opened:
-        _check_own(os.fstat(opened.fileno()), stat.S_ISREG)  # of what is read, whatever has the name by then
-        data = opened.read()
-    checksum, data = data[:_SIZE], data[_SIZE:]
-    if checksum != _checksum(file, data):
-        raise OSError("it is damaged")
+        # Of what is read, whatever has the name by then.
+        _check_own(os.fstat(opened.fileno()), stat.S_ISREG, forbidden)
+        return opened.read()
+
+
+def _read(file: Path, key: bytes) -> bytes:
+    """What `_write` was given under this name. Raises OSError where it is not that, or not there."""
+    data = _contents(file, _WRITE)
+    checksum, data = data[:_CHECKSUM_BYTES], data[_CHECKSUM_BYTES:]
+    if not hmac.compare_digest(checksum, _checksum(file, key, data)):
+        raise OSError("it is damaged, or was not written here")
     return data
 
 
-def _write(file: Path, data: bytes) -> None:
+def _write(file: Path, key: bytes, data: bytes) -> None:
     """Writes `data` under its name, so that nobody ever sees a part of it; then makes room."""
+    with _on_disk(file, _checksum(file, key, data) + data) as unfinished:
+        os.replace(unfinished, file)
+    _make_room(file.parent)
+
+
+@contextlib.contextmanager
+def _on_disk(file: Path, data: bytes) -> Iterator[str]:
+    """Writes `data` beside `file`, for the user alone: the path, until it has got its name."""
     descriptor, unfinished = tempfile.mkstemp(dir=file.parent, prefix=f"{file.name}.")
     try:
         with open(descriptor, "wb") as opened:
-            opened.write(_checksum(file, data) + data)
+            opened.write(data)
             opened.flush()
             os.fsync(descriptor)
-        os.replace(unfinished, file)
-    except BaseException:
-        os.unlink(unfinished)
-        raise
-    _make_room(file.parent)
+        yield unfinished
+    finally:
+        Path(unfinished).unlink(missing_ok=True)
 
 
 def _make_room(folder: Path) -> None:
     """Removes what was not used for longest, and what was never finished. It knows our files by their names."""
-    ages = {}
+    finished = []
     for file in folder.iterdir():
         with contextlib.suppress(FileNotFoundError):  # another process makes room, too
-            if named := _OWN.fullmatch(file.name):
-                ages[file] = named["unfinished"], time.time() - file.lstat().st_mtime
-    abandoned = [file for file, (unfinished, age) in ages.items() if unfinished and age > UNFINISHED_SECONDS]
-    finished = sorted((age, file) for file, (unfinished, age) in ages.items() if not unfinished)
-    for file in [*abandoned, *(file for _, file in finished[AT_MOST:])]:
+            age = time.time() - file.lstat().st_mtime
+            if _OWN.fullmatch(file.name):
+                finished.append((age, file))
+            elif _UNFINISHED.fullmatch(file.name) and age > UNFINISHED_SECONDS:
+                file.unlink()
+    for _, file in sorted(finished)[AT_MOST:]:
         file.unlink(missing_ok=True)
 
 
-_SIZE = hashlib.sha256().digest_size
-
-
-def _checksum(file: Path, data: bytes) -> bytes:
-    return hashlib.sha256(file.name.encode() + data).digest()
+def _checksum(file: Path, key: bytes, data: bytes) -> bytes:
+    return hmac.digest(key, file.name.encode() + data, "sha256")
 
 
 @cache

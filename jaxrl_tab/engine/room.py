@@ -1,6 +1,7 @@
 """How much memory runs take, and so how many are computed at once."""
 
 import functools
+import json
 import logging
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ from jaxrl_tab.core.checks import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.loop import bytes_of_words
 from jaxrl_tab.engine.train import in_full, unchecked
 from jaxrl_tab.exact import planning
@@ -222,22 +224,55 @@ def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Bu
 
 @functools.lru_cache(maxsize=64)
 def _needs(budget: Budget, signature: Signature) -> Needs:
-    def make(_: str) -> Needs:
-        traced = traced_program(budget, signature)
-        root, seed, algorithm, envs = signature.arguments
-        env, _ = envs
-        results, _ = traced.out_info
-        # The table once, where it is in the state.
-        carried = {id(x): x.aval for x in traced.jaxpr.jaxpr.outvars}
-        call = memory.Call(
-            shared=memory.size((root, envs)) + _tables(env),
-            kept=memory.size((seed, algorithm, results)),
-            working=_working(env, budget, memory.size(carried)),
-        )
-        return Needs(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), results), call)
+    return programs.kept(
+        ("needs", budget, signature.name), lambda: _traced_needs(budget, signature), _packed, _unpacked
+    )
 
-    same = lambda x: x
-    return programs.kept(("needs", budget, signature.name), make, pack=same, unpack=same)
+
+def _traced_needs(budget: Budget, signature: Signature) -> Needs:
+    traced = traced_program(budget, signature)
+    root, seed, algorithm, envs = signature.arguments
+    env, _ = envs
+    results, _ = traced.out_info
+    # The table once, where it is in the state.
+    carried = {id(x): x.aval for x in traced.jaxpr.jaxpr.outvars}
+    call = memory.Call(
+        shared=memory.size((root, envs)) + _tables(env),
+        kept=memory.size((seed, algorithm, results)),
+        working=_working(env, budget, memory.size(carried)),
+    )
+    return Needs(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), results), call)
+
+
+def _packed(needs: Needs) -> bytes:
+    table, log = needs.results
+    arrays = {name: [x.dtype.name, *x.shape] for name, x in {"table": table, **log.named()}.items()}
+    return json.dumps({"call": [int(n) for n in needs.call], "arrays": arrays}).encode()
+
+
+def _unpacked(data: bytes) -> Needs:
+    """The needs of which `_packed` makes just these bytes. Raises ValueError where there are none."""
+    try:
+        read = json.loads(data)
+        arrays = {name: _array(*x) for name, x in read["arrays"].items()}
+        needs = Needs((arrays.pop("table"), Log.of(arrays)), memory.Call(*map(_count, read["call"])))
+        if _packed(needs) == data:
+            return needs
+    except (AttributeError, KeyError, TypeError, ValueError):
+        pass
+    raise ValueError("it does not say what a run needs")
+
+
+def _array(dtype: Any, *shape: Any) -> jax.ShapeDtypeStruct:
+    if np.dtype(dtype).kind not in "biuf":
+        raise ValueError("neither truth values nor numbers")
+    return jax.ShapeDtypeStruct(tuple(map(_count, shape)), np.dtype(dtype))
+
+
+def _count(n: Any) -> int:
+    if type(n) is not int or n < 0:
+        raise ValueError("not a number of things")
+    return n
 
 
 @functools.lru_cache(maxsize=64)

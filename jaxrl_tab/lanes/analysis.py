@@ -155,13 +155,13 @@ class Facts:
             if value.op == "loop":
                 loop = value.attr
                 self._spread_once(loop.condition, within)
-                alone = within or self.varies(loop.condition.results[0])  # lanes leave it one by one
+                alone = self.varies(loop.condition.results[0])  # lanes leave it one by one
                 if alone:
                     self.varying.add(value)
                 for k in self.carried(value):
                     if alone or self.varies(value.args[k]) or self.varies(loop.body.results[k]):
                         self.varying.add(loop.body.params[k])
-                self._spread_once(loop.body, alone)
+                self._spread_once(loop.body, within or alone)
             elif value.op == "outside":
                 self.varying |= {value, *value.attr.inputs, *value.attr.outputs}
             elif value.op == "store":

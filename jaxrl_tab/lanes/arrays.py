@@ -111,10 +111,18 @@ class Stored:
 
 @dataclass(frozen=True)
 class Lazy:
+    """A rule that gives the number at an index.
+
+    Attributes:
+        pointwise: the arrays of the same size from whose numbers at the same index, and from no other memory, it
+            makes its own; None where that is not so.
+    """
+
     shape: tuple[int, ...]
     dtype: np.dtype
     rule: Callable[[Value], Value]
     code: Builder
+    pointwise: tuple["Plain", ...] | None = None
 
     def item(self, i: int) -> Value:
         return self.rule(self.code.const(i, np.int32))
@@ -167,12 +175,34 @@ def made_of(code: Builder, shape: Sequence[int], dtype: Any, values: Sequence[Va
 
 
 def made_by(
-    code: Builder, shape: Sequence[int], dtype: Any, rule: Callable[[Value], Value], of: Sequence["Plain"] = ()
+    code: Builder,
+    shape: Sequence[int],
+    dtype: Any,
+    rule: Callable[[Value], Value],
+    of: Sequence["Plain"] = (),
+    pointwise: tuple["Plain", ...] | None = None,
 ) -> "Plain":
-    """The array of the numbers that a rule gives at each flat index; `of` are the arrays that it reads."""
+    """The array of the numbers that a rule gives at each flat index.
+
+    Args:
+        of: the arrays that it reads.
+        pointwise: as in `Lazy`.
+    """
     if is_taken_apart(shape, of) if of else is_small(shape):
         return made_of(code, shape, dtype, [rule(code.const(i, np.int32)) for i in range(size_of(shape))])
-    return Lazy(tuple(shape), np.dtype(dtype), rule, code)
+    return Lazy(tuple(shape), np.dtype(dtype), rule, code, pointwise)
+
+
+def read_in_place(x: Plain) -> list[Stored] | None:
+    """The arrays in memory from whose numbers at the same index, and from no others, those of `x` are made; or None."""
+    if isinstance(x, Stored):
+        return [x]
+    if not isinstance(x, Lazy):
+        return []
+    parts = None if x.pointwise is None else [read_in_place(y) for y in x.pointwise]
+    if parts is None or None in parts:
+        return None
+    return [y for part in parts if part for y in part]
 
 
 def reshaped(x: Plain, shape: Sequence[int]) -> Plain:
@@ -184,7 +214,7 @@ def reshaped(x: Plain, shape: Sequence[int]) -> Plain:
         return Items(shape, x.dtype, x.values, x.code)
     if isinstance(x, Stored):
         return Stored(shape, x.buffer, x.version, x.code)
-    return Lazy(shape, x.dtype, x.rule, x.code)
+    return Lazy(shape, x.dtype, x.rule, x.code, x.pointwise)
 
 
 def flat(arrays: Sequence[Array]) -> list[Plain]:

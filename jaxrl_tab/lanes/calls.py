@@ -2,7 +2,7 @@
 
 import ctypes
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -10,6 +10,8 @@ from jax import export
 from jax.extend.core import jaxpr_as_fun
 
 from jaxrl_tab.lanes.lowering import Call
+
+Kind: TypeAlias = tuple[tuple[int, ...], np.dtype]  # the shape and the dtype of an array
 
 
 class Exported(NamedTuple):
@@ -21,8 +23,8 @@ class Exported(NamedTuple):
     """
 
     code: bytes
-    inputs: list[tuple[tuple[int, ...], np.dtype]]
-    outputs: list[tuple[tuple[int, ...], np.dtype]]
+    inputs: list[Kind]
+    outputs: list[Kind]
 
 
 def exported(call: Call, lanes: int) -> Exported:

@@ -45,25 +45,24 @@ class Emitted(NamedTuple):
     tables: list[np.ndarray]
 
 
-def emit(code: Lowering, target: Target, width: int, groups: int) -> Emitted:
+def emit(code: Lowering, facts: Facts, target: Target, width: int, groups: int) -> Emitted:
     """Writes the kernel of a program of one lane: `groups` of `width` lanes are a block.
 
     Raises:
         Unsupported: it holds something for which there is no rule.
     """
-    emitter = _Emitter(code, target, width, groups)
+    emitter = _Emitter(code, facts, target, width, groups)
     text, layout = emitter.kernel(), emitter.layout
     tables = [b.known.view(np.uint8) if b.known.dtype == bool else b.known for b in layout.tables]
     return Emitted(text, layout.lanes, layout.scratch, tables)
 
 
 class _Emitter:
-    def __init__(self, code: Lowering, target: Target, width: int, groups: int):
-        self.code, self.target = code, target
-        self.facts = Facts(code.region)
+    def __init__(self, code: Lowering, facts: Facts, target: Target, width: int, groups: int):
+        self.code, self.facts, self.target = code, facts, target
         self.function = Function("kernel", PARAMETERS)
-        self.layout = Layout(self.function, self.facts, code.region, width, groups)
-        self.names = Names(self.facts, self.layout, fuses=target.fuses)
+        self.layout = Layout(self.function, facts, code.region, width, groups)
+        self.names = Names(facts, self.layout, fuses=target.fuses)
         self.segment: Segment | None = None
         self.around: list[str] = []  # slots that say which lanes are still in the long loops around
 

@@ -18,6 +18,21 @@ FAR = 1.2  # as much work it is to read an entry where those of the same lane do
 APART = 5 * LINE  # between two arrays: else all of them might want the same few places in the cache
 
 
+def lane_after_lane(facts: Facts, region: Region, width: int) -> set[Buffer]:
+    """The buffers that lie lane after lane: those for which it is less work, so far as one can tell."""
+    so: Counter = Counter()  # the instructions that it takes for each lane, the one way and the other
+    otherwise: Counter = Counter()
+    for value in operations(region):
+        buffer = value.attr if value.op == "store" else buffer_of(value)
+        if value not in facts.live or buffer is None:
+            continue
+        turns, count = facts.turns(value), value.attr[1] if value.op == "row" else 1
+        own_index = value.op == "row" or facts.varies(value.args[0])
+        so[buffer] += turns
+        otherwise[buffer] += turns * count * FAR if own_index else turns / width
+    return {buffer for buffer, work in so.items() if work <= otherwise[buffer]}
+
+
 class Layout:
     """The memory of one block.
 
@@ -35,24 +50,7 @@ class Layout:
         self.tables: dict[Buffer, int] = {}
         self.first_lane = ""
         self._place: dict[Buffer, str] = {}
-        self._by_lanes = self._chosen(region)
-
-    def _chosen(self, region: Region) -> set[Buffer]:
-        """The buffers that lie lane after lane: those for which it is less work, so far as one can tell."""
-        lane_after_lane: Counter = Counter()  # the instructions that either way takes, for each lane
-        entry_after_entry: Counter = Counter()
-        for value in operations(region):
-            buffer = value.attr if value.op == "store" else buffer_of(value)
-            if value not in self.facts.live or buffer is None:
-                continue
-            turns, count = self.facts.turns(value), value.attr[1] if value.op == "row" else 1
-            if value.op == "row" or self.facts.varies(value.args[0]):
-                lane_after_lane[buffer] += turns
-                entry_after_entry[buffer] += turns * count * FAR
-            else:
-                lane_after_lane[buffer] += turns
-                entry_after_entry[buffer] += turns / self.width
-        return {buffer for buffer, work in lane_after_lane.items() if work <= entry_after_entry[buffer]}
+        self._by_lanes = lane_after_lane(facts, region, width)
 
     @property
     def lanes(self) -> int:

@@ -23,11 +23,14 @@ from jaxrl_tab.lanes.arrays import (
     is_taken_apart,
     like,
     made_of,
+    read_in_place,
     size_of,
 )
 from jaxrl_tab.lanes.code import Buffer, Builder, Outside, Unsupported, Value
 from jaxrl_tab.lanes.outside import is_outside
 from jaxrl_tab.lanes.registry import OF_PARTS, RULES
+
+UNROLLED = 4  # turns of a loop over the numbers of an array are written one behind the other
 
 # The primitives that merely call a jaxpr. For `custom_vmap_call` it is what the function means for one lane.
 CALLS = (
@@ -155,17 +158,18 @@ class Lowering(Builder):
 
     def each(self, size: int, do: Callable[[Value], None]) -> None:
         """`do(index)` for every index below `size`."""
-        if size <= 1:
-            for i in range(size):
-                do(self.const(i, np.int32))
-            return
+        turns = size // UNROLLED if size > UNROLLED else 0
 
-        def body(i: Value) -> list[Value]:
-            do(i)
-            return [self.plus(i, 1)]
+        def body(turn: Value) -> list[Value]:
+            for k in range(UNROLLED):
+                do(self.plus(self.times(turn, UNROLLED), k))
+            return [self.plus(turn, 1)]
 
-        most = self.const(size, np.int32)
-        self.loop([self.const(0, np.int32)], lambda i: self.op("lt", bool, i, most), body)
+        if turns:
+            most = self.const(turns, np.int32)
+            self.loop([self.const(0, np.int32)], lambda turn: self.op("lt", bool, turn, most), body)
+        for i in range(turns * UNROLLED, size):
+            do(self.const(i, np.int32))
 
     def copy(self, x: Plain, buffer: Buffer) -> None:
         """Puts the numbers of `x` into a buffer."""
@@ -198,12 +202,23 @@ class Lowering(Builder):
         It is copied, too, where it comes from outside of the loop that is written: the next turn wants it anew.
         """
         self._sites += 1
+        if isinstance(x, Lazy) and self._sites not in self.copied and (place := self._place_for(x)):
+            self.each(place.buffer.size, lambda i: self.store(place.buffer, i, x.read(i)))
+            x = Stored(x.shape, place.buffer, place.version, self)
         if not isinstance(x, Stored) or x.buffer not in self._own[-1] or self._sites in self.copied:
             x = self.stored(x)
         else:
             x.check()
         x.buffer.changes.append(self._sites)
         return Stored(x.shape, x.buffer, x.buffer.version, self)
+
+    def _place_for(self, x: Lazy) -> Stored | None:
+        """Memory in which the numbers of `x` can replace those that they are made from, place by place."""
+        return next((y for y in read_in_place(x) or () if self._may_replace(y, x)), None)
+
+    def _may_replace(self, y: Stored, x: Lazy) -> bool:
+        is_current = y.buffer in self._own[-1] and y.version == y.buffer.version
+        return is_current and y.dtype == x.dtype and y.buffer.size == size_of(x.shape)
 
     # --- loops
 
@@ -239,14 +254,33 @@ class Lowering(Builder):
             self._own.pop()
             result = numbers(after)
             memory = [(x, y) for x, y in zip(parts, after, strict=True) if isinstance(x, Stored)]
-            # All are read before one is written.
-            moved = [(x.buffer, self.stored(y)) for x, y in memory if not _is_in(y, x)]
-            for buffer, y in moved:
-                self.copy(y, buffer)
-                buffer.changes.append(self._sites)
+            self._hand_on([(x.buffer, y) for x, y in memory if not _is_in(y, x)])
             return result
 
         return arrays(self.loop(numbers(parts), lambda *values: condition(arrays(values)), once))
+
+    def _hand_on(self, moved: Sequence[tuple[Buffer, Plain]]) -> None:
+        """Puts arrays into the memory of what a loop carries: all are read before one is written.
+
+        Those whose numbers are made place by place are worked out together, and need no memory between.
+        """
+        in_place, apart = [], []
+        for buffer, y in moved:
+            fits = isinstance(y, Lazy) and read_in_place(y) is not None
+            (in_place if fits else apart).append((buffer, y))
+        copied = [(buffer, self.stored(y)) for buffer, y in apart]
+        for size in {buffer.size for buffer, _ in in_place}:
+            together = [(buffer, y) for buffer, y in in_place if buffer.size == size]
+
+            def put(i: Value, together: Sequence[tuple[Buffer, Plain]] = together) -> None:
+                for buffer, number in [(buffer, y.read(i)) for buffer, y in together]:
+                    self.store(buffer, i, number)
+
+            self.each(size, put)
+        for buffer, y in copied:
+            self.copy(y, buffer)
+        for buffer, _ in moved:
+            buffer.changes.append(self._sites)
 
 
 def _carried(x: Plain) -> bool:

@@ -1,17 +1,24 @@
 """Compiled programs, as plain data that can be kept."""
 
+import json
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxrl_tab.lanes import calls, machine
-from jaxrl_tab.lanes.calls import Exported
+from jaxrl_tab.lanes.analysis import Facts, operations
+from jaxrl_tab.lanes.calls import Exported, Kind
 from jaxrl_tab.lanes.emit import emit
+from jaxrl_tab.lanes.layout import lane_after_lane
 from jaxrl_tab.lanes.lower import lower
+from jaxrl_tab.lanes.lowering import Lowering
 from jaxrl_tab.lanes.target import Target, host
 
-GROUPS = 4  # of as many lanes as a vector holds, that a processor works on in turn
+NARROWEST = 4  # lanes that go side by side, where there are many
+CACHE = 24 * 2**10  # bytes, of the 32 KiB or more of a core's first cache
+LONG = 32  # numbers; what is shorter does not count there
 MANY = 2**31  # lanes, where nobody says how many there are
 FEWEST_IN_CALLS = 8  # of fewer lanes XLA works out some numbers otherwise, in the last bit
 
@@ -33,10 +40,48 @@ class Program(NamedTuple):
     target: Target
     lanes: int
     scratch: int
-    inputs: list[tuple[tuple[int, ...], np.dtype]]
-    outputs: list[tuple[tuple[int, ...], np.dtype]]
+    inputs: list[Kind]
+    outputs: list[Kind]
     tables: list[np.ndarray]
     calls: list[Exported]
+
+    def to_bytes(self) -> bytes:
+        """All of it: how long the head is, the head, and what is no text, one after another."""
+        parts = [self.code, *(x.tobytes() for x in self.tables), *(call.code for call in self.calls)]
+        head = {
+            "target": list(self.target),
+            "lanes": self.lanes,
+            "scratch": self.scratch,
+            "inputs": [_plain(kind) for kind in self.inputs],
+            "outputs": [_plain(kind) for kind in self.outputs],
+            "tables": [_plain((x.shape, x.dtype)) for x in self.tables],
+            "calls": [[[_plain(kind) for kind in kinds] for kinds in call[1:]] for call in self.calls],
+            "sizes": [len(part) for part in parts],
+        }
+        text = json.dumps(head).encode()
+        return b"".join([len(text).to_bytes(8, "little"), text, *parts])
+
+    @staticmethod
+    def from_bytes(data: bytes) -> "Program":
+        """The program of which `to_bytes` made these bytes."""
+        start = 8 + int.from_bytes(data[:8], "little")
+        head = json.loads(data[8:start])
+        ends = np.cumsum([start, *head["sizes"]]).tolist()
+        code, *parts = (data[a:b] for a, b in pairwise(ends))
+        tables = [_kind_of(*x) for x in head["tables"]]
+        return Program(
+            code,
+            Target(*head["target"]),
+            head["lanes"],
+            head["scratch"],
+            [_kind_of(*x) for x in head["inputs"]],
+            [_kind_of(*x) for x in head["outputs"]],
+            [np.frombuffer(x, dtype).reshape(shape) for x, (shape, dtype) in zip(parts, tables, strict=False)],
+            [
+                Exported(x, *([_kind_of(*kind) for kind in kinds] for kinds in both))
+                for x, both in zip(parts[len(tables) :], head["calls"], strict=True)
+            ],
+        )
 
 
 def compile(
@@ -63,10 +108,8 @@ def compile(
     """
     target = target or host()
     code = lower(closed, varying, others or [None] * len(varying), results)
-    width, groups = block(target, lanes)
-    if code.calls:
-        groups = max(groups, -(-FEWEST_IN_CALLS // width))
-    emitted = emit(code, target, width, groups)
+    facts = Facts(code.region)
+    emitted = emit(code, facts, target, *block(code, facts, target, lanes))
     of = lambda variables: [(v.aval.shape, np.dtype(v.aval.dtype)) for v in variables]
     return Program(
         machine.object_code(emitted.text, target),
@@ -80,12 +123,44 @@ def compile(
     )
 
 
-def block(target: Target, lanes: int) -> tuple[int, int]:
+def block(code: Lowering, facts: Facts, target: Target, lanes: int) -> tuple[int, int]:
     """The width of the vectors, and how many groups of them are done side by side, for so many lanes.
 
-    There are three sizes, so that few programs are compiled: for one lane, for a vector, and for as many vectors
-    as suit a processor.
+    There are three sizes for a program, so that few are compiled: for one lane, for as many as a vector of the
+    processor holds, and for more. What is best then was measured, see the documentation of performance.
     """
+    width = target.width
     if lanes == 1:
         return 1, 1
-    return target.width, 1 if lanes <= target.width else GROUPS
+    groups = -(-FEWEST_IN_CALLS // width) if code.calls else 1
+    if lanes <= width or _leave_one_by_one(code, facts):
+        return width, groups
+    if swept := _swept(code, facts, width):
+        while width > NARROWEST and swept * width > CACHE:
+            width //= 2
+        return width, groups * target.width // width
+    # Two vectors at once, and two such groups: while one waits for memory, the other is worked on.
+    return 2 * width, 2
+
+
+def _leave_one_by_one(code: Lowering, facts: Facts) -> bool:
+    """Whether there are loops that lanes leave one by one: the more go side by side, the longer they wait."""
+    return any(value.op == "loop" and facts.varies(value) for value in operations(code.region))
+
+
+def _swept(code: Lowering, facts: Facts, width: int) -> int:
+    """The bytes of a lane in arrays that are gone through from end to end: those of a group should be in the cache."""
+    by_lanes = lane_after_lane(facts, code.region, width)
+    stores = {value.attr for value in operations(code.region) if value.op == "store" and value in facts.live}
+    swept = [b for b in stores - by_lanes if b.role == "scratch" and b in facts.varying and b.size >= LONG]
+    return sum(b.size * b.dtype.itemsize for b in swept)
+
+
+def _plain(kind: Kind) -> list[Any]:
+    """A shape and a dtype as JSON has them."""
+    shape, dtype = kind
+    return [dtype.name, *shape]
+
+
+def _kind_of(dtype: str, *shape: int) -> Kind:
+    return shape, np.dtype(dtype)

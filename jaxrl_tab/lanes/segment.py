@@ -6,7 +6,7 @@ from jaxrl_tab.lanes import operations
 from jaxrl_tab.lanes.code import Buffer, Loop, Region, Unsupported, Value
 from jaxrl_tab.lanes.names import Names
 from jaxrl_tab.lanes.text import Writer
-from jaxrl_tab.lanes.types import in_memory, vector
+from jaxrl_tab.lanes.types import in_memory, type_of, vector
 from jaxrl_tab.lanes.vectors import Vectors
 
 
@@ -51,38 +51,56 @@ class Segment(Vectors):
     def _loop(self, value: Value) -> None:
         """It goes on until all lanes of the group have left it."""
         loop: Loop = value.attr
-        carried = [loop.body.params[k] for k in self.facts.carried(value)]
-        first = [self.vector(value.args[k]) for k in self.facts.carried(value)]
+        places = self.facts.carried(value)
+        carried = [loop.body.params[k] for k in places]
+        first = [self._named(value.args[k], param) for k, param in zip(places, carried, strict=True)]
         head, body, end, after = (self.label(name) for name in ("inner", "turn", "end", "out"))
         before = self.block
         self.line(f"br label %{head}")
         self.begin(head)
         names = [self.fresh("c") for _ in carried]
         for param, name, x in zip(carried, names, first, strict=True):
-            self.line(f"{name} = phi {self.kind(param.dtype)} [ {x}, %{before} ], [ {name}.next, %{end} ]")
-            # What the outermost of these loops leaves may be wanted in other segments.
-            self.names.set_vector(param, self, name, leaves=not self.depth)
+            self.line(f"{name} = phi {self._kind_of(param)} [ {x}, %{before} ], [ {name}.next, %{end} ]")
+            if self.facts.varies(param):
+                # What the outermost of these loops leaves may be wanted in other segments.
+                self.names.set_vector(param, self, name, leaves=not self.depth)
+            else:
+                self.names.scalars[param] = name
         elements_before = dict(self.elements)
         self.depth += 1
         self._region(loop.condition)
-        active = self.active(self.vector(loop.condition.results[0]))
-        self.line(f"br i1 {going_on(self, self.any(active))}, label %{body}, label %{after}")
+        active, condition = None, loop.condition.results[0]
+        if self.facts.varies(condition):
+            active = self.active(self.vector(condition))
+            self._inner_masks.append(active)
+            goes_on = going_on(self, self.any(active))
+        else:
+            goes_on = self.names.scalar(condition)
+        self.line(f"br i1 {goes_on}, label %{body}, label %{after}")
         elements_in_head = dict(self.elements)
         self.begin(body)
-        self._inner_masks.append(active)
         self._region(loop.body)
-        new = [self.vector(loop.body.results[k]) for k in self.facts.carried(value)]
-        self._inner_masks.pop()
+        new = [self._named(loop.body.results[k], param) for k, param in zip(places, carried, strict=True)]
         self.line(f"br label %{end}")
         self.begin(end)
         for param, name, x in zip(carried, names, new, strict=True):
-            kind = self.kind(param.dtype)
-            self.line(f"{name}.next = select {self.kind(bool)} {active}, {kind} {x}, {kind} {name}")
+            kind = self._kind_of(param)
+            which, old = ("i1 true", x) if active is None else (f"{self.kind(bool)} {active}", name)
+            self.line(f"{name}.next = select {which}, {kind} {x}, {kind} {old}")
+        if active is not None:
+            self._inner_masks.pop()
         self.line(f"br label %{head}")
         self.begin(after)
         self.depth -= 1
         # Behind a loop one knows what was known before it, and, within another one, not what its head worked out.
         self.elements = {x: elements_in_head[x] for x in elements_before}
+
+    def _named(self, value: Value, param: Value) -> str:
+        """The name of a value that a loop carries as `param`: of a vector, unless that is the same in all lanes."""
+        return self.vector(value) if self.facts.varies(param) else self.names.scalar(value)
+
+    def _kind_of(self, param: Value) -> str:
+        return self.kind(param.dtype) if self.facts.varies(param) else type_of(param.dtype)
 
     def _region(self, region: Region) -> None:
         for value in region.ops:

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jax import lax
 
-from jaxrl_tab.lanes.arrays import Array, Known, Parts, Plain, made_by, size_of, stretched
+from jaxrl_tab.lanes.arrays import Array, Items, Known, Parts, Plain, made_by, size_of, stretched
 from jaxrl_tab.lanes.code import Unsupported, Value
 from jaxrl_tab.lanes.functions import FUNCTIONS, Numbers, round_from_zero, round_to_even
 from jaxrl_tab.lanes.lowering import Lowering
@@ -48,7 +48,10 @@ def each_number(code: Lowering, equation: Any, write: Callable[..., Value], args
     def at(i: Value) -> Value:
         return write(*(x.item(0) if size_of(x.shape) == 1 else x.read(i) for x in args))
 
-    return made_by(code, shape, dtype, at, args)
+    single = [x for x in args if size_of(x.shape) == 1]
+    in_place = all(isinstance(x, Known | Items) for x in single)
+    pointwise = tuple(x for x in args if size_of(x.shape) != 1) if in_place else None
+    return made_by(code, shape, dtype, at, args, pointwise)
 
 
 @rule(*(name for name in NAMES if name not in ("select", "convert", "bitcast", "sign")))
