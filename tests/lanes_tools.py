@@ -2,13 +2,16 @@
 
 import re
 from typing import Any
+from unittest import mock
 
 import jax
 import numpy as np
 
-from jaxrl_tab.lanes.kernel import Kernel
+from jaxrl_tab.lanes import kernel
 from jaxrl_tab.lanes.program import compile as compile_lanes
 from jaxrl_tab.lanes.target import Target, host
+
+GUARD = 4096  # bytes on each side of an array, which a kernel must leave alone
 
 
 def narrow() -> Target:
@@ -17,10 +20,42 @@ def narrow() -> Target:
     return host()._replace(features=wide.sub(r"-\1", host().features))
 
 
+class Guarded:
+    """NumPy for a kernel, with guards around all memory that it writes."""
+
+    def __init__(self) -> None:
+        self.memory: list[np.ndarray] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(np, name)
+
+    def empty(self, shape: Any, dtype: Any) -> np.ndarray:
+        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        self.memory.append(np.full(size + 2 * GUARD, 0xA5, np.uint8))
+        return self.memory[-1][GUARD : GUARD + size].view(dtype).reshape(shape)
+
+    def zeros(self, shape: Any, dtype: Any) -> np.ndarray:
+        x = self.empty(shape, dtype)
+        x[...] = 0
+        return x
+
+    def copy(self, x: np.ndarray) -> np.ndarray:
+        y = self.empty(x.shape, x.dtype)
+        y[...] = x
+        return y
+
+    def check(self) -> None:
+        for memory in self.memory:
+            assert (memory[:GUARD] == 0xA5).all(), "written before an array"
+            assert (memory[-GUARD:] == 0xA5).all(), "written behind an array"
+
+
 def by_lanes(
     function: Any, *args: np.ndarray, shared: Any = (), target: Target | None = None
 ) -> list[np.ndarray]:
     """What the machine code of `lanes` gives, for arguments with a leading axis of lanes.
+
+    Nothing may be written beside the memory that it is given.
 
     Args:
         function: of one lane's arrays.
@@ -34,7 +69,11 @@ def by_lanes(
     program = compile_lanes(closed, varying, [None] * len(args) + list(shared), target=target or narrow())
     more = -count % program.lanes
     full = [np.concatenate([x, np.zeros((more, *x.shape[1:]), x.dtype)]) for x in args]
-    return [y[:count] for y in Kernel(program)(*full)]
+    guarded = Guarded()
+    with mock.patch.object(kernel, "np", guarded):
+        results = kernel.Kernel(program)(*map(guarded.copy, full))
+    guarded.check()
+    return [y[:count] for y in results]
 
 
 def by_xla(function: Any, *args: np.ndarray, shared: Any = ()) -> list[np.ndarray]:
