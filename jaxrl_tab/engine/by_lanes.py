@@ -9,7 +9,7 @@ import functools
 import hashlib
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any
 
@@ -58,13 +58,15 @@ class ByLanes:
         results, self._tree = jax.tree.flatten(runs.needs.results)
         arguments = runs.arguments(np.array(0))
         of_thread = -(-len(runs) // self.threads)
-        lanes = next(size for size in (1, host().width, MANY) if of_thread <= size)  # so few programs are made
+        lanes = next(
+            size for size in (1, host().width, MANY) if of_thread <= size
+        )  # so few programs are made
         self._kernel = _kernel(runs.budget, signature(arguments), _Shared(arguments), len(results), lanes)
         self.lanes, scratch = self._kernel.program.lanes, self._kernel.program.scratch
         # While a thread works on some blocks, what it gave before may still wait to be kept.
         self.most = max(1, (min(room, CALL_BYTES) - scratch) // (2 * self.lanes * runs.needs.call.kept))
 
-    def results(self) -> Iterator[tuple[np.ndarray, Any]]:
+    def results(self) -> Generator[tuple[np.ndarray, Any]]:
         """The places of some runs, int [n], and what they gave: their tables and the Log, [n, ...] each."""
         first, blocks, stop = 0, 1, Stop()
         again: list[tuple[int, int]] = []  # tasks for which there was not enough memory, cut in two

@@ -22,7 +22,7 @@ import math
 import os
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from typing import Any
 
 import jax
@@ -86,14 +86,16 @@ class ByXLA:
         self._bytes = runs.needs.call
         self._resize(*width_of_call(self._bytes, len(runs), room, self.devices))
 
-    def results(self) -> Iterator[tuple[np.ndarray, Any]]:
+    def results(self) -> Generator[tuple[np.ndarray, Any]]:
         """The places of some runs, int [n], and what they gave: their tables and the Log, [n, ...] each."""
         done, blocks = 0, 1
         while done < len(self.runs):
             called = time.perf_counter()
             blocks = min(blocks, -(-(len(self.runs) - done) // (len(self.devices) * self.lanes)))
             try:
-                output = jax.block_until_ready(self._program(np.int32(blocks), *self._arguments(done, blocks)))
+                output = jax.block_until_ready(
+                    self._program(np.int32(blocks), *self._arguments(done, blocks))
+                )
             except (MemoryError, jax.errors.JaxRuntimeError) as error:
                 if isinstance(error, jax.errors.JaxRuntimeError) and _NO_MEMORY not in str(error):
                     raise

@@ -129,7 +129,9 @@ def _restored(full: T, obj: T) -> T:
 # --- what is measured at the end of a row -----------------------------------------------------------
 
 
-def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Record | None) -> Measured | None:
+def _make_measure(
+    algorithm: Algorithm, env: Environment, full: Any, record: Record | None
+) -> Measured | None:
     """What is measured at the end of a row, from the state of the learner, as fields of the Log."""
     if full is None and record is None:
         return None
@@ -142,7 +144,8 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
                 exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
             measures.append(_exact_measurer(exact_algorithm, exact_env))
         if record is not None:
-            measures.append(lambda learner: {"recorded": recorded(record, algorithm, learner)})
+            of_learner = partial(recorded, record, algorithm)
+            measures.append(lambda learner: {"recorded": of_learner(learner)})
         return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
 
     like = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))

@@ -1,10 +1,10 @@
 """What is known of scalar code before machine code is made of it.
 
-    live      which values and which stores the outputs need, through loops and memory
-    same      what a loop carries but never changes: it is what was there before the loop
-    varies    what differs from lane to lane; all else is worked out once for all of them
-    ranges    between which bounds a whole number lies: an index that is proved to be in range is not clamped
-    uses      how often a value is used
+live      which values and which stores the outputs need, through loops and memory
+same      what a loop carries but never changes: it is what was there before the loop
+varies    what differs from lane to lane; all else is worked out once for all of them
+ranges    between which bounds a whole number lies: an index that is proved to be in range is not clamped
+uses      how often a value is used
 """
 
 from collections import Counter
@@ -37,7 +37,9 @@ class Facts:
     """The facts about the code of a region."""
 
     def __init__(self, region: Region):
-        self._loop_of: dict[Value, tuple[Value, int]] = {}  # of what is carried: its loop, and its place there
+        self._loop_of: dict[
+            Value, tuple[Value, int]
+        ] = {}  # of what is carried: its loop, and its place there
         self._around: dict[Value, Value] = {}  # of an operation: the loop that it stands in
         self._stores: dict[Buffer, list[Value]] = {}
         self.same: dict[Value, Value] = {}
@@ -83,7 +85,9 @@ class Facts:
 
     def _mark(self, region: Region) -> None:
         """Marks what the outputs need, from their stores on backwards."""
-        stack: list[Any] = [store for buffer, stores in self._stores.items() if buffer.role == "output" for store in stores]
+        stack: list[Any] = [
+            store for buffer, stores in self._stores.items() if buffer.role == "output" for store in stores
+        ]
         while stack:
             if (value := self.of(stack.pop())) in self.live:
                 continue
@@ -100,13 +104,18 @@ class Facts:
                 stack += [loop, loop.args[k], loop.attr.body.results[k]]
             else:
                 stack += value.args
-                read = value.attr.inputs if value.op == "outside" else [buffer_of(value)]
+                buffer = buffer_of(value)
+                read = value.attr.inputs if value.op == "outside" else [] if buffer is None else [buffer]
                 for buffer in read:
                     stack += self._stores.get(buffer, ())
 
     def carried(self, loop: Value) -> list[int]:
         """The places of what a loop carries that is needed and changes."""
-        return [k for k, param in enumerate(loop.attr.body.params) if param in self.live and param not in self.same]
+        return [
+            k
+            for k, param in enumerate(loop.attr.body.params)
+            if param in self.live and param not in self.same
+        ]
 
     def _count(self, region: Region) -> Counter:
         uses: Counter = Counter()
@@ -170,7 +179,8 @@ class Facts:
                 if within:
                     self.masked.add(value.attr)
             elif any(map(self.varies, value.args)) or (
-                (buffer := buffer_of(value)) is not None and (buffer.role == "input" or buffer in self.varying)
+                (buffer := buffer_of(value)) is not None
+                and (buffer.role == "input" or buffer in self.varying)
             ):
                 self.varying.add(value)
             if value.op == "store" and value.attr in self.varying:
@@ -249,7 +259,11 @@ class Facts:
             return None
         for k, param in enumerate(loop.body.params):
             after = loop.body.results[k]
-            counts = after.op == "add" and {self.of(x) for x in after.args} >= {param} and any(x.number == 1 for x in after.args)
+            counts = (
+                after.op == "add"
+                and {self.of(x) for x in after.args} >= {param}
+                and any(x.number == 1 for x in after.args)
+            )
             if test.args[0] is param and counts:
                 bound = self.of(test.args[1])
                 if bound not in loop.body.params and self.bounds(bound)[1] < _every(bound.dtype)[1]:
@@ -270,7 +284,7 @@ class Facts:
 
 
 def _every(dtype: np.dtype) -> tuple[int, int]:
-    if dtype == bool:
+    if dtype.kind == "b":
         return 0, 1
     return (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)) if dtype.kind in "iu" else (0, 0)
 
@@ -300,6 +314,10 @@ _RANGES: dict[str, Any] = {
     "div": lambda x, y: _quotients(x, y) if y[0] > 0 else _UNKNOWN,
     "rem": lambda x, y: ((0 if x[0] >= 0 else 1 - y[1]), y[1] - 1) if y[0] > 0 else _UNKNOWN,
     "and": lambda x, y: (0, min(v[1] for v in (x, y) if v[0] >= 0)) if max(x[0], y[0]) >= 0 else _UNKNOWN,
-    "shift_right_logical": lambda x, y: (x[0] >> y[0], x[1] >> y[0]) if x[0] >= 0 and y[0] == y[1] < 32 else _UNKNOWN,
-    "shift_right_arithmetic": lambda x, y: (x[0] >> y[0], x[1] >> y[0]) if 0 <= y[0] == y[1] < 32 else _UNKNOWN,
+    "shift_right_logical": lambda x, y: (
+        (x[0] >> y[0], x[1] >> y[0]) if x[0] >= 0 and y[0] == y[1] < 32 else _UNKNOWN
+    ),
+    "shift_right_arithmetic": lambda x, y: (
+        (x[0] >> y[0], x[1] >> y[0]) if 0 <= y[0] == y[1] < 32 else _UNKNOWN
+    ),
 }

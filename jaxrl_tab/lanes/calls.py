@@ -68,4 +68,4 @@ def callable_of(call: Exported) -> Callable[[int], None]:
 def _at(address: int | None, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """The array at an address."""
     memory = (ctypes.c_uint8 * (int(np.prod(shape)) * dtype.itemsize)).from_address(address or 0)
-    return np.frombuffer(memory, dtype).reshape(shape)
+    return np.frombuffer(memoryview(memory), dtype).reshape(shape)

@@ -21,7 +21,9 @@ from jaxrl_tab.lanes.target import Target
 from jaxrl_tab.lanes.text import Function
 from jaxrl_tab.lanes.types import in_memory, type_of
 
-AT_ONCE = 600  # a loop that lanes leave one by one is done group by group where it has at most so many operations
+AT_ONCE = (
+    600  # a loop that lanes leave one by one is done group by group where it has at most so many operations
+)
 PARAMETERS = "i64 %first, i64 %last, ptr noalias %scratch, ptr %arrays, ptr %tables, ptr %stop, ptr %outside"
 
 
@@ -53,7 +55,7 @@ def emit(code: Lowering, facts: Facts, target: Target, width: int, groups: int) 
     """
     emitter = _Emitter(code, facts, target, width, groups)
     text, layout = emitter.kernel(), emitter.layout
-    tables = [b.known.view(np.uint8) if b.known.dtype == bool else b.known for b in layout.tables]
+    tables = [b.known for b in layout.tables if b.known is not None]
     return Emitted(text, layout.lanes, layout.scratch, tables)
 
 
@@ -219,4 +221,3 @@ class _Emitter:
             at = f.value(f"getelementptr ptr, ptr {addresses}, i32 {k}")
             f.line(f"store ptr {self.layout.place(buffer)}, ptr {at}")
         f.line(f"call void %outside(i64 {outside.number}, ptr {addresses})")
-

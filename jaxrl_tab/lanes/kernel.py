@@ -55,7 +55,9 @@ class Kernel:
             Exception: what a call that XLA does has raised.
         """
         program, stop, n = self.program, stop or Stop(), len(inputs[0])
-        given = [_checked(x, (n, *shape), dtype) for x, (shape, dtype) in zip(inputs, program.inputs, strict=True)]
+        given = [
+            _checked(x, (n, *shape), dtype) for x, (shape, dtype) in zip(inputs, program.inputs, strict=True)
+        ]
         if n % program.lanes:
             raise ValueError(f"{n} runs are no multiple of {program.lanes} lanes")
         outputs = [np.empty((n, *shape), dtype) for shape, dtype in program.outputs]

@@ -6,7 +6,7 @@ which all lanes mostly want the same entry at a time lies entry after entry, so 
 by side.
 """
 
-from collections import Counter
+from collections import defaultdict
 
 from jaxrl_tab.lanes.analysis import Facts, buffer_of, operations
 from jaxrl_tab.lanes.code import Buffer, Region
@@ -20,8 +20,9 @@ APART = 5 * LINE  # between two arrays: else all of them might want the same few
 
 def lane_after_lane(facts: Facts, region: Region, width: int) -> set[Buffer]:
     """The buffers that lie lane after lane: those for which it is less work, so far as one can tell."""
-    so: Counter = Counter()  # the instructions that it takes for each lane, the one way and the other
-    otherwise: Counter = Counter()
+    # The instructions that it takes for each lane, the one way and the other.
+    so: defaultdict[Buffer, float] = defaultdict(float)
+    otherwise: defaultdict[Buffer, float] = defaultdict(float)
     for value in operations(region):
         buffer = value.attr if value.op == "store" else buffer_of(value)
         if value not in facts.live or buffer is None:
@@ -65,7 +66,9 @@ class Layout:
         """The name of the address at which a buffer begins."""
         if buffer not in self._place:
             if buffer.known is not None:
-                self._place[buffer] = self._pointer("tables", self.tables.setdefault(buffer, len(self.tables)))
+                self._place[buffer] = self._pointer(
+                    "tables", self.tables.setdefault(buffer, len(self.tables))
+                )
             else:
                 address = f"getelementptr i8, ptr %scratch, i64 {self.scratch}"
                 self._place[buffer] = self.function.entry(address)

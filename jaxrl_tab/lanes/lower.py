@@ -14,9 +14,7 @@ from jaxrl_tab.lanes.rules.numbers import impl_of
 __all__ = ["Lowering", "lower"]
 
 
-def lower(
-    closed: Any, varying: Sequence[bool], given: Sequence[Any], results: int | None = None
-) -> Lowering:
+def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any], results: int | None = None) -> Lowering:
     """The program of one lane.
 
     Args:

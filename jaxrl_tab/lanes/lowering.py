@@ -128,12 +128,13 @@ class Lowering(Builder):
 
     def _outside(self, closed: Any, args: Sequence[Array]) -> list[Stored]:
         """Calls what is not compiled: what it takes is put into buffers, and what it gives is read from others."""
-        if any(isinstance(x, Parts) for x in args):
+        plain = [x for x in args if not isinstance(x, Parts)]
+        if len(plain) < len(args):
             raise Unsupported("a key or a complex number for what is not compiled")
-        inputs = [self._handed_on(x) for x in args if not isinstance(x, Known)]
+        inputs = [self._handed_on(x) for x in plain if not isinstance(x, Known)]
         outputs = [Buffer(v.aval.dtype, size_of(v.aval.shape), role="outside") for v in closed.jaxpr.outvars]
         self.add(Value("outside", bool, attr=Outside(len(self.calls), inputs, outputs)))
-        self.calls.append(Call(closed, [x.numbers if isinstance(x, Known) else None for x in args]))
+        self.calls.append(Call(closed, [x.numbers if isinstance(x, Known) else None for x in plain]))
         results = zip(closed.jaxpr.outvars, outputs, strict=True)
         return [Stored(v.aval.shape, buffer, 0, self) for v, buffer in results]
 

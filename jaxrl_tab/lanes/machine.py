@@ -7,7 +7,9 @@ from typing import Any
 
 from jaxrl_tab.lanes.target import Target
 
-OPTIMIZATION = 2  # of the choice and the order of instructions; what is before it has no other passes to go through
+OPTIMIZATION = (
+    2  # of the choice and the order of instructions; what is before it has no other passes to go through
+)
 CALLED = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_void_p)
 _KERNEL = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void_p] * 4, CALLED)
 

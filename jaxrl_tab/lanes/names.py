@@ -53,7 +53,9 @@ class Names:
 
     def slot(self, dtype: Any) -> str:
         """A new slot: memory for one number of each lane of the block."""
-        return self.layout.function.entry(f"alloca [{self.layout.lanes} x {in_memory(np.dtype(dtype))}], align {LINE}")
+        return self.layout.function.entry(
+            f"alloca [{self.layout.lanes} x {in_memory(np.dtype(dtype))}], align {LINE}"
+        )
 
     def product_in(self, value: Value) -> tuple[int, Value] | None:
         """Where an addition takes a product that nobody else uses: its place, and the product.

@@ -12,7 +12,7 @@ import numpy as np
 from jaxrl_tab.lanes.analysis import Facts
 from jaxrl_tab.lanes.code import Unsupported, Value
 from jaxrl_tab.lanes.text import Writer
-from jaxrl_tab.lanes.types import every, literal, type_of, vector
+from jaxrl_tab.lanes.types import every, is_bool, literal, type_of, vector
 
 
 class Site(NamedTuple):
@@ -63,7 +63,9 @@ class Site(NamedTuple):
     def suffix(self, dtype: Any) -> str:
         """Of the name of a function of LLVM for such numbers."""
         dtype = np.dtype(dtype)
-        return f"{f'v{self.width}' if self.width else ''}{'f' if dtype.kind == 'f' else 'i'}{8 * dtype.itemsize}"
+        return (
+            f"{f'v{self.width}' if self.width else ''}{'f' if dtype.kind == 'f' else 'i'}{8 * dtype.itemsize}"
+        )
 
     def select(self, which: str, yes: str, no: str, dtype: Any = None) -> str:
         kind = self.kind(dtype or self.value.dtype)
@@ -110,11 +112,13 @@ def _bitwise(name: str) -> Callable[[Site], str]:
 
 
 def _not(site: Site) -> str:
-    return site.instruction("xor", site.args[0], site.all(True if site.argument == bool else -1))
+    return site.instruction("xor", site.args[0], site.all(True if is_bool(site.argument) else -1))
 
 
 def _negative(site: Site) -> str:
-    return _negated(site, site.args[0]) if _is_float(site) else site.instruction("sub", site.all(0), *site.args)
+    return (
+        _negated(site, site.args[0]) if _is_float(site) else site.instruction("sub", site.all(0), *site.args)
+    )
 
 
 def _comparison(name: str) -> Callable[[Site], str]:
@@ -146,13 +150,17 @@ def _select(site: Site) -> str:
 
 def _bitcast(site: Site) -> str:
     before, after = site.kind(site.argument), site.type
-    return site.args[0] if before == after else site.writer.value(f"bitcast {before} {site.args[0]} to {after}")
+    return (
+        site.args[0] if before == after else site.writer.value(f"bitcast {before} {site.args[0]} to {after}")
+    )
 
 
 def _sign(site: Site) -> str:
     (x,), dtype = site.args, site.argument
     if dtype.kind == "u":
-        return site.writer.value(f"zext {site.kind(bool)} {site.instruction('icmp ne', x, site.all(0))} to {site.type}")
+        return site.writer.value(
+            f"zext {site.kind(bool)} {site.instruction('icmp ne', x, site.all(0))} to {site.type}"
+        )
     if dtype.kind == "i":
         more, less = (site.instruction(f"icmp {name}", x, site.all(0)) for name in ("sgt", "slt"))
         more, less = (site.writer.value(f"zext {site.kind(bool)} {y} to {site.type}") for y in (more, less))
@@ -221,9 +229,9 @@ def _convert(site: Site) -> str:
     def cast(name: str) -> str:
         return site.writer.value(f"{name} {kind} {x} to {to}")
 
-    if after == bool:
+    if is_bool(after):
         return site.instruction("fcmp une" if before.kind == "f" else "icmp ne", x, site.all(0))
-    if before == bool:
+    if is_bool(before):
         return cast("uitofp" if after.kind == "f" else "zext")
     if before.kind == after.kind == "f":
         return cast("fpext" if before.itemsize < after.itemsize else "fptrunc")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-from jax.extend.core import jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 _NAME = "not_compiled_by_lanes"
 
@@ -44,7 +44,7 @@ def prepared(make: Callable[..., Callable[..., Any]], *args: Any, like: Any) -> 
     jaxpr, structure = calls[-1]
 
     def call(x: Any, results: Any) -> Any:
-        closed = jax.extend.core.ClosedJaxpr(jaxpr, results)
+        closed = ClosedJaxpr(jaxpr, results)
         return jax.tree.unflatten(structure, jaxpr_as_fun(closed)(*jax.tree.leaves(x)))
 
     return lambda x: outside(call)(x, results)

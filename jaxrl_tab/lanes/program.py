@@ -76,7 +76,10 @@ class Program(NamedTuple):
             head["scratch"],
             [_kind_of(*x) for x in head["inputs"]],
             [_kind_of(*x) for x in head["outputs"]],
-            [np.frombuffer(x, dtype).reshape(shape) for x, (shape, dtype) in zip(parts, tables, strict=False)],
+            [
+                np.frombuffer(x, dtype).reshape(shape)
+                for x, (shape, dtype) in zip(parts, tables, strict=False)
+            ],
             [
                 Exported(x, *([_kind_of(*kind) for kind in kinds] for kinds in both))
                 for x, both in zip(parts[len(tables) :], head["calls"], strict=True)

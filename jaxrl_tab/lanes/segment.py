@@ -203,7 +203,9 @@ class Segment(Vectors):
     def _load(self, value: Value) -> str:
         buffer, index, kind = value.attr, value.args[0], in_memory(value.dtype)
         if not self._at_once(buffer, index):
-            numbers = [self.value(f"load {kind}, ptr {address}") for address in self._addresses(buffer, index)]
+            numbers = [
+                self.value(f"load {kind}, ptr {address}") for address in self._addresses(buffer, index)
+            ]
             return self.from_memory(self.joined(kind, numbers), value.dtype)
         address, whole = self._side_by_side(buffer, index), vector(self.width, kind)
         x = self.value(f"load {whole}, ptr {address}, align {self.alignment(value.dtype)}")
@@ -226,7 +228,11 @@ class Segment(Vectors):
 
     def _store(self, value: Value) -> None:
         buffer, (index, x), kind = value.attr, self.facts.args(value), in_memory(value.dtype)
-        numbers, mask, whole = self.to_memory(self.vector(x), value.dtype), self.mask(), vector(self.width, kind)
+        numbers, mask, whole = (
+            self.to_memory(self.vector(x), value.dtype),
+            self.mask(),
+            vector(self.width, kind),
+        )
         if not self._at_once(buffer, index):
             for j, address in enumerate(self._addresses(buffer, index, mask)):
                 number = self.value(f"extractelement {whole} {numbers}, i32 {j}")
@@ -270,4 +276,6 @@ def uniform(names: Names, writer: Writer, value: Value) -> str:
 def uniform_address(names: Names, writer: Writer, value: Value) -> str:
     """Where the entry lies that a load or a store wants, of a buffer that is the same in all lanes."""
     index = writer.value(f"sext i32 {names.scalar(value.args[0])} to i64")
-    return writer.value(f"getelementptr {in_memory(value.dtype)}, ptr {names.layout.place(value.attr)}, i64 {index}")
+    return writer.value(
+        f"getelementptr {in_memory(value.dtype)}, ptr {names.layout.place(value.attr)}, i64 {index}"
+    )

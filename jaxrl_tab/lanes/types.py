@@ -16,9 +16,13 @@ def type_of(dtype: Any) -> str:
     return TYPES[name]
 
 
+def is_bool(dtype: Any) -> bool:
+    return np.dtype(dtype).kind == "b"
+
+
 def in_memory(dtype: Any) -> str:
     """A single number in memory, where a bool takes a byte."""
-    return "i8" if np.dtype(dtype) == bool else type_of(dtype)
+    return "i8" if is_bool(dtype) else type_of(dtype)
 
 
 def bytes_of(dtype: Any) -> int:
@@ -42,5 +46,3 @@ def literal(number: Any) -> str:
 def every(width: int, kind: str, number: str) -> str:
     """A literal in all lanes."""
     return f"splat ({kind} {number})" if width else number
-
-

@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxrl_tab.lanes.layout import LINE, Layout
 from jaxrl_tab.lanes.text import Writer
-from jaxrl_tab.lanes.types import bytes_of, in_memory, type_of, vector
+from jaxrl_tab.lanes.types import bytes_of, in_memory, is_bool, type_of, vector
 
 
 class Vectors(Writer):
@@ -63,12 +63,12 @@ class Vectors(Writer):
         kind = vector(self.width, in_memory(dtype))
         address = self.head.value(f"getelementptr {kind}, ptr {slot}, i32 {self.group}")
         x = self.head.value(f"load {kind}, ptr {address}, align {self.alignment(dtype)}")
-        return self.head.value(f"trunc {kind} {x} to {self.kind(bool)}") if dtype == bool else x
+        return self.head.value(f"trunc {kind} {x} to {self.kind(bool)}") if is_bool(dtype) else x
 
     def store_slot(self, slot: str, dtype: Any, x: str) -> None:
         """What it holds from the end of the segment on."""
         kind = vector(self.width, in_memory(dtype))
-        x = self.last.value(f"zext {self.kind(bool)} {x} to {kind}") if dtype == bool else x
+        x = self.last.value(f"zext {self.kind(bool)} {x} to {kind}") if is_bool(dtype) else x
         address = self.last.value(f"getelementptr {kind}, ptr {slot}, i32 {self.group}")
         self.last.line(f"store {kind} {x}, ptr {address}, align {self.alignment(dtype)}")
 
@@ -96,7 +96,9 @@ class Vectors(Writer):
     def lanes_of(self, x: str) -> list[str]:
         """The numbers of a vector of indices, none of which is negative, as 64 bits."""
         if x not in self.elements:
-            parts = [self.value(f"extractelement {self.kind(np.int32)} {x}, i32 {j}") for j in range(self.width)]
+            parts = [
+                self.value(f"extractelement {self.kind(np.int32)} {x}, i32 {j}") for j in range(self.width)
+            ]
             self.elements[x] = [self.value(f"zext i32 {part} to i64") for part in parts]
         return self.elements[x]
 
@@ -108,12 +110,12 @@ class Vectors(Writer):
         return whole
 
     def from_memory(self, x: str, dtype: Any) -> str:
-        if dtype != bool:
+        if not is_bool(dtype):
             return x
         return self.value(f"trunc {vector(self.width, 'i8')} {x} to {self.kind(bool)}")
 
     def to_memory(self, x: str, dtype: Any) -> str:
-        if dtype != bool:
+        if not is_bool(dtype):
             return x
         return self.value(f"zext {self.kind(bool)} {x} to {vector(self.width, 'i8')}")
 
@@ -139,7 +141,9 @@ class Vectors(Writer):
 
         def mixed(a: str, b: str, places: tuple[int, ...]) -> str:
             """The same places of each four, of which those from 4 on are of `b`."""
-            return shuffled(a, b, w, [(i if i < 4 else i - 4 + w) + k for k in range(0, w, 4) for i in places])
+            return shuffled(
+                a, b, w, [(i if i < 4 else i - 4 + w) + k for k in range(0, w, 4) for i in places]
+            )
 
         a = [joined([rows[4 * part + k] for part in range(w // 4)], 4) for k in range(4)]
         low, high = (0, 4, 1, 5), (2, 6, 3, 7)
