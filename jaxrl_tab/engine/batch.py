@@ -84,6 +84,10 @@ def _compiled(runs: Runs, room: int, devices: Sequence[Any] | None) -> ByLanes |
             if backend.asked() == "lanes":
                 raise InputError(f"{line}; take the backend 'xla' or 'auto'") from None
             _tell(f"{line}; XLA compiles it")
+    elif backend.asked() == "auto" and not backend.is_installed() and jax.default_backend() == "cpu":
+        _tell(
+            "XLA compiles the runs, which makes them slower than lanes, which needs llvmlite: pip install llvmlite"
+        )
     return ByXLA(runs, room, devices)
 
 

@@ -20,7 +20,7 @@ from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import RunError
 from jaxrl_tab.engine import programs
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.room import CALL_BYTES, Signature, signature, traced_program
+from jaxrl_tab.engine.room import CALL_BYTES, LANES, Signature, is_no_memory, signature, traced_program
 from jaxrl_tab.engine.runs import Runs
 from jaxrl_tab.lanes import machine
 from jaxrl_tab.lanes.kernel import Kernel, Stop
@@ -54,7 +54,10 @@ class ByLanes:
 
     def __init__(self, runs: Runs, room: int, devices: Sequence[Any] | None):
         """Compiles. Raises Unsupported where the program holds something for which there is no rule."""
-        self.runs, self.threads = runs, threads(devices)
+        # `room` is that of a device. There may be more threads, but no more than there is memory for.
+        on_all = room * len(devices or jax.local_devices())
+        self.runs = runs
+        self.threads = max(1, min(threads(devices), on_all // runs.needs.call.bytes(LANES, blocks=1)))
         results, self._tree = jax.tree.flatten(runs.needs.results)
         arguments = runs.arguments(np.array(0))
         of_thread = -(-len(runs) // self.threads)
@@ -64,26 +67,28 @@ class ByLanes:
         self._kernel = _kernel(runs.budget, signature(arguments), _Shared(arguments), len(results), lanes)
         self.lanes, scratch = self._kernel.program.lanes, self._kernel.program.scratch
         # While a thread works on some blocks, what it gave before may still wait to be kept.
-        self.most = max(1, (min(room, CALL_BYTES) - scratch) // (2 * self.lanes * runs.needs.call.kept))
+        self.most = max(1, (min(on_all // self.threads, CALL_BYTES) - scratch) // (2 * self.lanes * runs.needs.call.kept))
 
     def results(self) -> Generator[tuple[np.ndarray, Any]]:
         """The places of some runs, int [n], and what they gave: their tables and the Log, [n, ...] each."""
-        first, blocks, stop = 0, 1, Stop()
+        first, blocks = 0, 1
         again: list[tuple[int, int]] = []  # tasks for which there was not enough memory, cut in two
-        pending: dict[Future, tuple[int, int]] = {}
+        pending: dict[Future, tuple[int, int, Stop]] = {}
         with ThreadPoolExecutor(self.threads) as pool:
             try:
                 while first < len(self.runs) or again or pending:
                     # One task more than there are threads, so that none ever waits for this one.
                     while (first < len(self.runs) or again) and len(pending) <= self.threads:
-                        task = again.pop() if again else (first, blocks)
-                        pending[pool.submit(self._run, *task, stop)] = task
+                        task = *(again.pop() if again else (first, blocks)), Stop()
+                        pending[pool.submit(self._run, *task)] = task
                         first = max(first, task[0] + task[1] * self.lanes)
                     for future in wait(pending, ASK_SECONDS, FIRST_COMPLETED).done:
-                        begin, size = pending.pop(future)
+                        begin, size, _ = pending.pop(future)
                         try:
                             places, output, seconds = future.result()
-                        except MemoryError:
+                        except (MemoryError, jax.errors.JaxRuntimeError) as error:
+                            if not is_no_memory(error):
+                                raise
                             again += self._halves(begin, size)
                             blocks = 1
                             continue
@@ -92,7 +97,8 @@ class ByLanes:
                         left = -(-(len(self.runs) - first) // (2 * self.threads * self.lanes))
                         blocks = max(1, min(self.most, int(size * TASK_SECONDS / seconds), left))
             finally:  # also where it is interrupted, or nobody wants the rest
-                stop.set()
+                for *_, stop in pending.values():
+                    stop.set()
 
     def _halves(self, first: int, blocks: int) -> list[tuple[int, int]]:
         """A task in two. Raises RunError where it is too small for that."""

@@ -171,6 +171,11 @@ def smaller_call(call: memory.Call, lanes: int, most: int, devices: Sequence[Any
     return smaller
 
 
+def is_no_memory(error: BaseException) -> bool:
+    """Whether an error says that the memory ran out: Python's, or that of XLA."""
+    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
+
+
 def program_arguments(budget: Budget, root: Any, seed: Any, algorithm: Any, env: Any) -> tuple:
     """The arguments of a program; for exact values with the numbers of method and environment in full."""
     full = in_full if budget.exact else lambda _: None
