@@ -60,14 +60,13 @@ class ByLanes:
         self.threads = max(1, min(threads(devices), on_all // runs.needs.call.bytes(LANES, blocks=1)))
         results, self._tree = jax.tree.flatten(runs.needs.results)
         arguments = runs.arguments(np.array(0))
-        of_thread = -(-len(runs) // self.threads)
-        lanes = next(
-            size for size in (1, host().width, MANY) if of_thread <= size
-        )  # so few programs are made
+        most = -(-len(runs) // self.threads)
+        lanes = next(size for size in (1, host().width, MANY) if most <= size)  # so few programs are made
         self._kernel = _kernel(runs.budget, signature(arguments), _Shared(arguments), len(results), lanes)
         self.lanes, scratch = self._kernel.program.lanes, self._kernel.program.scratch
         # While a thread works on some blocks, what it gave before may still wait to be kept.
-        self.most = max(1, (min(on_all // self.threads, CALL_BYTES) - scratch) // (2 * self.lanes * runs.needs.call.kept))
+        of_thread = min(on_all // self.threads, CALL_BYTES)
+        self.most = max(1, (of_thread - scratch) // (2 * self.lanes * runs.needs.call.kept))
 
     def results(self) -> Generator[tuple[np.ndarray, Any]]:
         """The places of some runs, int [n], and what they gave: their tables and the Log, [n, ...] each."""

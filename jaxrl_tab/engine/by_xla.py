@@ -33,7 +33,14 @@ from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.room import Signature, is_no_memory, signature, smaller_call, traced_program, width_of_call
+from jaxrl_tab.engine.room import (
+    Signature,
+    is_no_memory,
+    signature,
+    smaller_call,
+    traced_program,
+    width_of_call,
+)
 from jaxrl_tab.engine.runs import Runs
 
 CALL_SECONDS = 0.2  # about so long a call shall take
