@@ -80,7 +80,7 @@ CASES = {
     "expected-sarsa": Case("trace-gridworld", "expected-sarsa", ALPHAS),
     "monte-carlo": Case("blackjack", "monte-carlo", episodes=20),
     "n-step-sarsa": Case("windy-gridworld", "n-step-sarsa", ALPHAS | {"n": 3}),
-    "sarsa-lambda": Case("easy21", "sarsa-lambda", {"lambda_": [0.0, 0.3, 0.9]}),
+    "sarsa-lambda": Case("easy21", "sarsa-lambda", {"lam": [0.0, 0.3, 0.9]}),
     "sarsa-lambda-forward": Case("two-doors", "sarsa-lambda-forward", ALPHAS, episodes=20),
     "q-lambda": Case("cliff-walking", "q-lambda", ALPHAS),
     "double-q-learning": Case("maximization-bias", "double-q-learning", episodes=20),
