@@ -282,27 +282,34 @@ OWN = '''
 import jax, jax.numpy as jnp
 import jaxrl_tab as rl
 
+endless = lambda x: jax.lax.while_loop(lambda x: x >= 0, lambda x: (x * 3 + 1) % 7, x)
+
 @rl.pytree
 class Stuck(rl.envs.TwoDoors):
     """Whoever opens a door waits for ever."""
 
     def step(self, key, s, a):
-        waits = jax.lax.while_loop(lambda x: x >= 0, lambda x: (x * 3 + 1) % 7, START)
-        return super().step(key, s, a + 0 * waits)
+        return super().step(key, s, a + 0 * (WAITS))
 '''
+STUCK = {
+    "some.py": "endless(a)",
+    "all.py": "endless(jnp.int32(1))",
+    "within.py": "jax.lax.while_loop(lambda x: x < 3, lambda x: x + 1 + 0 * endless(jnp.int32(1)), a)",
+}
 LONG = {
     "a block that takes long": "windy-gridworld sarsa --steps 1000000000 --log-every 500000000",
     "episodes that take long": "windy-gridworld sarsa --episodes 1000000000 --log-every 500000000",
-    "a loop that never ends": "a.py:Stuck sarsa --steps 100",
+    "a loop that never ends": "some.py:Stuck sarsa --steps 100",
     "one that never ends in any run": "all.py:Stuck sarsa --steps 100",
+    "one in a loop that runs leave one by one": "within.py:Stuck sarsa --steps 100",
 }
 
 
 @pytest.mark.parametrize("which", LONG)
 def test_ctrl_c_ends_a_kernel(tmp_path, which):
     """By itself: nothing has to end the process. Broken once: a loop does not ask -> hangs until it is killed."""
-    (tmp_path / "a.py").write_text(OWN.replace("START", "a"))
-    (tmp_path / "all.py").write_text(OWN.replace("START", "jnp.int32(1)"))
+    for name, waits in STUCK.items():
+        (tmp_path / name).write_text(OWN.replace("WAITS", waits))
     code = (
         "import sys; from jaxrl_tab import cli; from jaxrl_tab.engine import by_lanes\n"
         "run = by_lanes.ByLanes._run\n"

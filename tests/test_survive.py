@@ -469,7 +469,7 @@ def little_memory(monkeypatch):
 def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog):
     """First blocks of a call, then lanes; the same to the last bit. Broken once: down to 2 lanes -> fails."""
     most, asked = little_memory
-    given = {"num_seeds": 70, "num_steps": 200, "exact": True}
+    given = {"num_seeds": 70, "num_steps": 200, "exact": True, "backend": "xla"}
     most[0] = 2**20
     expected = rl.sweep(windy, "sarsa", {"alpha": [0.3, 0.7]}, **given)
     for most[0], shape in ((64, (1, 64)), (8, (1, 8))):
@@ -494,7 +494,7 @@ def test_other_errors_of_jax_are_not_taken_for_want_of_memory(windy, monkeypatch
 
     monkeypatch.setattr(by_xla, "_compiled", lambda *_: broken)
     with pytest.raises(jax.errors.JaxRuntimeError, match="broken"):
-        rl.sweep(windy, "sarsa", {}, num_seeds=1, num_steps=10)
+        rl.sweep(windy, "sarsa", {}, num_seeds=1, num_steps=10, backend="xla")
 
 
 # --- diverged ----------------------------------------------------------------------------------------
