@@ -1,34 +1,79 @@
 """A function of JAX arrays, compiled by `lanes` and by XLA, and what both give for the same lanes."""
 
+import re
 from typing import Any
+from unittest import mock
 
 import jax
 import numpy as np
 
-from jaxrl_tab.lanes.kernel import compile as compile_lanes
+from jaxrl_tab.lanes import kernel
+from jaxrl_tab.lanes.program import compile as compile_lanes
+from jaxrl_tab.lanes.target import Target, host
 
-WIDTH, GROUPS = 8, 2  # lanes of a vector, and vectors of a block
-LANES = WIDTH * GROUPS
+GUARD = 4096  # bytes on each side of an array, which a kernel must leave alone
 
 
-def by_lanes(function: Any, *args: np.ndarray, shared: Any = (), width: int = WIDTH) -> list[np.ndarray]:
+def narrow() -> Target:
+    """This processor with its shortest vectors: code for them is made several times as fast."""
+    wide = re.compile(r"\+(avx512\w*|avx10\w*|avx2|evex512|vaes|vpclmulqdq|gfni|amx\w*)(?=,|$)")
+    return host()._replace(features=wide.sub(r"-\1", host().features))
+
+
+class Guarded:
+    """NumPy for a kernel, with guards around all memory that it writes."""
+
+    def __init__(self) -> None:
+        self.memory: list[np.ndarray] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(np, name)
+
+    def empty(self, shape: Any, dtype: Any) -> np.ndarray:
+        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        self.memory.append(np.full(size + 2 * GUARD, 0xA5, np.uint8))
+        return self.memory[-1][GUARD : GUARD + size].view(dtype).reshape(shape)
+
+    def zeros(self, shape: Any, dtype: Any) -> np.ndarray:
+        x = self.empty(shape, dtype)
+        x[...] = 0
+        return x
+
+    def copy(self, x: np.ndarray) -> np.ndarray:
+        y = self.empty(x.shape, x.dtype)
+        y[...] = x
+        return y
+
+    def check(self) -> None:
+        for memory in self.memory:
+            assert (memory[:GUARD] == 0xA5).all(), "written before an array"
+            assert (memory[-GUARD:] == 0xA5).all(), "written behind an array"
+
+
+def by_lanes(
+    function: Any, *args: np.ndarray, shared: Any = (), target: Target | None = None
+) -> list[np.ndarray]:
     """What the machine code of `lanes` gives, for arguments with a leading axis of lanes.
+
+    Nothing may be written beside the memory that it is given.
 
     Args:
         function: of one lane's arrays.
         args: its arguments; their number of lanes is padded to whole blocks with lanes of zeros.
         shared: further arguments, the same in all lanes.
-        width: lanes of a vector.
+        target: the processor for which it is compiled, by default this one with short vectors.
     """
-    lanes = len(args[0])
-    padded = -(-lanes // (width * GROUPS)) * width * GROUPS
+    count = len(args[0])
     closed = jax.make_jaxpr(function)(*(x[0] for x in args), *shared)
     varying = [True] * len(args) + [False] * len(shared)
-    kernel = compile_lanes(closed, varying, [None] * len(args) + list(shared), width, GROUPS)
-    full = [np.concatenate([x, np.zeros((padded - lanes, *x.shape[1:]), x.dtype)]) for x in args]
-    results = kernel(padded, *(x.reshape(padded, *([-1] if x[0].size > 1 else [])) for x in full))
-    shapes = [v.aval.shape for v in closed.jaxpr.outvars]
-    return [y[:lanes].reshape(lanes, *shape) for y, shape in zip(results, shapes, strict=True)]
+    program = compile_lanes(closed, varying, [None] * len(args) + list(shared), target=target or narrow())
+    more = -count % program.lanes
+    full = [np.concatenate([x, np.zeros((more, *x.shape[1:]), x.dtype)]) for x in args]
+    guarded = Guarded()
+    with mock.patch.object(kernel, "np", guarded):
+        results = kernel.Kernel(program)(*map(guarded.copy, full))
+    guarded.check()
+    return [y[:count] for y in results]
 
 
 def by_xla(function: Any, *args: np.ndarray, shared: Any = ()) -> list[np.ndarray]:
@@ -39,7 +84,7 @@ def by_xla(function: Any, *args: np.ndarray, shared: Any = ()) -> list[np.ndarra
 
 def assert_same_bits(results: Any, expected: Any) -> None:
     """Equal dtypes and bits; any NaN is as good as another."""
-    for x, y in zip(results, expected, strict=True):
+    for k, (x, y) in enumerate(zip(results, expected, strict=True)):
         assert x.dtype == y.dtype
         assert x.shape == y.shape
         same = x == y
@@ -48,10 +93,10 @@ def assert_same_bits(results: Any, expected: Any) -> None:
             same = (x.view(words) == y.view(words)) | (np.isnan(x) & np.isnan(y))
         places = np.argwhere(~same)[:5]
         shown = [(tuple(map(int, at)), x[tuple(at)], y[tuple(at)]) for at in places]
-        assert same.all(), f"{(~same).sum()} of {same.size} differ: {shown}"
+        assert same.all(), f"of result {k}, {(~same).sum()} of {same.size} differ: {shown}"
 
 
-def assert_as_xla(function: Any, *args: np.ndarray, shared: Any = (), width: int = WIDTH) -> None:
+def assert_as_xla(function: Any, *args: np.ndarray, shared: Any = (), target: Target | None = None) -> None:
     assert_same_bits(
-        by_lanes(function, *args, shared=shared, width=width), by_xla(function, *args, shared=shared)
+        by_lanes(function, *args, shared=shared, target=target), by_xla(function, *args, shared=shared)
     )

@@ -77,9 +77,31 @@ def _selected(_: Any, dtype: np.dtype, args: Any) -> Any:
     return None if which.number is None else (yes if which.number else no)
 
 
+def _of_one_choice(name: str) -> Callable[..., Any]:
+    """Two numbers that are chosen by the same condition are added before it, if one of the sums is known.
+
+    LLVM does that in XLA's code, and a product among them is then fused with the sum.
+    """
+
+    def simplify(code: Any, dtype: np.dtype, args: Any) -> Any:
+        if dtype.kind != "f" or not all(x.op == "select" for x in args):
+            return None
+        (which, no, yes), (other, no_more, yes_more) = (x.args for x in args)
+        if which is not other or not any(
+            x.op == y.op == "const" for x, y in ((no, no_more), (yes, yes_more))
+        ):
+            return None
+        either = (code.op(name, dtype, no, no_more), code.op(name, dtype, yes, yes_more))
+        return code.op("select", dtype, which, *either)
+
+    return simplify
+
+
 OPERATIONS: dict[str, Operation] = {
     **{
-        name: Operation(lambda _, *x, f=function: f(*x))
+        name: Operation(
+            lambda _, *x, f=function: f(*x), _of_one_choice(name) if name in ("add", "sub") else None
+        )
         for name, function in {
             "add": np.add,
             "sub": np.subtract,
