@@ -166,22 +166,19 @@ def words(stream: Stream, first: Int[Array, ""], steps: int, decision: int) -> W
     """The words of `decision` in the steps `first`, ..., `first + steps - 1`, as `word` gives them.
 
     They are worked out call by call, in a loop, so that under `vmap` the lanes lie side by side in memory.
-    Both words of a call leave the loop as the halves of one complex number: of two results XLA would compute
-    each by itself, and so do all the work twice.
     """
     first = first.astype(jnp.uint32)
-    as_real, as_word = (partial(lax.bitcast_convert_type, new_dtype=t) for t in (jnp.float32, jnp.uint32))
 
     def call(_, i):
-        return None, lax.complex(*map(as_real, _call(stream, (first >> 1) + i, decision)))
+        return None, _call(stream, (first >> 1) + i, decision)
 
-    _, both = lax.scan(call, None, jnp.arange(steps // 2 + 1, dtype=jnp.uint32))
-    return Words(first & 1 == 1, as_word(lax.real(both)), as_word(lax.imag(both)))
+    _, (even, odd) = lax.scan(call, None, jnp.arange(steps // 2 + 1, dtype=jnp.uint32))
+    return Words(first & 1 == 1, even, odd)
 
 
 def bytes_of_words(steps: int) -> int:
-    """The bytes that `words` takes for so many steps: each word alone, and as half of a complex number."""
-    return 16 * (steps // 2 + 1)
+    """The bytes that `words` takes for so many steps."""
+    return 8 * (steps // 2 + 1)
 
 
 def _call(stream: Stream, call: Array, decision: int) -> tuple[Array, Array]:
