@@ -2,13 +2,12 @@
 
 import pytest
 
-from jaxrl_tab import batch
-from jaxrl_tab.engine import programs, room
+from jaxrl_tab.engine import by_xla, programs, room
 
 
 def forget():
     """As a new process would."""
-    for cached in (room._needs, room.traced_program, batch._compiled):
+    for cached in (room.needs_of_program, room.traced_program, by_xla._compiled):
         cached.cache_clear()
     look_again()
 

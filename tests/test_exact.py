@@ -12,7 +12,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning
-from jaxrl_tab.engine.train import _restored, in_full
+from jaxrl_tab.engine.traced import _restored, in_full
 from jaxrl_tab.exact.values import iterate_policies
 
 S, A = 6, 2

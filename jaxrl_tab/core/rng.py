@@ -109,6 +109,11 @@ def as_key(word: UInt32[Array, "*n"]) -> Key[Array, "*n"]:
     return jax.random.wrap_key_data(word[..., None], impl=_word_impl)
 
 
+def is_threefry(key: PRNGKeyArray) -> bool:
+    """Whether it is a key of Threefry, of the new kind or the old."""
+    return str(jax.random.key_impl(key)) == "threefry2x32"
+
+
 def check_key(key: Any) -> None:
     """Raises InputError unless `key` is one JAX key, of the new kind (`key`) or the old (`PRNGKey`)."""
     try:

@@ -5,11 +5,16 @@ Its modules, from the ground up:
     budget      how long a run is, and what is recorded of it
     log         what is recorded of a run, row by row
     loop        step after step of an agent in its environment
-    train       one run, checked and compiled
+    traced      one run as a function that is traced
+    backend     by what runs are compiled: by `lanes`, or by XLA
     provenance  what the bits of a result depend on beside the experiment
-    programs    what is compiled outlives the process
+    programs    compiled programs that outlive the process
     room        how much memory runs take, and so how many are computed at once
-    batch       many runs as one program, on all devices
+    runs        the runs of a batch, as what a program takes
+    by_lanes    runs on a CPU that `lanes` compiles, in threads
+    by_xla      runs that XLA compiles, on all devices
+    batch       many runs at once
+    train       one run, checked, compiled and measured
     axes        what a sweep tries of a hyperparameter: grids in steps, and random draws
     part        one method in one environment, with all its configurations and seeds
     results     what a sweep gives, with named axes, and how it is saved

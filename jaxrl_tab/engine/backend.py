@@ -7,6 +7,7 @@ performance lists, and `lanes` is two to three times as fast.
 
 import contextlib
 import importlib.util
+import logging
 import os
 from collections.abc import Iterator
 from contextvars import ContextVar
@@ -48,6 +49,24 @@ def using(name: str) -> Iterator[None]:
         yield
     finally:
         _asked.reset(token)
+
+
+def fall_back(algorithm: Any, env: Any, reason: Exception) -> None:
+    """Says, once, that XLA compiles a method in an environment, since `lanes` does not.
+
+    Raises:
+        InputError: `lanes` was asked for.
+    """
+    line = f"{type(algorithm).__name__} in {type(env).__name__} is not compiled by lanes: {reason}"
+    if asked() == "lanes":
+        raise InputError(f"{line}; take the backend 'xla' or 'auto'") from None
+    _tell(f"{line}; XLA compiles it")
+
+
+@cache
+def _tell(line: str) -> None:
+    """Logs the line, the first time only."""
+    logging.getLogger(__name__).warning("%s", line)
 
 
 def choose(name: str) -> None:

@@ -6,17 +6,14 @@ anything is compiled: see `room.plan`.
 """
 
 import contextlib
-import logging
 import sys
 import time
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.types import Algorithm, Environment
 from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.budget import Budget
@@ -79,15 +76,5 @@ def _compiled(runs: Runs, room: int, devices: Sequence[Any] | None) -> ByLanes |
         try:
             return ByLanes(runs, room, devices)
         except Unsupported as reason:
-            method, env = type(runs.algorithms).__name__, type(runs.env).__name__
-            line = f"{method} in {env} is not compiled by lanes: {reason}"
-            if backend.asked() == "lanes":
-                raise InputError(f"{line}; take the backend 'xla' or 'auto'") from None
-            _tell(f"{line}; XLA compiles it")
+            backend.fall_back(runs.algorithms, runs.env, reason)
     return ByXLA(runs, room, devices)
-
-
-@cache
-def _tell(line: str) -> None:
-    """Logs the line, the first time only."""
-    logging.getLogger(__name__).warning("%s", line)

@@ -16,13 +16,23 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxrl_tab.core import memory
+from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.checks import RunError
-from jaxrl_tab.engine import programs
+from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
+from jaxrl_tab.engine import backend, programs
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.room import CALL_BYTES, Signature, signature, traced_program
+from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.room import (
+    CALL_BYTES,
+    Signature,
+    needs_of_program,
+    program_arguments,
+    signature,
+    traced_program,
+)
 from jaxrl_tab.engine.runs import Runs
 from jaxrl_tab.lanes import machine
+from jaxrl_tab.lanes.code import Unsupported
 from jaxrl_tab.lanes.kernel import Kernel, Stop
 from jaxrl_tab.lanes.program import MANY, Program, compile
 from jaxrl_tab.lanes.target import host
@@ -116,6 +126,30 @@ class ByLanes:
         return there, output, time.perf_counter() - begun
 
 
+def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> tuple[Any, Log] | None:
+    """What a single run gives, as `train`; None where it is not compiled by `lanes`.
+
+    Raises:
+        InputError: `lanes` was asked for, and does not compile this.
+    """
+    if backend.chosen() != "lanes" or not rng.is_threefry(key):
+        return None
+    arguments = program_arguments(budget, key, None, algorithm, env)
+    of_run = signature(arguments)
+    try:
+        kernel = _kernel(budget, of_run, _Shared(arguments), None, 1)
+    except Unsupported as reason:
+        backend.fall_back(algorithm, env, reason)
+        return None
+    lanes = kernel.program.lanes
+    inputs = [np.broadcast_to(x, (lanes, *x.shape)) for x in map(_plain, jax.tree.leaves(arguments[:-1]))]
+    outputs = [jax.numpy.asarray(x[0]) for x in kernel(*inputs)]
+    learner = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
+    _, log = needs_of_program(budget, of_run).results
+    (_, log), learner = jax.tree.unflatten(jax.tree.structure(((0, log), learner)), outputs)
+    return learner, log
+
+
 class _Shared:
     """What is the same for all runs of a program: the leaves of the environment. Two that are equal are one key."""
 
@@ -144,8 +178,10 @@ def _inputs(arguments: tuple, lanes: int) -> list[np.ndarray]:
 
 
 @functools.lru_cache(maxsize=64)
-def _kernel(budget: Budget, signature: Signature, shared: _Shared, results: int, lanes: int) -> Kernel:
-    """The program for blocks of at most so many lanes. It gives the first `results` arrays that a run gives."""
+def _kernel(
+    budget: Budget, signature: Signature, shared: _Shared, results: int | None, lanes: int
+) -> Kernel:
+    """The program for so many lanes. It gives the first `results` arrays that a run gives, or all."""
 
     def make() -> Program:
         closed = traced_program(budget, signature).jaxpr
@@ -153,5 +189,5 @@ def _kernel(budget: Budget, signature: Signature, shared: _Shared, results: int,
         varying = [True] * inputs + [False] * len(shared.leaves)
         return compile(closed, varying, [*[None] * inputs, *shared.leaves], results, lanes=lanes)
 
-    name = "lanes", machine.version(), host(), budget, signature.name, shared.digest, lanes
+    name = "lanes", machine.version(), host(), budget, signature.name, shared.digest, results, lanes
     return Kernel(programs.kept(name, make, Program.to_bytes, Program.from_bytes))

@@ -16,7 +16,7 @@ from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.loop import bytes_of_words
-from jaxrl_tab.engine.train import in_full, unchecked
+from jaxrl_tab.engine.traced import in_full, unchecked
 from jaxrl_tab.exact import planning
 
 LANES = 64
@@ -172,7 +172,10 @@ def smaller_call(call: memory.Call, lanes: int, most: int, devices: Sequence[Any
 
 
 def program_arguments(budget: Budget, root: Any, seed: Any, algorithm: Any, env: Any) -> tuple:
-    """The arguments of a program; for exact values with the numbers of method and environment in full."""
+    """The arguments of a program; for exact values with the numbers of method and environment in full.
+
+    Where `seed` is None, `root` is the key of the one run.
+    """
     full = in_full if budget.exact else lambda _: None
     return jax.random.key_data(root), seed, (algorithm, full(algorithm)), (env, full(env))
 
@@ -219,11 +222,11 @@ class Needs(NamedTuple):
 
 def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Needs:
     """What one run of this method needs of memory. Its hyperparameters are arrays, whose values do not matter."""
-    return _needs(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
+    return needs_of_program(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
 
 
 @functools.lru_cache(maxsize=64)
-def _needs(budget: Budget, signature: Signature) -> Needs:
+def needs_of_program(budget: Budget, signature: Signature) -> Needs:
     return programs.kept(
         ("needs", budget, signature.name), lambda: _traced_needs(budget, signature), _packed, _unpacked
     )
@@ -282,7 +285,9 @@ def traced_program(budget: Budget, signature: Signature) -> Any:
     def one(root, seed, algorithms, envs):
         (algorithm, exact_algorithm), (env, exact_env) = algorithms, envs
         full = (exact_algorithm, exact_env) if budget.exact else None
-        state, log = unchecked(jax.random.fold_in(rng.from_data(root), seed), algorithm, env, full, budget)
+        key = rng.from_data(root)
+        key = key if seed is None else jax.random.fold_in(key, seed)
+        state, log = unchecked(key, algorithm, env, full, budget)
         return (state.q, log), state
 
     return jax.jit(one).trace(*signature.arguments)

@@ -134,7 +134,7 @@ def block(code: Lowering, facts: Facts, target: Target, lanes: int) -> tuple[int
     """
     width = target.width
     if lanes == 1:
-        return 1, 1
+        return FEWEST_IN_CALLS if code.calls else 1, 1
     groups = -(-FEWEST_IN_CALLS // width) if code.calls else 1
     if lanes <= width or _leave_one_by_one(code, facts):
         return width, groups
