@@ -11,10 +11,9 @@ import psutil
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab import batch
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError
-from jaxrl_tab.engine import room
+from jaxrl_tab.engine import by_lanes, by_xla, room
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.experiment import shards
 
@@ -50,7 +49,7 @@ def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
     devices, lanes = tuple(jax.devices()[:1]), (1, blocks, room.LANES)
     one = room.needs_of(env, method, root, budget)
     many = jax.tree.map(lambda x: np.full(lanes, x), (np.uint32(0), method))
-    found = batch._compiled(
+    found = by_xla._compiled(
         devices, budget, room.signature(room.program_arguments(budget, root, *many, env))
     ).memory_analysis()
     total = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
@@ -63,9 +62,10 @@ def leaves(result):
 
 @pytest.fixture(scope="module")
 def grid(windy):
-    """Two programs, whose runs lie among one another; 2 x 3 x 300 runs."""
+    """Two programs, whose runs lie among one another; 2 x 3 x 300 runs. By XLA, if nothing else is said."""
     swept = {"alpha": [0.5, 0.3], "epsilon": [0.1, rl.schedules.glie(), 0.7]}
-    return lambda **options: rl.sweep(windy, "sarsa", swept, num_seeds=300, **BUDGET, **options)
+    by_xla = {"backend": "xla"}
+    return lambda **options: rl.sweep(windy, "sarsa", swept, num_seeds=300, **BUDGET, **by_xla | options)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def all_at_once(grid):
 def widths(monkeypatch):
     """Notes (lanes, blocks of them in a call at most) of each program."""
     noted, width = [], room.width_of_call
-    monkeypatch.setattr(batch, "width_of_call", lambda *x: noted.append(width(*x)) or noted[-1])
+    monkeypatch.setattr(by_xla, "width_of_call", lambda *x: noted.append(width(*x)) or noted[-1])
     return noted
 
 
@@ -92,8 +92,9 @@ def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, widths, caplog)
         "the results of 1800 runs need 2.09 MB; there is room for 500 kB in memory, "
         f"so they are kept in files in {tempfile.gettempdir()}"
     ]
-    for x, y in zip(leaves(little), leaves(all_at_once), strict=True):
-        np.testing.assert_array_equal(x, y)
+    for result in (little, grid(memory=500_000, backend="lanes")):
+        for x, y in zip(leaves(result), leaves(all_at_once), strict=True):
+            np.testing.assert_array_equal(x, y)
 
 
 def test_what_is_free_in_the_machine_is_asked_of_psutil(monkeypatch):
@@ -148,7 +149,8 @@ def test_sizes_in_words():
 
 
 def test_what_does_not_fit_is_refused(grid, monkeypatch):
-    monkeypatch.setattr(batch, "_compiled", lambda *_: pytest.fail("something was compiled"))
+    for module, name in ((by_xla, "_compiled"), (by_lanes, "_kernel")):
+        monkeypatch.setattr(module, name, lambda *_: pytest.fail("something was compiled"))
     with pytest.raises(
         InputError, match=r"^64 runs at a time on each device \(2\) need .* kB, more than the 100"
     ):

@@ -60,11 +60,11 @@ def fall_back(algorithm: Any, env: Any, reason: Exception) -> None:
     line = f"{type(algorithm).__name__} in {type(env).__name__} is not compiled by lanes: {reason}"
     if asked() == "lanes":
         raise InputError(f"{line}; take the backend 'xla' or 'auto'") from None
-    _tell(f"{line}; XLA compiles it")
+    tell(f"{line}; XLA compiles it")
 
 
 @cache
-def _tell(line: str) -> None:
+def tell(line: str) -> None:
     """Logs the line, the first time only."""
     logging.getLogger(__name__).warning("%s", line)
 

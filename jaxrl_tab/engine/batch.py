@@ -77,4 +77,8 @@ def _compiled(runs: Runs, room: int, devices: Sequence[Any] | None) -> ByLanes |
             return ByLanes(runs, room, devices)
         except Unsupported as reason:
             backend.fall_back(runs.algorithms, runs.env, reason)
+    elif backend.asked() == "auto" and not backend.is_installed() and jax.default_backend() == "cpu":
+        backend.tell(
+            "XLA compiles the runs, which makes them slower than lanes, which needs llvmlite: pip install llvmlite"
+        )
     return ByXLA(runs, room, devices)

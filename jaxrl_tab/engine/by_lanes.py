@@ -24,7 +24,9 @@ from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.room import (
     CALL_BYTES,
+    LANES,
     Signature,
+    is_no_memory,
     needs_of_program,
     program_arguments,
     signature,
@@ -64,36 +66,41 @@ class ByLanes:
 
     def __init__(self, runs: Runs, room: int, devices: Sequence[Any] | None):
         """Compiles. Raises Unsupported where the program holds something for which there is no rule."""
-        self.runs, self.threads = runs, threads(devices)
+        # `room` is that of a device. There may be more threads, but no more than there is memory for.
+        on_all = room * len(devices or jax.local_devices())
+        self.runs = runs
+        self.threads = max(1, min(threads(devices), on_all // runs.needs.call.bytes(LANES, blocks=1)))
         results, self._tree = jax.tree.flatten(runs.needs.results)
         arguments = runs.arguments(np.array(0))
         of_thread = -(-len(runs) // self.threads)
-        lanes = next(
-            size for size in (1, host().width, MANY) if of_thread <= size
-        )  # so few programs are made
+        # Of three sizes, so that few programs are made.
+        lanes = next(size for size in (1, host().width, MANY) if of_thread <= size)
         self._kernel = _kernel(runs.budget, signature(arguments), _Shared(arguments), len(results), lanes)
         self.lanes, scratch = self._kernel.program.lanes, self._kernel.program.scratch
         # While a thread works on some blocks, what it gave before may still wait to be kept.
-        self.most = max(1, (min(room, CALL_BYTES) - scratch) // (2 * self.lanes * runs.needs.call.kept))
+        left = min(on_all // self.threads, CALL_BYTES) - scratch
+        self.most = max(1, left // (2 * self.lanes * runs.needs.call.kept))
 
     def results(self) -> Generator[tuple[np.ndarray, Any]]:
         """The places of some runs, int [n], and what they gave: their tables and the Log, [n, ...] each."""
-        first, blocks, stop = 0, 1, Stop()
+        first, blocks = 0, 1
         again: list[tuple[int, int]] = []  # tasks for which there was not enough memory, cut in two
-        pending: dict[Future, tuple[int, int]] = {}
+        pending: dict[Future, tuple[int, int, Stop]] = {}
         with ThreadPoolExecutor(self.threads) as pool:
             try:
                 while first < len(self.runs) or again or pending:
                     # One task more than there are threads, so that none ever waits for this one.
                     while (first < len(self.runs) or again) and len(pending) <= self.threads:
-                        task = again.pop() if again else (first, blocks)
-                        pending[pool.submit(self._run, *task, stop)] = task
+                        task = *(again.pop() if again else (first, blocks)), Stop()
+                        pending[pool.submit(self._run, *task)] = task
                         first = max(first, task[0] + task[1] * self.lanes)
                     for future in wait(pending, ASK_SECONDS, FIRST_COMPLETED).done:
-                        begin, size = pending.pop(future)
+                        begin, size, _ = pending.pop(future)
                         try:
                             places, output, seconds = future.result()
-                        except MemoryError:
+                        except (MemoryError, jax.errors.JaxRuntimeError) as error:
+                            if not is_no_memory(error):
+                                raise
                             again += self._halves(begin, size)
                             blocks = 1
                             continue
@@ -102,7 +109,8 @@ class ByLanes:
                         left = -(-(len(self.runs) - first) // (2 * self.threads * self.lanes))
                         blocks = max(1, min(self.most, int(size * TASK_SECONDS / seconds), left))
             finally:  # also where it is interrupted, or nobody wants the rest
-                stop.set()
+                for *_, stop in pending.values():
+                    stop.set()
 
     def _halves(self, first: int, blocks: int) -> list[tuple[int, int]]:
         """A task in two. Raises RunError where it is too small for that."""
@@ -143,11 +151,24 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
         return None
     lanes = kernel.program.lanes
     inputs = [np.broadcast_to(x, (lanes, *x.shape)) for x in map(_plain, jax.tree.leaves(arguments[:-1]))]
-    outputs = [jax.numpy.asarray(x[0]) for x in kernel(*inputs)]
+    outputs = [jax.numpy.asarray(x[0]) for x in _called(kernel, inputs)]
     learner = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
     _, log = needs_of_program(budget, of_run).results
     (_, log), learner = jax.tree.unflatten(jax.tree.structure(((0, log), learner)), outputs)
     return learner, log
+
+
+def _called(kernel: Kernel, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """What a kernel gives; it can be interrupted."""
+    stop = Stop()
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(kernel, *inputs, stop=stop)
+        try:
+            while not future.done():
+                wait([future], ASK_SECONDS)
+        finally:
+            stop.set()
+        return future.result()
 
 
 class _Shared:

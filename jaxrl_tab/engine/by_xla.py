@@ -33,11 +33,17 @@ from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.room import Signature, signature, smaller_call, traced_program, width_of_call
+from jaxrl_tab.engine.room import (
+    Signature,
+    is_no_memory,
+    signature,
+    smaller_call,
+    traced_program,
+    width_of_call,
+)
 from jaxrl_tab.engine.runs import Runs
 
 CALL_SECONDS = 0.2  # about so long a call shall take
-_NO_MEMORY = "RESOURCE_EXHAUSTED"  # in the error of JAX
 _THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
 
 
@@ -97,7 +103,7 @@ class ByXLA:
                     self._program(np.int32(blocks), *self._arguments(done, blocks))
                 )
             except (MemoryError, jax.errors.JaxRuntimeError) as error:
-                if isinstance(error, jax.errors.JaxRuntimeError) and _NO_MEMORY not in str(error):
+                if not is_no_memory(error):
                     raise
                 self._resize(*smaller_call(self._bytes, self.lanes, self.most, self.devices))
                 blocks = 1

@@ -171,6 +171,11 @@ def smaller_call(call: memory.Call, lanes: int, most: int, devices: Sequence[Any
     return smaller
 
 
+def is_no_memory(error: BaseException) -> bool:
+    """Whether an error says that the memory ran out: Python's, or that of XLA."""
+    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
+
+
 def program_arguments(budget: Budget, root: Any, seed: Any, algorithm: Any, env: Any) -> tuple:
     """The arguments of a program; for exact values with the numbers of method and environment in full.
 
@@ -303,6 +308,8 @@ def _tables(env: Environment) -> int:
 
 def _working(env: Environment, budget: Budget, carried: int) -> int:
     """The bytes with which one run works: what its loop carries, random words, and exact values."""
+    if budget.num_episodes:  # XLA keeps what lanes carried that have left the loop, and what all carry next
+        carried *= 2
     carried += bytes_of_words(budget)
     if not budget.exact:
         return carried

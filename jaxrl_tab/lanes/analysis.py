@@ -144,7 +144,7 @@ class Facts:
         return times
 
     def _turns_of(self, loop: Value) -> int:
-        if (counter := self._counter(loop)) is None:
+        if (counter := self.counter(loop)) is None:
             return USUAL
         place, bound = counter
         return max(1, self.bounds(bound)[1] - self.bounds(loop.args[place])[0])
@@ -217,7 +217,7 @@ class Facts:
     def _bound_loop(self, value: Value) -> None:
         loop = value.attr
         whole = [k for k in self.carried(value) if loop.body.params[k].dtype.kind in "iub"]
-        counter = self._counter(value)
+        counter = self.counter(value)
         for k in whole:
             self.range[loop.body.params[k]] = self.bounds(value.args[k])
         for turn in range(TURNS + 1):
@@ -249,7 +249,7 @@ class Facts:
             low, high = self.bounds(value.args[counter[0]])
             self.after[loop.body.params[counter[0]]] = low, max(high, self.bounds(counter[1])[1])
 
-    def _counter(self, value: Value) -> tuple[int, Value] | None:
+    def counter(self, value: Value) -> tuple[int, Value] | None:
         """Where a loop counts up by one as long as it is below a bound, the same in all lanes: place and bound.
 
         Where lanes leave a loop one by one, those that are done go on with numbers beyond the bound.

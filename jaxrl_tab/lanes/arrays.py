@@ -127,10 +127,11 @@ class Lazy:
     repeats: bool = False
 
     def item(self, i: int) -> Value:
-        return self.rule(self.code.const(i, np.int32))
+        return self.read(self.code.const(i, np.int32))
 
     def read(self, index: Value) -> Value:
-        return self.rule(index)
+        # Once: where each array is made of the one before, twice, the first would be read 2^n times.
+        return self.code.once(("read", self.rule, index), lambda: self.rule(index))
 
 
 Plain: TypeAlias = Known | Items | Stored | Lazy

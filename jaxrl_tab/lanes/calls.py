@@ -9,6 +9,7 @@ import numpy as np
 from jax import export
 from jax.extend.core import jaxpr_as_fun
 
+from jaxrl_tab.lanes.code import Unsupported
 from jaxrl_tab.lanes.lowering import Call
 
 Kind: TypeAlias = tuple[tuple[int, ...], np.dtype]  # the shape and the dtype of an array
@@ -43,7 +44,11 @@ def exported(call: Call, lanes: int) -> Exported:
     with jax.enable_x64():  # or numbers of 64 bits, which a jaxpr may hold, would lose half of them
         made = export.export(jax.jit(jax.vmap(of_lane)))(*kinds)
     of = lambda avals: [(x.shape, np.dtype(x.dtype)) for x in avals]
-    return Exported(bytes(made.serialize()), of(made.in_avals), of(made.out_avals))
+    try:
+        code = bytes(made.serialize())
+    except NotImplementedError:  # as JAX says of it
+        raise Unsupported("a call of Python from within is not compiled") from None
+    return Exported(code, of(made.in_avals), of(made.out_avals))
 
 
 def callable_of(call: Exported) -> Callable[[int], None]:

@@ -123,7 +123,7 @@ class Builder:
     def const(self, number: Any, dtype: Any = None) -> Value:
         number = np.asarray(number, dtype)[()]
         key = "const", number.dtype, number.tobytes()
-        return self._once(key, lambda: Value("const", number.dtype, attr=number))
+        return self.once(key, lambda: Value("const", number.dtype, attr=number))
 
     def op(self, name: str, dtype: Any, *args: Value) -> Value:
         """The result of an operation of `scalars`."""
@@ -134,13 +134,13 @@ class Builder:
             with np.errstate(all="ignore"):
                 return self.const(operation.known(dtype, *(x.attr for x in args)), dtype)
         key = name, dtype, *map(id, args)
-        return self._once(key, lambda: self.add(Value(name, _compiled(dtype), args)))
+        return self.once(key, lambda: self.add(Value(name, _compiled(dtype), args)))
 
     def load(self, buffer: Buffer, index: Value) -> Value:
         if buffer.known is not None and index.op == "const":
             return self.const(buffer.known[index.attr])
         key = "load", id(buffer), buffer.version, id(index)
-        return self._once(key, lambda: self.add(Value("load", buffer.dtype, (index,), buffer)))
+        return self.once(key, lambda: self.add(Value("load", buffer.dtype, (index,), buffer)))
 
     def row(self, buffer: Buffer, first: Value, count: int) -> list[Value]:
         """Numbers that lie side by side, read together."""
@@ -149,7 +149,7 @@ class Builder:
             row = self.add(Value("row", buffer.dtype, (first,), (buffer, count)))
             return [self.add(Value("part", buffer.dtype, (row,), k)) for k in range(count)]
 
-        return self._once(("row", id(buffer), buffer.version, id(first), count), read)
+        return self.once(("row", id(buffer), buffer.version, id(first), count), read)
 
     def store(self, buffer: Buffer, index: Value, x: Value) -> None:
         self.add(Value("store", buffer.dtype, (index, x), buffer))
@@ -204,7 +204,8 @@ class Builder:
             return x
         return self.op("bitcast", x.dtype, self.op("bitcast", np.int32, x))
 
-    def _once(self, key: Any, make: Callable[[], Any]) -> Any:
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What `make` writes, or has written under this key before, here or in a region around."""
         for done in self._done:
             if key in done:
                 return done[key]

@@ -139,7 +139,8 @@ class _Emitter:
         self.region(loop.condition)
         self.close()
         condition = self.names.scalar(loop.condition.results[0])
-        if any(x.op == "loop" for x in loop.body.ops):  # the innermost ones are not asked in every turn
+        # Of the innermost ones those that may never end.
+        if any(x.op == "loop" for x in loop.body.ops) or self.facts.counter(value) is None:
             condition = going_on(f, condition)
         f.line(f"br i1 {condition}, label %{body}, label %{after}")
         f.begin(body)

@@ -1,0 +1,76 @@
+"""Every method in one environment, compiled by `lanes` but for what LLVM does, which takes longest.
+
+    python lanes_pairs.py ENVIRONMENT
+
+prints a line for each pair that is not compiled as it should be, and how many are. It is a process of its own, for
+in the tests each call is checked against its annotations, and this makes many.
+"""
+
+import math
+import sys
+from collections.abc import Iterator
+
+from lanes_runs import runs_of
+
+from jaxrl_tab.algorithms.prediction import METHODS
+from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.engine import by_lanes
+from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.runs import Runs
+from jaxrl_tab.envs import ENVS
+from jaxrl_tab.lanes import machine
+from jaxrl_tab.lanes.code import Unsupported
+
+BUDGETS = {
+    "steps": Budget(250, None, 100, exact=False),  # the last row is shorter
+    "episodes": Budget(None, 5, 2, exact=False),
+}
+
+
+class Unloaded:
+    """A kernel that nobody calls."""
+
+    def __init__(self, program):
+        self.program = program
+
+
+def pairs(env: str) -> Iterator[tuple[str, str]]:
+    """(method, budget): each method, every other one by episodes; in the next environment it is the other way."""
+    for k, method in enumerate(METHODS, list(ENVS).index(env)):
+        for by in BUDGETS if env == "random-walk" or method == "sarsa" else [list(BUDGETS)[k % 2]]:
+            yield method, by
+
+
+def problems(runs: Runs) -> Iterator[str]:
+    """What is not as it should be."""
+    try:
+        compiled = by_lanes.ByLanes(runs, room=2**28, devices=[0])
+    except Unsupported as reason:
+        yield f"it is not compiled: {reason}"
+        return
+    program = compiled._kernel.program
+    if program.scratch > (forecast := runs.needs.call.bytes(compiled.lanes, blocks=1)):
+        yield f"it works with {program.scratch} bytes, and the forecast is {forecast}"
+    kinds = [*program.inputs, *program.outputs]
+    kept = sum(dtype.itemsize * math.prod(shape) for shape, dtype in kinds)
+    if kept > runs.needs.call.kept + 8:  # the root's key, which each lane has
+        yield f"a lane takes and gives {kept} bytes, and the forecast is {runs.needs.call.kept}"
+    if program.calls:
+        yield "something is left to XLA"
+
+
+if __name__ == "__main__":
+    machine.object_code = lambda text, target: b""
+    by_lanes.Kernel = Unloaded
+    env, compiled = sys.argv[1], 0
+    for method, by in pairs(env):
+        try:
+            runs = runs_of(env, method, BUDGETS[by])
+        except InputError as refused:
+            if "action" not in str(refused):
+                print(f"{method} by {by}: {refused}")
+            continue
+        compiled += 1
+        for problem in problems(runs):
+            print(f"{method} by {by}: {problem}")
+    print(compiled)
