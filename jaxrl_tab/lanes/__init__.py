@@ -6,7 +6,9 @@ all of them. docs/performance.md follows one program, stage by stage.
 
 What is lowered to, from single numbers up:
 
-    code        scalar code: values, loops, memory, and the builder that writes them
+Scalar code:
+
+    code        values, loops, memory, and the builder that writes them
     scalars     the operations on single numbers, and what they mean at the edges
     functions   exp, log and others, in terms of these operations
     arrays      what an array of the jaxpr is while it is lowered: known, taken apart, in memory, or a rule
@@ -15,6 +17,7 @@ From a jaxpr to scalar code:
 
     registry    which rule stands for which primitive
     rules       what each primitive means
+    reciprocals quotients by what is the same in all lanes
     lowering    the program of one lane, while it is written: calls, memory and loops
     lower       the program of one lane, from a jaxpr
     outside     what is left to XLA, as a function says it
