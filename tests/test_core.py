@@ -77,13 +77,13 @@ def test_entries_and_rows_are_plain_indexing_with_any_lanes():
 
 
 def test_the_word_of_a_step_depends_on_the_step_alone():
-    """Drawn one by one, or in chunks that begin anywhere and have any length: and all differ."""
+    """Drawn one by one, or together; and all differ, those of one call, too.
+
+    Broken once: the second word of a call for both of its decisions -> fails.
+    """
     stream = rng.stream(jax.random.key(5))
     words = jnp.stack([rng.word(stream, jnp.arange(100), decision) for decision in range(4)])
-    for first, steps in ((40, 7), (41, 7), (41, 8), (0, 1), (99, 1)):
-        chunk = rng.words(stream, jnp.int32(first), steps, 2)
-        got = jax.jit(jax.vmap(chunk.at))(jnp.arange(steps))
-        np.testing.assert_array_equal(got, words[2, first : first + steps])
+    np.testing.assert_array_equal(rng.word(stream, jnp.int32(40), 2), words[2, 40])
     assert len(np.unique(words)) == 400
 
 

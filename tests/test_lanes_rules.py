@@ -336,6 +336,32 @@ CASES["dot_general"] = [
     for dtype in (F32, I32)
     for x, y in (((2,), (2,)), ((4,), (4,)), ((4,), (4, 3)), ((3, 4), (4,)), ((2, 3), (3, 2)))
 ]
+CASES["top_k"] = [
+    (lambda x: lax.top_k(x, 3), arrays(dtype, *shape))
+    for dtype in (F32, I32, U32)
+    for shape in ((7,), (4, 5))
+]
+CASES["add_any"] = [
+    (lambda x: jax.grad(lambda x: x[0] * x[1] + x[2] ** 2 + x[0] ** 3)(x), np.round(small(F32, 4) * 8))
+]
+CASES["div"] += [  # by what is the same in all lanes
+    (lambda s: lax.fori_loop(0, 7, lambda k, x: x / (k + 1.5), s), small(F32)),
+    (lambda s: lax.fori_loop(1, 7, lambda k, x: x + (s - x) / k, s * 2), small(F32)),
+    (lambda s: lax.fori_loop(0, 7, lambda k, x: x + (k + 1.0) / s, s), small(F32)),
+]
+CASES["reduce_sum"] += [(lambda x: x / x.sum(1, keepdims=True), small(F32, 9, 6, lanes=FEW))]
+for name in ("eq_to", "lt_to", "le_to"):
+    compare = getattr(lax, f"{name}_p")
+    CASES[name] = [(compare.bind, *pairs(dtype, dtype)) for dtype in (F32, I32, U32)]
+CASES["div"] += [
+    (lambda x: x / 3, small(F32)),  # XLA multiplies by the reciprocal of what it uses more than once
+    (lambda x: x / np.arange(1, 6, dtype=F32), small(F32, 5)),
+    (lambda x, y: x / y, small(F32, 5), small(F32, seed=1)),
+    (lambda x, y: x / y, small(F32, 40), small(F32, seed=1)),
+    (lambda x: x / x[:, 1:2], small(F32, 4, 6)),
+    (lambda x: x / jnp.broadcast_to(x[:, 1:2], (9, 6)), small(F32, 9, 6)),
+    (lambda x: 7 / x, small(F32, 4, 6)),
+]
 CASES["while"] = [
     (
         lambda x, n: lax.while_loop(lambda c: c[0] < n, lambda c: (c[0] + 1, c[1] * 0.5 + c[0]), (0, x)),

@@ -26,7 +26,7 @@ from jaxrl_tab.cli.screen import busy, print_json, show_outcome
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.checks import InputError, one_line
 from jaxrl_tab.core.names import is_from_outside
-from jaxrl_tab.core.pytree import checked_dataclass, field, static
+from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, runner
@@ -141,7 +141,7 @@ class Sweep(Where):
     select: bool = False
     exact: bool = False
     record: str | None = None
-    backend: Backend = static("auto")
+    backend: Backend = field(default="auto", static=True)
     out: Path | None = None
     dry_run: bool = False
     write_template: bool = False

@@ -1,9 +1,8 @@
 """Random numbers for the loop: one word a decision.
 
 Splitting a key in every step costs more than the step. Instead the word of a decision is Threefry-2x32 of
-(run key, step, decision) and of nothing else: no word depends on how steps or runs are grouped, none is used
-twice, and under `vmap` the lanes of a block draw theirs together, in vector operations. A call gives two
-words: they serve the same decision in two steps that follow each other.
+(run key, step, decision) and of nothing else: no word depends on how steps or runs are grouped, and none is used
+twice. A call gives two words: they serve two decisions of the same step.
 
 Each word is then handed on as a JAX **key** of its own kind, so environments and methods take a `key` and
 call `jax.random` on it as usual. Asked for one 32-bit draw, such a key gives its word itself, for nothing.
@@ -12,14 +11,12 @@ carries 32 bits of entropy, independent of all other decisions.
 """
 
 import math
-from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import jax.extend as jex
 import jax.numpy as jnp
-from jax import lax
-from jaxtyping import Array, Bool, Int, Key, PRNGKeyArray, UInt32
+from jaxtyping import Array, Int, Key, PRNGKeyArray, UInt32
 
 from jaxrl_tab.core.checks import InputError, shown
 
@@ -137,50 +134,8 @@ def stream(key: PRNGKeyArray) -> Stream:
 
 
 def word(stream: Stream, step: Int[Array, "*k"], decision: int) -> UInt32[Array, "*k"]:
-    """The word of a decision in each step, uint32 of their shape. Decisions are numbered by whoever makes them."""
-    step = step.astype(jnp.uint32)
-    # Reversed, for `where` takes first what holds for odd steps.
-    return jnp.where(step & 1 == 1, *reversed(_call(stream, step >> 1, decision)))
+    """The word of a decision in each step, uint32 of their shape. Decisions are numbered by whoever makes them.
 
-
-class Words(NamedTuple):
-    """The words of one decision in a chunk of steps; see `words`.
-
-    Attributes:
-        begins_odd: whether the number of the first step is odd, bool [].
-        even, odd: the words of the steps with even and with odd numbers, uint32 [calls].
+    Decisions 2k and 2k + 1 are the two words of one call: what is decided in the same step costs one.
     """
-
-    begins_odd: Bool[Array, ""]
-    even: UInt32[Array, " calls"]
-    odd: UInt32[Array, " calls"]
-
-    def at(self, i: Int[Array, ""]) -> UInt32[Array, ""]:
-        """The word of the i-th step of the chunk."""
-        read = partial(lax.dynamic_index_in_dim, keepdims=False, allow_negative_indices=False)
-        is_odd = (i & 1 == 1) ^ self.begins_odd
-        return jnp.where(is_odd, read(self.odd, i >> 1), read(self.even, (i + 1) >> 1))
-
-
-def words(stream: Stream, first: Int[Array, ""], steps: int, decision: int) -> Words:
-    """The words of `decision` in the steps `first`, ..., `first + steps - 1`, as `word` gives them.
-
-    They are worked out call by call, in a loop, so that under `vmap` the lanes lie side by side in memory.
-    """
-    first = first.astype(jnp.uint32)
-
-    def call(_, i):
-        return None, _call(stream, (first >> 1) + i, decision)
-
-    _, (even, odd) = lax.scan(call, None, jnp.arange(steps // 2 + 1, dtype=jnp.uint32))
-    return Words(first & 1 == 1, even, odd)
-
-
-def bytes_of_words(steps: int) -> int:
-    """The bytes that `words` takes for so many steps."""
-    return 8 * (steps // 2 + 1)
-
-
-def _call(stream: Stream, call: Array, decision: int) -> tuple[Array, Array]:
-    """The words of a decision in two steps that follow each other, an even one and an odd one."""
-    return threefry(stream, call, jnp.uint32(decision))
+    return threefry(stream, step.astype(jnp.uint32), jnp.uint32(decision // 2))[decision % 2]

@@ -20,8 +20,6 @@ from jaxrl_tab.engine.log import Log
 from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
 
-DRAWN_TOGETHER = 32  # for so many steps at most the random words are worked out at once; see `_steps`
-
 
 class _Run(NamedTuple):
     """What one run carries from step to step."""
@@ -59,7 +57,8 @@ class _Decisions(NamedTuple):
         return _Decisions(*map(function, self))
 
 
-IN_A_STEP = _Decisions(update=0, step=1, reset=2, start=3)
+# In most environments the method alone draws: its two decisions are a pair, which costs one call of `rng`.
+IN_A_STEP = _Decisions(update=0, start=1, step=2, reset=3)
 BEFORE_RESET, BEFORE_START = 4, 5  # at time 0
 INSTANCE = 6  # the problem of a run, where the environment draws one
 
@@ -175,31 +174,9 @@ def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _S
 # --- many steps --------------------------------------------------------------------------------------
 
 
-def _steps(stream: rng.Stream, one: Callable, carry: Any, number: int) -> Any:
-    """`carry = one(carry, keys)` for so many steps; `carry[0]` is the run.
-
-    The random words of some steps are worked out together, before these steps: in the step itself XLA would
-    do it anew in each expression that uses them.
-    """
-    size = _drawn_together(number)
-
-    def chunk(c, carry):
-        words = IN_A_STEP.map(lambda decision: rng.words(stream, carry[0].t, size, decision))
-        step = lambda i, carry: one(carry, words.map(lambda word: rng.as_key(word.at(i))))
-        return lax.fori_loop(0, jnp.minimum(size, number - c * size), step, carry)
-
-    return lax.fori_loop(0, -(-number // size), chunk, carry)
-
-
-def _drawn_together(number: int) -> int:
-    """For how many of so many steps the words are drawn at a time: equal parts of at most DRAWN_TOGETHER."""
-    return -(-number // -(-number // DRAWN_TOGETHER))
-
-
-def bytes_of_words(budget: Budget) -> int:
-    """The most bytes of random words that a run holds; words that no decision uses are never drawn."""
-    number = 1 if budget.num_steps is None else min(budget.num_steps, budget.row)
-    return len(IN_A_STEP) * rng.bytes_of_words(_drawn_together(number))
+def _keys(stream: rng.Stream, t: Int[Array, ""]) -> _Decisions:
+    """The random words of a step, as keys."""
+    return IN_A_STEP.map(lambda decision: rng.as_key(rng.word(stream, t, decision)))
 
 
 def _run_steps(
@@ -207,13 +184,13 @@ def _run_steps(
 ) -> tuple[_Run, Log]:
     """`num_steps` steps, with a row of the log after each `log_every` and after the last."""
 
-    def one(carry, keys):
+    def one(_, carry):
         run, total = carry
-        run, log = step(run, keys)
+        run, log = step(run, _keys(stream, run.t))
         return run, jax.tree.map(jnp.add, total, log)
 
     def row(run: _Run, size: int) -> tuple[_Run, Log]:
-        run, log = _steps(stream, one, (run, _zero_log(run)), size)
+        run, log = lax.fori_loop(0, size, one, (run, _zero_log(run)))
         return run, log._replace(**measure(run.learner)) if measure else log
 
     run, log = lax.scan(lambda run, _: row(run, log_every), run, length=num_steps // log_every)
@@ -248,8 +225,7 @@ def _run_until(stream: rng.Stream, step: Step, carry, target: int | Int[Array, "
 
     def one(carry):
         run, log, episodes = carry
-        keys = IN_A_STEP.map(lambda decision: rng.as_key(rng.word(stream, run.t, decision)))
-        run, now = step(run, keys)
+        run, now = step(run, _keys(stream, run.t))
         row = episodes // log_every
         log = tables.lane_by_lane(_add_to_row, log, row, now)
         return run, log, episodes + now.episodes

@@ -15,7 +15,6 @@ from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
-from jaxrl_tab.engine.loop import bytes_of_words
 from jaxrl_tab.engine.traced import in_full, unchecked
 from jaxrl_tab.exact import planning
 
@@ -310,7 +309,6 @@ def _working(env: Environment, budget: Budget, carried: int) -> int:
     """The bytes with which one run works: what its loop carries, random words, and exact values."""
     if budget.num_episodes:  # XLA keeps what lanes carried that have left the loop, and what all carry next
         carried *= 2
-    carried += bytes_of_words(budget)
     if not budget.exact:
         return carried
     # In float64: the matrix [S, S] that is solved, the weights of all outcomes four times, and three tables.

@@ -7,6 +7,7 @@ from dataclasses import is_dataclass
 from typing import Any, TypeVar, cast
 
 import jax
+from jax.core import Tracer
 from jaxtyping import PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
@@ -80,4 +81,4 @@ def train(
 
 def _is_traced(tree: Any) -> bool:
     """Whether somebody compiles this, or makes many runs of it by `vmap`."""
-    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
+    return any(isinstance(x, Tracer) for x in jax.tree.leaves(tree))

@@ -244,6 +244,7 @@ class Facts:
         else:
             for k in whole:
                 self.range[loop.body.params[k]] = _every(loop.body.params[k].dtype)
+            self._bound(loop.condition)
             self._bound(loop.body)
         if counter is not None:
             low, high = self.bounds(value.args[counter[0]])

@@ -12,7 +12,7 @@ Where one number takes several words, there is an array for each of them: `Parts
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -116,6 +116,7 @@ class Lazy:
     Attributes:
         pointwise: the arrays of the same size from whose numbers at the same index, and from no other memory, it
             makes its own; None where that is not so.
+        repeats: whether some of its numbers stand at several places, because of its shape.
     """
 
     shape: tuple[int, ...]
@@ -123,6 +124,7 @@ class Lazy:
     rule: Callable[[Value], Value]
     code: Builder
     pointwise: tuple["Plain", ...] | None = None
+    repeats: bool = False
 
     def item(self, i: int) -> Value:
         return self.read(self.code.const(i, np.int32))
@@ -215,7 +217,7 @@ def reshaped(x: Plain, shape: Sequence[int]) -> Plain:
         return Items(shape, x.dtype, x.values, x.code)
     if isinstance(x, Stored):
         return Stored(shape, x.buffer, x.version, x.code)
-    return Lazy(shape, x.dtype, x.rule, x.code, x.pointwise)
+    return Lazy(shape, x.dtype, x.rule, x.code, x.pointwise, x.repeats)
 
 
 def flat(arrays: Sequence[Array]) -> list[Plain]:
@@ -283,4 +285,5 @@ def stretched(code: Builder, shape: Sequence[int], x: Plain) -> Plain:
     def at(index: list[Value]) -> list[Value]:
         return [i if n > 1 else code.const(0, np.int32) for i, n in zip(index, x.shape, strict=True)]
 
-    return moved(code, shape, x, lambda y: np.broadcast_to(y, tuple(shape)), at)
+    y = moved(code, shape, x, lambda y: np.broadcast_to(y, tuple(shape)), at)
+    return replace(y, repeats=True) if isinstance(y, Lazy) else y

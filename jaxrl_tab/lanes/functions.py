@@ -262,6 +262,12 @@ def leading_zeros(x: Numbers) -> Numbers:
     return population_count(x.apply("not"))
 
 
+def ordered(x: Numbers) -> Numbers:
+    """The whole number that stands where a real number does in the order of all words, also of NaN and -0."""
+    word = x.apply("bitcast", np.int32)
+    return word.compare("lt", 0).where(word ^ 0x7FFFFFFF, word)
+
+
 def round_to_even(x: Numbers) -> Numbers:
     """The nearest whole number, of two the even one: real numbers above 2^23 have no fractions."""
     size = x.apply("abs")

@@ -8,6 +8,7 @@ import numpy as np
 from jaxrl_tab.lanes.arrays import Array, Known, Parts, Plain, Stale, Stored, is_small, made_of, size_of
 from jaxrl_tab.lanes.code import Buffer, Unsupported
 from jaxrl_tab.lanes.lowering import Lowering
+from jaxrl_tab.lanes.reciprocals import use_reciprocals
 from jaxrl_tab.lanes.rules import keys
 from jaxrl_tab.lanes.rules.numbers import impl_of
 
@@ -35,6 +36,7 @@ def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any], results: i
             wanted = closed.jaxpr.outvars[:results]
             for v, x in zip(wanted, code.closed(closed, *args)[:results], strict=True):
                 _give(code, v.aval, x)
+            use_reciprocals(code.region)
             return code
         except Stale as stale:
             copied |= {stale.site}

@@ -77,6 +77,15 @@ def _selected(_: Any, dtype: np.dtype, args: Any) -> Any:
     return None if which.number is None else (yes if which.number else no)
 
 
+def _by_constant(code: Any, dtype: np.dtype, args: Any) -> Any:
+    """XLA multiplies by the reciprocal of a constant."""
+    x, y = args
+    if dtype.kind != "f" or y.op != "const" or x.op == "const":
+        return None
+    with np.errstate(all="ignore"):
+        return code.op("mul", dtype, x, code.const(1 / y.number, dtype))
+
+
 def _of_one_choice(name: str) -> Callable[..., Any]:
     """Two numbers that are chosen by the same condition are added before it, if one of the sums is known.
 
@@ -127,7 +136,7 @@ OPERATIONS: dict[str, Operation] = {
             "is_finite": np.isfinite,
         }.items()
     },
-    "div": Operation(_divided),
+    "div": Operation(_divided, _by_constant),
     "rem": Operation(_remainder),
     "shift_left": Operation(_shift(np.left_shift, lambda x, _: x.dtype.type(0))),
     "shift_right_logical": Operation(_shift(_logical, lambda x, _: x.dtype.type(0))),

@@ -7,11 +7,12 @@ primitive: say which number of the result comes from which numbers of the argume
     numbers     number by number: arithmetic, comparisons, functions
     places      the same numbers at other places: reshape, slice, concatenate
     indexing    reading and writing at an index: dynamic_slice, gather, scatter
-    sums        along axes: sums, products, maxima, sorting
+    sums        along axes: sums, products, maxima
+    sorting     sort, top_k
     loops       while, scan, cond
     keys        random keys and bits
 """
 
-from jaxrl_tab.lanes.rules import indexing, keys, loops, numbers, places, sums
+from jaxrl_tab.lanes.rules import indexing, keys, loops, numbers, places, sorting, sums
 
-__all__ = ["indexing", "keys", "loops", "numbers", "places", "sums"]
+__all__ = ["indexing", "keys", "loops", "numbers", "places", "sorting", "sums"]

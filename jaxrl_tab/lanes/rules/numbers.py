@@ -7,9 +7,9 @@ import jax
 import numpy as np
 from jax import lax
 
-from jaxrl_tab.lanes.arrays import Array, Items, Known, Parts, Plain, made_by, size_of, stretched
+from jaxrl_tab.lanes.arrays import Array, Items, Known, Lazy, Parts, Plain, made_by, size_of, stretched
 from jaxrl_tab.lanes.code import Unsupported, Value
-from jaxrl_tab.lanes.functions import FUNCTIONS, Numbers, round_from_zero, round_to_even
+from jaxrl_tab.lanes.functions import FUNCTIONS, Numbers, ordered, round_from_zero, round_to_even
 from jaxrl_tab.lanes.lowering import Lowering
 from jaxrl_tab.lanes.registry import rule
 from jaxrl_tab.lanes.scalars import OPERATIONS
@@ -68,7 +68,21 @@ def operation(code: Lowering, equation: Any, first: Plain, *others: Plain) -> Pl
         return Known(np.broadcast_to(numbers, shape).astype(dtype), code)
     if name == "bitcast" and first.dtype.itemsize != dtype.itemsize:
         raise Unsupported(f"the words of {first.dtype.name} as {dtype.name} are not compiled")
+    if name == "div" and dtype.kind == "f" and _is_repeated(others[0], shape):
+        return each_number(code, equation, lambda x, y: _times_reciprocal(code, x, y), args)
     return each_number(code, equation, lambda *xs: code.op(name, dtype, *xs), args)
+
+
+def _is_repeated(x: Plain, shape: Sequence[int]) -> bool:
+    """Whether numbers are used several times each: XLA then multiplies by their reciprocals."""
+    if isinstance(x, Items) and size_of(x.shape) == size_of(shape):
+        return len(set(x.values)) < len(x.values)
+    return size_of(x.shape) < size_of(shape) or (isinstance(x, Lazy) and x.repeats)
+
+
+def _times_reciprocal(code: Lowering, x: Value, y: Value) -> Value:
+    one = code.const(1, x.dtype)
+    return code.op("mul", x.dtype, x, code.op("div", x.dtype, one, y))
 
 
 def _one_of_many(code: Lowering, equation: Any, which: Plain, *cases: Plain) -> Plain:
@@ -95,6 +109,22 @@ def round_(code: Lowering, equation: Any, x: Plain) -> Plain:
     to_even = equation.params["rounding_method"] == lax.RoundingMethod.TO_NEAREST_EVEN
     formula = round_to_even if to_even else round_from_zero
     return each_number(code, equation, lambda v: formula(Numbers(code, v)).value, [x])
+
+
+@rule("add_any")
+def add_any(code: Lowering, equation: Any, x: Plain, y: Plain) -> Plain:
+    return each_number(code, equation, lambda v, w: code.op("add", v.dtype, v, w), (x, y))
+
+
+@rule("eq_to", "lt_to", "le_to")
+def total_order(code: Lowering, equation: Any, x: Plain, y: Plain) -> Plain:
+    """Comparisons in which -0 is below 0, and NaN is above or, with its sign set, below all: those of the words."""
+
+    def key(v: Value) -> Value:
+        return ordered(Numbers(code, v)).value if v.dtype.kind == "f" else v
+
+    name = equation.primitive.name.removesuffix("_to")
+    return each_number(code, equation, lambda v, w: code.op(name, bool, key(v), key(w)), (x, y))
 
 
 @rule("square")

@@ -1,4 +1,4 @@
-"""Along axes: sums, products, maxima, the place of the largest, running sums, sorting.
+"""Along axes: sums, products, maxima, the place of the largest, running sums.
 
 Sums of real numbers are taken in the order in which XLA takes them for few lanes: one after another; of more
 than 32, in windows of 32. (For many lanes XLA sums in another order, so that bits may differ there.)
@@ -254,49 +254,3 @@ def dot_general(code: Lowering, equation: Any, x: Plain, y: Plain) -> Plain:
         return _fold(code, "add", dtype, size_of(sizes), term)
 
     return _kept(code, made_by(code, shape, dtype, at))
-
-
-@rule("sort")
-def sort(code: Lowering, equation: Any, *xs: Plain) -> list[Plain]:
-    """Each row by counting, for each of its numbers, those that come before it; NaN comes last."""
-    p, shape = equation.params, xs[0].shape
-    if not is_small(shape):
-        raise Unsupported(f"the sorting of more than {SMALL} numbers is not compiled")
-    axis, count = p["dimension"], shape[p["dimension"]]
-    rows = np.moveaxis(np.arange(size_of(shape)).reshape(shape), axis, -1).reshape(-1, count)
-    results = [[x.item(i) for i in range(size_of(shape))] for x in xs]
-    for row in rows:
-        numbers = [[x.item(int(i)) for i in row] for x in xs]
-        keys = list(zip(*numbers[: p["num_keys"]], strict=True))
-        ranks = [code.const(0, np.int32)] * count
-        for j in range(count):
-            for i in range(j):  # of two that are alike, the first stays the first
-                later = _is_before(code, keys[j], keys[i])
-                one, nothing = code.const(1, np.int32), code.const(0, np.int32)
-                ranks[i] = code.op(
-                    "add", np.int32, ranks[i], code.op("select", np.int32, later, nothing, one)
-                )
-                ranks[j] = code.op(
-                    "add", np.int32, ranks[j], code.op("select", np.int32, later, one, nothing)
-                )
-        for own, result in zip(numbers, results, strict=True):
-            for k, place in enumerate(row):
-                chosen = own[0]
-                for rank, number in zip(ranks[1:], own[1:], strict=True):
-                    is_it = code.op("eq", bool, rank, code.const(k, np.int32))
-                    chosen = code.op("select", number.dtype, is_it, chosen, number)
-                result[int(place)] = chosen
-    return [made_of(code, shape, x.dtype, result) for x, result in zip(xs, results, strict=True)]
-
-
-def _is_before(code: Lowering, a: Sequence[Value], b: Sequence[Value]) -> Value:
-    """Whether the keys of one come before those of another: by the first, where these are alike by the second."""
-    before = code.const(False)
-    for x, y in zip(reversed(a), reversed(b), strict=True):
-        less, same = code.op("lt", bool, x, y), code.op("eq", bool, x, y)
-        if x.dtype.kind == "f":
-            x_is_nan, y_is_nan = (code.op("ne", bool, v, v) for v in (x, y))
-            less = code.op("or", bool, less, code.op("and", bool, y_is_nan, code.op("not", bool, x_is_nan)))
-            same = code.op("or", bool, same, code.op("and", bool, y_is_nan, x_is_nan))
-        before = code.op("or", bool, less, code.op("and", bool, same, before))
-    return before
