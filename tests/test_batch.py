@@ -1,5 +1,6 @@
 """A result depends on (seed, hyperparameters) alone, to the last bit."""
 
+import itertools
 import os
 import subprocess
 import sys
@@ -10,28 +11,33 @@ import numpy as np
 import pytest
 
 import jaxrl_tab as rl
+from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.budget import Budget
 
 BUDGET = Budget(num_steps=500, num_episodes=None, log_every=100, exact=False)
 ALPHAS = np.array([0.1, 0.3, 0.7, 1.0], np.float32)  # not dyadic: any other rounding would show
 
 
-def many(seeds, method=rl.Sarsa, devices=None):
-    """Run i has seed seeds[i] and a step size that goes with it."""
-    n = len(seeds)
+def many(seeds, kind, devices=None):
+    """Run i has seed seeds[i] and a step size that goes with it; `kind` is the method, and what compiles it."""
+    (method, compiled_by), n = kind, len(seeds)
     full = lambda x: np.full(n, x, np.float32)
     algorithms = method(alpha=ALPHAS[seeds % 4], epsilon=full(0.1), gamma=full(0.9), q0=full(0))
-    return batches.run(rl.WindyGridworld(), algorithms, seeds, BUDGET, devices=devices)
+    with backend.using(compiled_by):
+        return batches.run(rl.WindyGridworld(), algorithms, seeds, BUDGET, devices=devices)
 
 
-@pytest.fixture(scope="module", params=[rl.Sarsa, rl.ExpectedSarsa], ids=["sarsa", "expected-sarsa"])
-def method(request):
+KINDS = list(itertools.product([rl.Sarsa, rl.ExpectedSarsa], ["lanes", "xla"]))
+
+
+@pytest.fixture(scope="module", params=KINDS, ids=lambda kind: f"{kind[0].__name__} by {kind[1]}")
+def kind(request):
     return request.param
 
 
 @pytest.fixture(scope="module")
-def all_runs(method):
-    return many(np.arange(500), method)
+def all_runs(kind):
+    return many(np.arange(500), kind)
 
 
 def same(got, want, of):
@@ -40,27 +46,28 @@ def same(got, want, of):
 
 
 @pytest.mark.parametrize("size", [1, 2, 64, 129])
-def test_in_a_batch_of_any_size(all_runs, method, size):
+def test_in_a_batch_of_any_size(all_runs, kind, size):
     seeds = np.arange(size) + 7
-    same(many(seeds, method), all_runs, seeds)
+    same(many(seeds, kind), all_runs, seeds)
 
 
-def test_in_any_order(all_runs, method):
+def test_in_any_order(all_runs, kind):
     """Broken once: keys from a run's place in the batch instead of its seed -> fails, as does any size."""
     seeds = np.random.default_rng(0).permutation(500)
-    same(many(seeds, method), all_runs, seeds)
+    same(many(seeds, kind), all_runs, seeds)
 
 
-def test_results_stand_at_the_number_of_the_run_and_not_at_the_value_of_its_seed(all_runs, method):
+def test_results_stand_at_the_number_of_the_run_and_not_at_the_value_of_its_seed(all_runs, kind):
     """Seeds not counted from 0, one of them twice. Broken once: results in the order of seeds -> fails."""
     seeds = np.array([401, 7, 401, 130])
-    same(many(seeds, method), all_runs, seeds)
+    same(many(seeds, kind), all_runs, seeds)
 
 
-def test_on_one_device_and_on_two(all_runs, method):
+def test_on_one_device_and_on_two(all_runs, kind):
+    """Or in one thread and in two."""
     assert len(jax.devices()) == 2
     seeds = np.arange(100)
-    same(many(seeds, method, devices=jax.devices()[1:]), all_runs, seeds)
+    same(many(seeds, kind, devices=jax.devices()[1:]), all_runs, seeds)
 
 
 def test_runs_differ(all_runs):

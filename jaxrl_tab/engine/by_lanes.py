@@ -19,7 +19,7 @@ import numpy as np
 from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.checks import RunError
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
-from jaxrl_tab.engine import backend, programs
+from jaxrl_tab.engine import backend, programs, provenance
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.room import (
@@ -37,7 +37,7 @@ from jaxrl_tab.lanes import machine
 from jaxrl_tab.lanes.code import Unsupported
 from jaxrl_tab.lanes.kernel import Kernel, Stop
 from jaxrl_tab.lanes.program import MANY, Program, compile
-from jaxrl_tab.lanes.target import host
+from jaxrl_tab.lanes.target import Target, host
 
 TASK_SECONDS = 0.1  # about so long a thread works before it hands results back
 ASK_SECONDS = 0.2  # after so long at most the main thread sees that it is interrupted
@@ -54,6 +54,11 @@ def threads(devices: Sequence[Any] | None = None) -> int:
         return len(jax.local_devices(backend="cpu"))
     cores = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))  # Linux alone has it
     return len(cores(0))
+
+
+def target() -> Target:
+    """This processor. Where XLA is told not to round a product and a sum at once, `lanes` does not do it either."""
+    return host().without("fma") if provenance.is_left_out("fma") else host()
 
 
 class ByLanes:
@@ -74,7 +79,7 @@ class ByLanes:
         arguments = runs.arguments(np.array(0))
         of_thread = -(-len(runs) // self.threads)
         # Of three sizes, so that few programs are made.
-        lanes = next(size for size in (1, host().width, MANY) if of_thread <= size)
+        lanes = next(size for size in (1, target().width, MANY) if of_thread <= size)
         self._kernel = _kernel(runs.budget, signature(arguments), _Shared(arguments), len(results), lanes)
         self.lanes, scratch = self._kernel.program.lanes, self._kernel.program.scratch
         # While a thread works on some blocks, what it gave before may still wait to be kept.
@@ -199,16 +204,16 @@ def _inputs(arguments: tuple, lanes: int) -> list[np.ndarray]:
 
 
 @functools.lru_cache(maxsize=64)
-def _kernel(
-    budget: Budget, signature: Signature, shared: _Shared, results: int | None, lanes: int
-) -> Kernel:
+def _kernel(budget: Budget, signature: Signature, shared: _Shared, results: int | None, lanes: int) -> Kernel:
     """The program for so many lanes. It gives the first `results` arrays that a run gives, or all."""
 
     def make() -> Program:
         closed = traced_program(budget, signature).jaxpr
         inputs = len(closed.jaxpr.invars) - len(shared.leaves)
         varying = [True] * inputs + [False] * len(shared.leaves)
-        return compile(closed, varying, [*[None] * inputs, *shared.leaves], results, lanes=lanes)
+        return compile(
+            closed, varying, [*[None] * inputs, *shared.leaves], results, lanes=lanes, target=target()
+        )
 
-    name = "lanes", machine.version(), host(), budget, signature.name, shared.digest, results, lanes
+    name = "lanes", machine.version(), target(), budget, signature.name, shared.digest, results, lanes
     return Kernel(programs.kept(name, make, Program.to_bytes, Program.from_bytes))

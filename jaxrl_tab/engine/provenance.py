@@ -169,11 +169,15 @@ def features() -> list[str]:
     return cpu("flags|Features").split()
 
 
+def is_left_out(feature: str) -> bool:
+    """Whether XLA is told not to use what a processor can do, by the name that Linux has for it."""
+    most = _MOST.search(os.environ.get("XLA_FLAGS", ""))
+    return bool(most and re.fullmatch(_ABOVE.get(most[1].upper(), ""), feature))
+
+
 def instructions() -> str:
     """The kind of the CPU, and what of its instructions the numbers may depend on."""
-    most = _MOST.search(os.environ.get("XLA_FLAGS", ""))
-    above = _ABOVE.get(most[1].upper(), "") if most else ""
-    used = (x for x in features() if _ARITHMETIC.fullmatch(x) and not re.fullmatch(above, x))
+    used = (x for x in features() if _ARITHMETIC.fullmatch(x) and not is_left_out(x))
     return " ".join([platform.machine(), *sorted(used)])
 
 

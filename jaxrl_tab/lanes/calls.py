@@ -41,14 +41,13 @@ def exported(call: Call, lanes: int) -> Exported:
         for v, x in zip(call.closed.jaxpr.invars, call.known, strict=True)
         if x is None
     ]
-    with jax.enable_x64():  # or numbers of 64 bits, which a jaxpr may hold, would lose half of them
-        made = export.export(jax.jit(jax.vmap(of_lane)))(*kinds)
-    of = lambda avals: [(x.shape, np.dtype(x.dtype)) for x in avals]
     try:
-        code = bytes(made.serialize())
+        with jax.enable_x64():  # or numbers of 64 bits, which a jaxpr may hold, would lose half of them
+            made = export.export(jax.jit(jax.vmap(of_lane)))(*kinds)
     except NotImplementedError:  # as JAX says of it
         raise Unsupported("a call of Python from within is not compiled") from None
-    return Exported(code, of(made.in_avals), of(made.out_avals))
+    of = lambda avals: [(x.shape, np.dtype(x.dtype)) for x in avals]
+    return Exported(bytes(made.serialize()), of(made.in_avals), of(made.out_avals))
 
 
 def callable_of(call: Exported) -> Callable[[int], None]:

@@ -19,6 +19,9 @@ from jaxrl_tab.lanes.target import Target, host
 NARROWEST = 4  # lanes that go side by side, where there are many
 CACHE = 24 * 2**10  # bytes, of the 32 KiB or more of a core's first cache
 LONG = 32  # numbers; what is shorter does not count there
+OFTEN = (
+    8  # what is done so many times less often than the innermost loop's turns does not count there, either
+)
 MANY = 2**31  # lanes, where nobody says how many there are
 FEWEST_IN_CALLS = 8  # of fewer lanes XLA works out some numbers otherwise, in the last bit
 
@@ -135,13 +138,14 @@ def block(code: Lowering, facts: Facts, target: Target, lanes: int) -> tuple[int
     width = target.width
     if lanes == 1:
         return FEWEST_IN_CALLS if code.calls else 1, 1
-    groups = -(-FEWEST_IN_CALLS // width) if code.calls else 1
+    fewest = FEWEST_IN_CALLS if code.calls else 1
+    groups = -(-fewest // width)
     if lanes <= width or _leave_one_by_one(code, facts):
         return width, groups
     if swept := _swept(code, facts, width):
         while width > NARROWEST and swept * width > CACHE:
             width //= 2
-        return width, groups * target.width // width
+        return width, -(-fewest // width)
     # Two vectors at once, and two such groups: while one waits for memory, the other is worked on.
     return 2 * width, 2
 
@@ -152,10 +156,12 @@ def _leave_one_by_one(code: Lowering, facts: Facts) -> bool:
 
 
 def _swept(code: Lowering, facts: Facts, width: int) -> int:
-    """The bytes of a lane in arrays that are gone through from end to end: those of a group should be in the cache."""
+    """The bytes of a lane in arrays that are gone through again and again: those of a group should be in the cache."""
     by_lanes = lane_after_lane(facts, code.region, width)
-    stores = {value.attr for value in operations(code.region) if value.op == "store" and value in facts.live}
-    swept = [b for b in stores - by_lanes if b.role == "scratch" and b in facts.varying and b.size >= LONG]
+    live = [value for value in operations(code.region) if value in facts.live]
+    often = max((facts.turns(value) for value in live), default=0) // OFTEN
+    stored = {value.attr for value in live if value.op == "store" and facts.turns(value) >= often}
+    swept = [b for b in stored - by_lanes if b.role == "scratch" and b in facts.varying and b.size >= LONG]
     return sum(b.size * b.dtype.itemsize for b in swept)
 
 

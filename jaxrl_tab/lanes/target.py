@@ -22,6 +22,11 @@ class Target(NamedTuple):
     def has(self, *features: str) -> bool:
         return set(self.features.split(",")) >= {f"+{name}" for name in features}
 
+    def without(self, feature: str) -> "Target":
+        """The same processor, as if it could not do something."""
+        kept = [x for x in self.features.split(",") if x.lstrip("+-") != feature]
+        return self._replace(features=",".join([*kept, f"-{feature}"]))
+
     @property
     def is_x86(self) -> bool:
         return self.triple.startswith(("x86_64", "i386", "i686"))

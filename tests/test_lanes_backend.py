@@ -1,0 +1,400 @@
+"""By what runs are compiled: asked for, fallen back from, recorded, interrupted, and out of memory."""
+
+import contextlib
+import contextvars
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import tiny
+from lanes_runs import runs_of
+from lanes_tools import assert_same_bits
+
+import jaxrl_tab as rl
+from jaxrl_tab import batch, cli
+from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.engine import backend, by_lanes, provenance
+from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.experiment.executors.base import Job
+from jaxrl_tab.lanes import calls, machine
+from jaxrl_tab.lanes.kernel import Kernel
+
+TWO_DOORS = {"num_steps": 20, "log_every": 10}
+
+
+def swept(env="two-doors", method="sarsa", num_seeds=5, **options):
+    env = rl.make(env) if isinstance(env, str) else env
+    return rl.sweep(env, method, {"alpha": [0.1, 0.7]}, num_seeds=num_seeds, **TWO_DOORS | options)
+
+
+def arrays(result):
+    return [np.asarray(x) for x in jax.tree.leaves((result.q, result.log))]
+
+
+@pytest.fixture
+def used(monkeypatch):
+    """Notes what compiles the runs."""
+    noted = []
+
+    def noting(name, cls):
+        def make(*args):
+            made = cls(*args)
+            noted.append(name)  # not where it is refused
+            return made
+
+        return make
+
+    for name in ("ByLanes", "ByXLA"):
+        monkeypatch.setattr(batch, name, noting(name, getattr(batch, name)))
+    backend.tell.cache_clear()
+    return noted
+
+
+# --- which one ---------------------------------------------------------------------------------------
+
+
+def test_lanes_by_default_on_a_cpu_or_what_was_asked_for(used, monkeypatch):
+    """The argument before the variable. Broken once: the variable before the argument -> fails."""
+    monkeypatch.delenv("JAXRL_TAB_BACKEND", raising=False)
+    asked = [
+        ("auto", None),
+        ("xla", None),
+        ("auto", "xla"),
+        ("lanes", "xla"),
+        ("xla", "lanes"),
+        ("auto", "auto"),
+    ]
+    for argument, variable in asked:
+        if variable:
+            monkeypatch.setenv("JAXRL_TAB_BACKEND", variable)
+        swept(backend=argument)
+    assert used == ["ByLanes", "ByXLA", "ByXLA", "ByLanes", "ByXLA", "ByLanes"]
+    assert backend._asked.get() is None  # nothing of it is left
+
+
+def test_bad_names_are_one_line_wherever_they_stand(tmp_path, capsys, monkeypatch):
+    """Broken once: the variable of the environment not checked -> fails."""
+    monkeypatch.setattr(batch, "_compiled", lambda *_: pytest.fail("something was compiled"))
+    wrong = r"there is no backend 'lane'; did you mean 'lanes'\?"
+    with pytest.raises(InputError, match=wrong):
+        swept(backend="lane")
+    with pytest.raises(InputError, match=r"backend 'lane' is unknown; did you mean 'lanes'\?"):
+        rl.Experiment("two-doors", "sarsa", seeds=2, steps=20, backend="lane")
+    file = tmp_path / "x.toml"
+    file.write_text('environment = "two-doors"\nbackend = "lane"\n\n[[method]]\nname = "sarsa"\n')
+    with pytest.raises(InputError, match=r"x\.toml, line 2: backend 'lane' is unknown; did"):
+        rl.Experiment.load(file)
+    assert cli.main(["sweep", "two-doors", "sarsa", "--backend", "lane"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "jaxrl-tab: sweep: backend 'lane' is unknown; did you mean 'lanes'?"
+    monkeypatch.setenv("JAXRL_TAB_BACKEND", "lane")
+    with pytest.raises(InputError, match=wrong):
+        swept()
+    assert cli.main(["sweep", "two-doors", "sarsa", "--seeds", "2", "--steps", "20"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "there is no backend 'lane'" in line
+
+
+def test_an_experiment_says_it_in_its_file_and_the_command_in_an_option(tmp_path, used):
+    file = tmp_path / "x.toml"
+    file.write_text(
+        'environment = "two-doors"\nbackend = "xla"\nseeds = 3\nsteps = 20\n\n[[method]]\nname = "sarsa"\n'
+    )
+    rl.run(rl.Experiment.load(file))
+    sweep = ["sweep", "two-doors", "sarsa", "--seeds", "3", "--steps", "20", "--quiet"]
+    assert cli.main([*sweep, "--backend", "xla"]) == cli.main(sweep) == 0
+    assert used == ["ByXLA", "ByXLA", "ByLanes"]
+
+
+def test_without_llvmlite_xla_does_it_and_says_so_once(used, monkeypatch, caplog):
+    """And `lanes` is refused with what to install. Broken once: nothing said -> fails."""
+    monkeypatch.setattr(backend, "is_installed", lambda: False)
+    swept()
+    swept()
+    assert used == ["ByXLA", "ByXLA"]
+    (line,) = caplog.messages
+    assert "XLA" in line and "pip install llvmlite" in line
+    with pytest.raises(InputError, match=r"^the backend 'lanes' needs llvmlite: pip install llvmlite$"):
+        swept(backend="lanes")
+    swept(backend="xla")
+    assert len(caplog.messages) == 1
+
+
+def test_where_there_really_is_no_llvmlite():
+    """In a process that cannot find it. Broken once: llvmlite imported by the package -> fails."""
+    code = """if True:
+        from importlib.machinery import PathFinder
+        find = PathFinder.find_spec
+        PathFinder.find_spec = lambda name, *x: None if name.split(".")[0] == "llvmlite" else find(name, *x)
+        import jaxrl_tab as rl
+        from jaxrl_tab.engine import provenance
+        runs = {"num_seeds": 2, "num_steps": 20}
+        print(rl.sweep(rl.make("two-doors"), "sarsa", **runs).q.shape)
+        print(provenance.surroundings()["backend"], provenance.surroundings()["LLVM"] == "")
+        try:
+            rl.sweep(rl.make("two-doors"), "sarsa", **runs, backend="lanes")
+        except rl.InputError as refused:
+            print(refused)
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    shape, surroundings, refused = done.stdout.splitlines()
+    assert shape == "(2, 2, 2)" and surroundings == "xla True"
+    assert refused == "the backend 'lanes' needs llvmlite: pip install llvmlite"
+    assert done.stderr.count("pip install llvmlite") == 1
+
+
+# --- what is not compiled ----------------------------------------------------------------------------
+
+
+@rl.pytree
+class Transformed(rl.envs.TwoDoors):
+    """Doors whose rewards go through a Fourier transform, which is not compiled, and come out as they were."""
+
+    def step(self, key, s, a):
+        transition = super().step(key, s, a)
+        there_and_back = jnp.fft.ifft(jnp.fft.fft(jnp.stack([transition.reward, 0.0]))).real
+        return transition._replace(reward=jnp.round(there_and_back[0]))
+
+
+def test_what_is_not_compiled_says_so_once_and_is_right(used, caplog):
+    """By XLA, with the bits of XLA. Broken once: said for each sweep -> fails."""
+    first, second = arrays(swept(Transformed())), arrays(swept(Transformed()))
+    assert used == ["ByXLA", "ByXLA"]
+    reason = "Sarsa in Transformed is not compiled by lanes: the primitive fft is not compiled"
+    assert caplog.messages == [f"{reason}; XLA compiles it"]
+    for again in (second, arrays(swept(Transformed(), backend="xla"))):
+        assert_same_bits(first, again)
+    with pytest.raises(InputError, match=f"^{reason}; take the backend 'xla' or 'auto'$"):
+        swept(Transformed(), backend="lanes")
+
+
+# --- what is recorded --------------------------------------------------------------------------------
+
+
+def test_the_backend_and_its_version_are_recorded():
+    """With no version where it does not count."""
+    with backend.using("lanes"):
+        ours = provenance.surroundings()
+    with backend.using("xla"):
+        theirs = provenance.surroundings()
+    assert (ours["backend"], ours["LLVM"]) == ("lanes", machine.version())
+    assert (theirs["backend"], theirs["LLVM"]) == ("xla", "")
+    assert "backend was lanes, and is xla" in provenance.differences(ours, theirs)
+
+
+def sessions(folder):
+    return [
+        session["surroundings"]
+        for session in json.loads((folder / "provenance.json").read_text())["sessions"]
+    ]
+
+
+def test_a_folder_goes_on_with_the_backend_that_it_was_begun_with(tmp_path, used, monkeypatch):
+    """Whatever the environment says by then. Another LLVM is another version of it.
+
+    Broken once: the backend not among the settings of a session -> fails.
+    """
+    with tiny.small():
+        check_resume(tmp_path, used, monkeypatch)
+
+
+def check_resume(tmp_path, used, monkeypatch):
+    rl.run(tiny.EXPERIMENT, tmp_path / "run")
+    shard, _ = (tmp_path / "run" / "shards").glob("*.npz")
+    whole = np.load(shard)["q"]
+    shard.unlink()
+    monkeypatch.setenv("JAXRL_TAB_BACKEND", "xla")
+    rl.resume(tmp_path / "run")
+    assert used == ["ByLanes"] * 3
+    assert [x["backend"] for x in sessions(tmp_path / "run")] == ["lanes", "lanes"]
+    np.testing.assert_array_equal(np.load(shard)["q"], whole)
+    shard.unlink()
+    version = machine.version()
+    monkeypatch.setattr(machine, "version", lambda: "1.2.3")
+    with pytest.raises(InputError, match=f"LLVM was {version}, and is 1.2.3; .*--mixed"):
+        rl.resume(tmp_path / "run")
+    rl.resume(tmp_path / "run", mixed=True)
+    assert sessions(tmp_path / "run")[-1]["LLVM"] == "1.2.3"
+
+
+def test_work_takes_the_backend_with_it():
+    """To the processes of Ray and SLURM. Broken once: not among the settings -> fails."""
+    for name in ("xla", "lanes"):
+        with backend.using(name):
+            job = Job.of(lambda task: {"is lanes": np.array(backend.chosen() == "lanes")}, cores=2)
+        assert job.settings["backend"] == name
+        there = contextvars.Context().run(lambda job=job: (job._set_up(), job.work(0))[1])
+        assert there["is lanes"] == (name == "lanes")
+
+
+# --- errors, and Ctrl-C ------------------------------------------------------------------------------
+
+
+class Mine(Exception):
+    """Of somebody's own."""
+
+
+def failing(x):
+    raise Mine("not today")
+
+
+def recorded(state):
+    kind = jax.ShapeDtypeStruct((), np.float32)
+    return {"x": jax.pure_callback(failing, kind, state.q.max(), vmap_method="sequential")}
+
+
+def test_a_record_that_calls_python_does_as_with_xla(used, caplog):
+    """Broken once: what JAX says of it goes through -> NotImplementedError, and no run."""
+    with pytest.raises(jax.errors.JaxRuntimeError, match="not today"):
+        swept(record=recorded)
+    with contextlib.suppress(jax.errors.JaxRuntimeError):
+        jax.effects_barrier()  # or JAX tells of it once more at the end of the process
+    assert used == ["ByXLA"]
+    assert "a call of Python from within is not compiled" in caplog.messages[0]
+
+
+def test_an_error_in_what_xla_does_for_a_kernel_arrives_as_it_is(used, monkeypatch):
+    """Also where the other thread still works, and nothing hangs.
+
+    Broken once: all threads stopped by the one that failed -> `Stopped` arrives now and then.
+    """
+
+    def fails(_):
+        return failing
+
+    monkeypatch.setattr(calls, "callable_of", fails)
+    by_lanes._kernel.cache_clear()
+    for _ in range(20):
+        with pytest.raises(Mine, match="not today"):
+            swept(num_seeds=300, exact=True)
+    by_lanes._kernel.cache_clear()
+
+
+OWN = '''
+import jax, jax.numpy as jnp
+import jaxrl_tab as rl
+
+@rl.pytree
+class Stuck(rl.envs.TwoDoors):
+    """Whoever opens a door waits for ever."""
+
+    def step(self, key, s, a):
+        waits = jax.lax.while_loop(lambda x: x >= 0, lambda x: (x * 3 + 1) % 7, START)
+        return super().step(key, s, a + 0 * waits)
+'''
+LONG = {
+    "a block that takes long": "windy-gridworld sarsa --steps 1000000000 --log-every 500000000",
+    "episodes that take long": "windy-gridworld sarsa --episodes 1000000000 --log-every 500000000",
+    "a loop that never ends": "a.py:Stuck sarsa --steps 100",
+    "one that never ends in any run": "all.py:Stuck sarsa --steps 100",
+}
+
+
+@pytest.mark.parametrize("which", LONG)
+def test_ctrl_c_ends_a_kernel(tmp_path, which):
+    """By itself: nothing has to end the process. Broken once: a loop does not ask -> hangs until it is killed."""
+    (tmp_path / "a.py").write_text(OWN.replace("START", "a"))
+    (tmp_path / "all.py").write_text(OWN.replace("START", "jnp.int32(1)"))
+    code = (
+        "import sys; from jaxrl_tab import cli; from jaxrl_tab.engine import by_lanes\n"
+        "run = by_lanes.ByLanes._run\n"
+        "by_lanes.ByLanes._run = lambda *x: (print('begun', flush=True), run(*x))[1]\n"
+        "sys.exit(cli.main(sys.argv[1:]))"
+    )
+    argv = ["sweep", *LONG[which].split(), "--seeds", "300", "--out", "run", "--backend", "lanes"]
+    command = [sys.executable, "-c", code, *argv]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as running:
+        guard = threading.Timer(120, running.kill)
+        guard.start()
+        assert running.stdout and running.stdout.readline() == "begun\n"
+        time.sleep(0.3)  # until it is in the middle of it
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate()
+        guard.cancel()
+    assert running.returncode == 130, said
+    assert said == "jaxrl-tab: interrupted; what is finished is kept, `jaxrl-tab resume run` goes on\n"
+
+
+# --- memory ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def little_memory(monkeypatch):
+    """Kernels for which there is memory for so many runs at a time, at most."""
+    call, most, asked = Kernel.__call__, [2**30], []
+
+    def limited(self, *inputs, stop=None):
+        asked.append(len(inputs[0]))
+        if len(inputs[0]) > most[0]:
+            raise MemoryError
+        return call(self, *inputs, stop=stop)
+
+    monkeypatch.setattr(Kernel, "__call__", limited)
+    monkeypatch.setattr(by_lanes, "TASK_SECONDS", 1e9)  # as many at a time as there is room for
+    return most, asked
+
+
+def test_tasks_for_which_there_is_no_memory_are_halved(little_memory):
+    """No run is lost, and none is another. Broken once: the second half forgotten -> fails."""
+    most, asked = little_memory
+    expected = arrays(swept(num_seeds=2000))
+    lanes = min(asked)
+    assert max(asked) > 4 * lanes
+    asked.clear()
+    most[0] = 2 * lanes
+    assert_same_bits(arrays(swept(num_seeds=2000)), expected)
+    assert max(asked) > most[0]
+    most[0] = lanes - 1
+    smallest = f"not enough memory for {lanes} runs at a time in each thread .2., the smallest"
+    with pytest.raises(RunError, match=smallest):
+        swept(num_seeds=2000)
+
+
+def test_xlas_want_of_memory_is_one_too(monkeypatch):
+    def fails(_):
+        raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 1 bytes.")
+
+    monkeypatch.setattr(calls, "callable_of", lambda call: fails)
+    by_lanes._kernel.cache_clear()
+    with pytest.raises(RunError, match="there is not enough memory for"):
+        swept(num_seeds=300, exact=True)
+    by_lanes._kernel.cache_clear()
+
+
+def test_more_threads_than_devices_share_the_room(monkeypatch):
+    """As in a program with one device and many cores. Broken once: each takes all of it -> fails."""
+    monkeypatch.setattr(by_lanes, "threads", lambda devices: 8)
+    runs = runs_of("two-doors", "sarsa", Budget(20, None, 10, exact=False), 4000)
+    one = runs.needs.call.bytes(64, blocks=1)
+    room = 12 * one  # of each of the two devices
+    compiled = by_lanes.ByLanes(runs, room, None)
+    assert compiled.threads == 8
+    scratch, results = compiled._kernel.program.scratch, compiled.lanes * runs.needs.call.kept
+    assert room < 8 * (scratch + 2 * compiled.most * results) <= 2 * room
+    assert by_lanes.ByLanes(runs, 2 * one, None).threads == 4
+    assert by_lanes.ByLanes(runs, one // 4, None).threads == 1
+
+
+def test_as_many_threads_as_cores_unless_devices_were_chosen():
+    code = "import jax, {first}; from jaxrl_tab.engine import by_lanes; print(by_lanes.threads())"
+    run = lambda first, **env: subprocess.run(
+        [sys.executable, "-c", code.format(first=first)],
+        env={k: v for k, v in os.environ.items() if k != "XLA_FLAGS"} | env,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.strip()
+    assert run("os") == str(len(os.sched_getaffinity(0)))
+    assert run("os; jax.config.update('jax_num_cpu_devices', 5)") == "5"
+    assert run("os", XLA_FLAGS="--xla_force_host_platform_device_count=3") == "3"
+    assert by_lanes.threads() == 2 and by_lanes.threads(jax.devices()[:1]) == 1
