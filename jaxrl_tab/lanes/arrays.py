@@ -62,6 +62,7 @@ class Items:
     dtype: np.dtype
     values: list[Value]
     code: Builder
+    repeats: bool = False  # whether some of its numbers stand at several places, because of its shape
 
     def item(self, i: int) -> Value:
         return self.values[i]
@@ -214,7 +215,7 @@ def reshaped(x: Plain, shape: Sequence[int]) -> Plain:
     if isinstance(x, Known):
         return Known(x.numbers.reshape(shape), x.code)
     if isinstance(x, Items):
-        return Items(shape, x.dtype, x.values, x.code)
+        return Items(shape, x.dtype, x.values, x.code, x.repeats)
     if isinstance(x, Stored):
         return Stored(shape, x.buffer, x.version, x.code)
     return Lazy(shape, x.dtype, x.rule, x.code, x.pointwise, x.repeats)
@@ -286,4 +287,4 @@ def stretched(code: Builder, shape: Sequence[int], x: Plain) -> Plain:
         return [i if n > 1 else code.const(0, np.int32) for i, n in zip(index, x.shape, strict=True)]
 
     y = moved(code, shape, x, lambda y: np.broadcast_to(y, tuple(shape)), at)
-    return replace(y, repeats=True) if isinstance(y, Lazy) else y
+    return replace(y, repeats=True) if isinstance(y, Items | Lazy) else y

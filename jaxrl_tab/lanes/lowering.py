@@ -42,7 +42,6 @@ CALLS = (
     "custom_jvp_call",
     "custom_vjp_call",
     "remat2",
-    "checkpoint",
 )
 
 

@@ -75,9 +75,7 @@ def operation(code: Lowering, equation: Any, first: Plain, *others: Plain) -> Pl
 
 def _is_repeated(x: Plain, shape: Sequence[int]) -> bool:
     """Whether numbers are used several times each: XLA then multiplies by their reciprocals."""
-    if isinstance(x, Items) and size_of(x.shape) == size_of(shape):
-        return len(set(x.values)) < len(x.values)
-    return size_of(x.shape) < size_of(shape) or (isinstance(x, Lazy) and x.repeats)
+    return size_of(x.shape) < size_of(shape) or (isinstance(x, Items | Lazy) and x.repeats)
 
 
 def _times_reciprocal(code: Lowering, x: Value, y: Value) -> Value:

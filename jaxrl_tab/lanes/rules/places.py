@@ -22,7 +22,7 @@ from jaxrl_tab.lanes.registry import rule
 from jaxrl_tab.lanes.rules.numbers import aval_of
 
 
-@rule("reshape", "squeeze", "expand_dims", "copy", "copy_p", "stop_gradient", "optimization_barrier")
+@rule("reshape", "squeeze", "copy", "stop_gradient", "optimization_barrier")
 def reshape(code: Lowering, equation: Any, *xs: Plain) -> Any:
     if equation.primitive.multiple_results:
         return xs
