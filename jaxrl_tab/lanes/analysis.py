@@ -17,6 +17,7 @@ from jaxrl_tab.lanes.code import Buffer, Loop, Region, Value
 
 TURNS = 3  # of a loop, after which a bound that still moves is given up
 USUAL = 100  # turns of a loop of which nothing is known
+SOON = 4096  # turns at most of a loop that ends soon
 
 
 def operations(region: Region) -> Iterator[Value]:
@@ -142,6 +143,10 @@ class Facts:
             times *= self._turns_of(loop)
             value = loop
         return times
+
+    def ends_soon(self, loop: Value) -> bool:
+        """Whether a loop has few turns for sure."""
+        return self.counter(loop) is not None and self._turns_of(loop) <= SOON
 
     def _turns_of(self, loop: Value) -> int:
         if (counter := self.counter(loop)) is None:

@@ -139,8 +139,7 @@ class _Emitter:
         self.region(loop.condition)
         self.close()
         condition = self.names.scalar(loop.condition.results[0])
-        # Of the innermost ones those that may never end.
-        if any(x.op == "loop" for x in loop.body.ops) or self.facts.counter(value) is None:
+        if any(x.op == "loop" for x in loop.body.ops) or not self.facts.ends_soon(value):
             condition = going_on(f, condition)
         f.line(f"br i1 {condition}, label %{body}, label %{after}")
         f.begin(body)

@@ -76,7 +76,7 @@ class Segment(Vectors):
             goes_on = going_on(self, self.any(active))
         else:
             goes_on = self.names.scalar(condition)
-            if self.facts.counter(value) is None:  # it may never end
+            if not self.facts.ends_soon(value):
                 goes_on = going_on(self, goes_on)
         self.line(f"br i1 {goes_on}, label %{body}, label %{after}")
         elements_in_head = dict(self.elements)
