@@ -264,7 +264,7 @@ def test_a_record_that_calls_python_does_as_with_xla(used, caplog):
 def test_an_error_in_what_xla_does_for_a_kernel_arrives_as_it_is(used, monkeypatch):
     """Also where the other thread still works, and nothing hangs.
 
-    Broken once: all threads stopped by the one that failed -> `Stopped` arrives now and then.
+    Broken once: all threads stopped by the one that failed -> `Stopped` arrives in its place.
     """
 
     def fails(_):
