@@ -14,7 +14,6 @@ from pathlib import Path
 import jaxrl_tab as rl
 from jaxrl_tab import planning, stats
 
-rl.use_all_cores()
 experiment = rl.Experiment.load(Path(__file__).with_suffix(".toml"))  # or rl.Experiment(environment=..., ...)
 folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp()) / "cliff"
 outcome = rl.run(experiment, folder)  # interrupted? rl.resume(folder) does what is missing

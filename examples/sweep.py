@@ -7,7 +7,6 @@ dataset with a number for each seed, and `stats` makes means with intervals of t
 import jaxrl_tab as rl
 from jaxrl_tab import stats
 
-rl.use_all_cores()  # one JAX device per core; before anything is computed
 env = rl.make("windy-gridworld")
 grid = {"alpha": [0.1, 0.3, 0.5, 0.7, 0.9, 1.0], "epsilon": 0.1}  # what is not named keeps its default
 

@@ -14,7 +14,7 @@ import numpy as np
 
 import jaxrl_tab as rl
 from jaxrl_tab import interop, policies
-from jaxrl_tab.engine import programs, room
+from jaxrl_tab.engine import by_xla, programs, room
 
 STEPS = {"num_seeds": 3, "num_steps": 40, "log_every": 20}
 

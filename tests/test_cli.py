@@ -158,7 +158,14 @@ def test_sweep_without_options_has_sensible_ones(asked):
     ((data,), (environment,), (method,)) = asked, asked[0].pop("environment"), asked[0].pop("method")
     assert environment["name"] == environment["label"] == "windy-gridworld"
     assert (method["name"], method["alpha"]) == ("sarsa", [0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0])
-    assert data == {"seeds": 100, "steps": 8000, "log_every": 100, "seed": 0, "exact": False}
+    assert data == {
+        "seeds": 100,
+        "steps": 8000,
+        "log_every": 100,
+        "seed": 0,
+        "exact": False,
+        "backend": "auto",
+    }
 
 
 def test_sweep_hands_every_option_on(asked):
@@ -172,7 +179,7 @@ def test_sweep_hands_every_option_on(asked):
     assert given.items() <= environment.items()
     given = {"alpha": "sample-average", "epsilon": [0.0, 0.1], "gamma": 1.0, "q0": -1.0}
     assert method == {"name": "q-learning", "label": "q-learning", **given}
-    assert data == {"seeds": 100, "episodes": 7, "log_every": 2, "seed": 5, "exact": True}
+    assert data == {"seeds": 100, "episodes": 7, "log_every": 2, "seed": 5, "exact": True, "backend": "auto"}
 
 
 def test_glie_is_one_over_the_number_of_the_episode(asked):

@@ -113,6 +113,7 @@ def test_all_is_resolved_in_plain_data(load):
         "log_every": 100,
         "seed": 0,
         "exact": False,
+        "backend": "auto",
         "select": {"by": "score", "fresh_seeds": 7},
     }
 

@@ -20,7 +20,7 @@ import jaxrl_tab as rl
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core.pytree import pytree
-from jaxrl_tab.engine import programs, provenance, room
+from jaxrl_tab.engine import by_lanes, programs, provenance, room
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.envs import ENVS
 
@@ -49,19 +49,18 @@ def test_a_second_process_knows_what_runs_need_without_tracing_and_has_the_same_
     the budget finds other shapes.
     """
     first = swept(alpha=[0.5, 0.25])
-    assert len(kept_in(programs_folder)) == 1
+    assert len(kept_in(programs_folder)) == 2  # what its runs need, and the kernel
     forget()
     with monkeypatch.context() as patched:
-        patched.setattr(
-            room, "traced_program", lambda *_: pytest.fail("it was traced")
-        )  # `batch` has its own
+        patched.setattr(room, "traced_program", lambda *_: pytest.fail("it was traced"))
+        patched.setattr(by_lanes, "traced_program", room.traced_program)
         again = swept(alpha=[0.5, 0.75])
     np.testing.assert_array_equal(first.q[0], again.q[0])
     np.testing.assert_array_equal(first.log.rewards[0], again.log.rewards[0])
     assert (first.q[1] != again.q[1]).any()
     other = rl.sweep(rl.make("random-walk"), "q-learning", num_seeds=3, num_steps=60, log_every=20)
     assert other.log.steps.shape == (3, 3)
-    assert len(kept_in(programs_folder)) == 2
+    assert len(kept_in(programs_folder)) == 4
 
 
 def test_the_code_of_others_may_change_so_its_programs_are_not_kept(programs_folder):

@@ -123,7 +123,7 @@ def test_runs_that_diverge_are_marked_and_leave_the_others_as_they_are(windy):
 
     2000 steps at -1 each are worth no less than -2000: what is ten times as large has diverged.
     """
-    given = {"num_seeds": 3, "num_steps": 2000}
+    given = {"num_seeds": 3, "num_steps": 2000, "seed": 6}
     both = rl.sweep(windy, "sarsa-lambda", {"alpha": [0.3, 3.0]}, **given)
     alone = rl.sweep(windy, "sarsa-lambda", {"alpha": [0.3]}, **given)
     ds = both.to_xarray()

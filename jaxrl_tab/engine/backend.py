@@ -22,6 +22,7 @@ Backend: TypeAlias = Literal["auto", "lanes", "xla"]
 NAMES = ("auto", "lanes", "xla")
 VARIABLE = "JAXRL_TAB_BACKEND"
 _asked: ContextVar[str | None] = ContextVar("backend", default=None)
+_preferred: ContextVar[str | None] = ContextVar("preferred backend", default=None)
 
 
 def check(name: Any) -> Backend:
@@ -69,9 +70,22 @@ def tell(line: str) -> None:
     logging.getLogger(__name__).warning("%s", line)
 
 
-def choose(name: str) -> None:
-    """From now on runs are compiled by this backend, where nothing else is asked for."""
-    _asked.set(check(name))
+@contextlib.contextmanager
+def preferring(name: str) -> Iterator[None]:
+    """Within the block runs are compiled by this backend, which another process chose, where it can.
+
+    Nobody need have asked for it: where `lanes` does not compile something, XLA does, as it did there.
+    """
+    token = _preferred.set(check(name))
+    try:
+        yield
+    finally:
+        _preferred.reset(token)
+
+
+def prefer(name: str) -> None:
+    """The same, from now on."""
+    _preferred.set(check(name))
 
 
 def asked() -> Backend:
@@ -85,6 +99,6 @@ def asked() -> Backend:
 
 def chosen() -> Literal["lanes", "xla"]:
     """The backend by which runs are compiled: where nothing was asked for, `lanes` on a CPU. It starts JAX."""
-    if (name := asked()) != "auto":
+    if (name := _preferred.get() or asked()) in ("lanes", "xla"):
         return name
     return "lanes" if is_installed() and jax.default_backend() == "cpu" else "xla"

@@ -67,7 +67,7 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
         InputError: JAX does not take one of them, or a block such as `jax.enable_x64` is stronger.
     """
     chosen = dict(chosen)
-    compiled_by = chosen.pop(BACKEND, "auto")
+    compiled_by = chosen.pop(BACKEND, backend.chosen())
     # A new thread sees the settings of the process, without those of a block such as `jax.enable_x64`.
     with ThreadPoolExecutor(1) as elsewhere:
         before = elsewhere.submit(lambda: jax.config.values).result()
@@ -81,7 +81,7 @@ def using(chosen: Mapping[str, Any]) -> Iterator[None]:
                 raise InputError(
                     f"{name} must be {value!r}, and is set otherwise by a block of JAX around this"
                 )
-        with backend.using(compiled_by):
+        with backend.preferring(compiled_by):
             yield
     finally:
         for name in chosen:
@@ -92,7 +92,7 @@ def set_for_good(chosen: Mapping[str, Any]) -> None:
     """Makes these `settings` in this process."""
     for name, value in chosen.items():
         if name == BACKEND:
-            backend.choose(value)
+            backend.prefer(value)
         else:
             jax.config.update(name, value)
 

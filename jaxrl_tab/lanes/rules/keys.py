@@ -35,16 +35,21 @@ def unwrapped(code: Lowering, keys: Array) -> Plain:
     return joined(code, shape, len(shape) - 1, [reshaped(x, (*keys.shape, 1)) for x in words])
 
 
-def _by_tracing(code: Lowering, name: Any, function: Callable[..., Any], keys: Array, *args: Plain) -> Plain:
-    """What a function of one key's words gives, for each of the keys: from its own jaxpr."""
+def _by_tracing(
+    code: Lowering, equation: Any, name: Any, function: Callable[..., Any], keys: Array, *args: Plain
+) -> Plain:
+    """What a function of one key's words gives, for each of the keys: from its own jaxpr.
+
+    It is traced as JAX was set when the equation was, for there are two ways to draw several words.
+    """
     for _ in keys.shape:
         function = jax.vmap(function)
     data = (unwrapped(code, keys), *args)
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in data]
-    mode = jax.config.jax_threefry_partitionable  # pyright: ignore[reportAttributeAccessIssue]
-    key = name, mode, *((x.shape, x.dtype.name) for x in shapes)
+    key = name, equation.ctx.threefry_partitionable, *((x.shape, x.dtype.name) for x in shapes)
     if key not in _traced:
-        _traced[key] = jax.make_jaxpr(function)(*shapes)
+        with equation.ctx.manager:
+            _traced[key] = jax.make_jaxpr(function)(*shapes)
     return code.closed(_traced[key], *data)[0]
 
 
@@ -72,7 +77,11 @@ def random_bits(code: Lowering, equation: Any, keys: Array) -> Plain:
     width, shape = equation.params["bit_width"], tuple(equation.params["shape"])
     impl = impl_of(equation.invars[0].aval)
     return _by_tracing(
-        code, ("bits", impl.name, width, shape), lambda key: impl.random_bits(key, width, shape), keys
+        code,
+        equation,
+        ("bits", impl.name, width, shape),
+        lambda key: impl.random_bits(key, width, shape),
+        keys,
     )
 
 
@@ -80,14 +89,15 @@ def random_bits(code: Lowering, equation: Any, keys: Array) -> Plain:
 def random_split(code: Lowering, equation: Any, keys: Array) -> Array:
     shape, impl = tuple(equation.params["shape"]), impl_of(equation.invars[0].aval)
     return wrapped(
-        code, _by_tracing(code, ("split", impl.name, shape), lambda key: impl.split(key, shape), keys)
+        code,
+        _by_tracing(code, equation, ("split", impl.name, shape), lambda key: impl.split(key, shape), keys),
     )
 
 
 @rule("random_fold_in", of_parts=True)
 def random_fold_in(code: Lowering, equation: Any, keys: Array, data: Plain) -> Array:
     impl = impl_of(equation.invars[0].aval)
-    return wrapped(code, _by_tracing(code, ("fold", impl.name), impl.fold_in, keys, data))
+    return wrapped(code, _by_tracing(code, equation, ("fold", impl.name), impl.fold_in, keys, data))
 
 
 @rule("threefry2x32")

@@ -87,6 +87,13 @@ def reverse(code: Lowering, equation: Any, x: Plain) -> Plain:
     return moved(code, x.shape, x, lambda y: np.flip(y, axes), at)
 
 
+@rule("empty")
+def empty(code: Lowering, equation: Any) -> Plain:
+    """An array that is written before it is read."""
+    shape, dtype = aval_of(equation)
+    return Known(np.zeros(shape, dtype), code)
+
+
 @rule("iota")
 def iota(code: Lowering, equation: Any) -> Plain:
     shape, dtype = aval_of(equation)
