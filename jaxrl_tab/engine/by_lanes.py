@@ -157,10 +157,20 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
     lanes = kernel.program.lanes
     inputs = [np.broadcast_to(x, (lanes, *x.shape)) for x in map(_plain, jax.tree.leaves(arguments[:-1]))]
     outputs = [jax.numpy.asarray(x[0]) for x in _called(kernel, inputs)]
-    learner = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
-    _, log = needs_of_program(budget, of_run).results
-    (_, log), learner = jax.tree.unflatten(jax.tree.structure(((0, log), learner)), outputs)
+    (_, log), learner = jax.tree.unflatten(_structure(budget, of_run), outputs)
     return learner, log
+
+
+@functools.lru_cache(maxsize=64)
+def _structure(budget: Budget, signature: Signature) -> Any:
+    """Of all that a run gives: ((table, Log), state of the learner)."""
+    _, _, (algorithm, _), (env, _) = signature.arguments
+
+    def learner(algorithm: Algorithm, env: Environment) -> Any:
+        return init_learner(restricted(algorithm, available_actions(env)), env)
+
+    results = needs_of_program(budget, signature).results
+    return jax.tree.structure((results, jax.eval_shape(learner, algorithm, env)))
 
 
 def _called(kernel: Kernel, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -21,7 +21,6 @@ from jaxrl_tab.lanes.code import Buffer, Builder, Value
 
 SMALL = 32  # arrays of so many numbers at most are taken apart
 FEW = 4  # also where they lie in memory
-FOLDED = 2**14  # numbers at most are worked out while compiling, where they are made of known ones
 
 
 class Stale(Exception):

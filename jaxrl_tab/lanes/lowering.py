@@ -7,11 +7,11 @@ finds out (`Stale`), and all is lowered once more, with a copy made before that 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jax.extend import core as jex
 
 from jaxrl_tab.lanes.arrays import (
-    FOLDED,
     Array,
     Known,
     Lazy,
@@ -113,17 +113,17 @@ class Lowering(Builder):
             return self._by_parts(equation, args)
         results = RULES[name](self, equation, *args)
         results = results if equation.primitive.multiple_results else [results]
-        if all(isinstance(x, Known) for x in args):
-            results = [self._worked_out(x) if isinstance(x, Lazy) else x for x in results]
+        known = [x for x in args if isinstance(x, Known)]
+        if len(known) == len(args) and any(isinstance(x, Lazy) for x in results):
+            return self._worked_out(equation, known)
         return results
 
-    def _worked_out(self, x: Lazy) -> Plain:
-        """An array that is made of known ones, known as well, if its numbers can be worked out while compiling."""
-        if size_of(x.shape) <= FOLDED:
-            numbers = [x.item(i) for i in range(size_of(x.shape))]
-            if all(number.op == "const" for number in numbers):
-                return made_of(self, x.shape, x.dtype, numbers)
-        return x
+    def _worked_out(self, equation: Any, args: Sequence[Known]) -> list[Plain]:
+        """What large arrays that are known make, known as well: as JAX gives it."""
+        with jax.ensure_compile_time_eval(), equation.ctx.manager:
+            results = equation.primitive.bind(*(jax.numpy.asarray(x.numbers) for x in args), **equation.params)
+        results = results if equation.primitive.multiple_results else [results]
+        return [Known(np.asarray(x), self) for x in results]
 
     def _outside(self, closed: Any, args: Sequence[Array]) -> list[Stored]:
         """Calls what is not compiled: what it takes is put into buffers, and what it gives is read from others."""
