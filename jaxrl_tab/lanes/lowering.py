@@ -30,6 +30,7 @@ from jaxrl_tab.lanes.code import Buffer, Builder, Outside, Unsupported, Value
 from jaxrl_tab.lanes.outside import is_outside
 from jaxrl_tab.lanes.registry import OF_PARTS, RULES
 
+CARRIED = 8  # numbers of an array at most are carried by a loop as they are
 UNROLLED = 4  # turns of a loop over the numbers of an array are written one behind the other
 
 # The primitives that merely call a jaxpr. For `custom_vmap_call` it is what the function means for one lane.
@@ -284,8 +285,11 @@ class Lowering(Builder):
 
 
 def _carried(x: Plain) -> bool:
-    """Whether a loop carries the numbers of an array, and not the array in memory."""
-    return not isinstance(x, Stored) and is_small(x.shape)
+    """Whether a loop carries the numbers of an array, and not the array in memory.
+
+    More than a few are better there: an entry that is read or written at an index would be looked for among all.
+    """
+    return not isinstance(x, Stored) and size_of(x.shape) <= CARRIED
 
 
 def _is_in(y: Plain, x: Stored) -> bool:
