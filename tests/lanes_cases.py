@@ -189,6 +189,7 @@ CASES = {
         *both(lambda x: lax.rev(x.reshape(5, -1), (0,))),
         (lambda x: lax.rev(x, (0, 2)), arrays(BOOL, 3, 4, 5)),
     ],
+    "empty": both(lambda x: lax.dynamic_update_slice(lax.empty(x.shape, F32), x, (0,))),
     "iota": [
         *both(lambda x: x + lax.iota(F32, len(x))),
         (lambda x: x + lax.broadcasted_iota(I32, (6, 7), 1), arrays(I32)),
