@@ -21,6 +21,7 @@ from jaxrl_tab.exact import planning
 LANES = 64
 BLOCKS = 16  # of lanes that a device works through in one call, at most
 FEWEST_LANES = 8  # on a CPU, where memory runs out: with fewer, exact values would differ in the last bit
+OF_A_STEP = 800  # bytes of a run, about: numbers of one step that lie in memory between two loops over lanes
 CALL_BYTES = 2**28  # of a call on a device, at most, unless one block alone is larger
 
 
@@ -309,6 +310,7 @@ def _working(env: Environment, budget: Budget, carried: int) -> int:
     """The bytes with which one run works: what its loop carries, random words, and exact values."""
     if budget.num_episodes:  # XLA keeps what lanes carried that have left the loop, and what all carry next
         carried *= 2
+    carried += OF_A_STEP
     if not budget.exact:
         return carried
     # In float64: the matrix [S, S] that is solved, the weights of all outcomes four times, and three tables.
