@@ -122,7 +122,9 @@ class Lowering(Builder):
     def _worked_out(self, equation: Any, args: Sequence[Known]) -> list[Plain]:
         """What large arrays that are known make, known as well: as JAX gives it."""
         with jax.ensure_compile_time_eval(), equation.ctx.manager:
-            results = equation.primitive.bind(*(jax.numpy.asarray(x.numbers) for x in args), **equation.params)
+            results = equation.primitive.bind(
+                *(jax.numpy.asarray(x.numbers) for x in args), **equation.params
+            )
         results = results if equation.primitive.multiple_results else [results]
         return [Known(np.asarray(x), self) for x in results]
 
