@@ -323,7 +323,8 @@ def test_ctrl_c_ends_a_kernel(tmp_path, which):
     ) as running:
         guard = threading.Timer(120, running.kill)
         guard.start()
-        assert running.stdout and running.stdout.readline() == "begun\n"
+        # Two threads may say so at once, in one line.
+        assert running.stdout and running.stdout.readline().startswith("begun")
         time.sleep(0.3)  # until it is in the middle of it
         running.send_signal(signal.SIGINT)
         _, said = running.communicate()
