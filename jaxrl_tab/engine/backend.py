@@ -12,14 +12,14 @@ import os
 from collections.abc import Iterator
 from contextvars import ContextVar
 from functools import cache
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import jax
 
 from jaxrl_tab.core.checks import InputError, nearest, shown
 
 Backend: TypeAlias = Literal["auto", "lanes", "xla"]
-NAMES = ("auto", "lanes", "xla")
+NAMES = get_args(Backend)
 VARIABLE = "JAXRL_TAB_BACKEND"
 _asked: ContextVar[str | None] = ContextVar("backend", default=None)
 _preferred: ContextVar[str | None] = ContextVar("preferred backend", default=None)
@@ -39,6 +39,12 @@ def check(name: Any) -> Backend:
 def is_installed() -> bool:
     """Whether there is what `lanes` needs."""
     return importlib.util.find_spec("llvmlite") is not None
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    allowed = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))  # Linux alone has it
+    return len(allowed(0))
 
 
 @contextlib.contextmanager

@@ -52,8 +52,7 @@ def threads(devices: Sequence[Any] | None = None) -> int:
         return number
     if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return len(jax.local_devices(backend="cpu"))
-    cores = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))  # Linux alone has it
-    return len(cores(0))
+    return backend.cores()
 
 
 def target() -> Target:

@@ -32,6 +32,7 @@ from jax import lax
 from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
+from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.room import (
     Signature,
@@ -72,8 +73,7 @@ def use_all_cores() -> bool:
     if chosen or "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return False
     try:
-        cores = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))  # Linux alone has it
-        jax.config.update("jax_num_cpu_devices", len(cores(0)))
+        jax.config.update("jax_num_cpu_devices", backend.cores())
     except RuntimeError:
         return False
     return True

@@ -19,9 +19,7 @@ from jaxrl_tab.lanes.target import Target, host
 NARROWEST = 4  # lanes that go side by side, where there are many
 CACHE = 24 * 2**10  # bytes, of the 32 KiB or more of a core's first cache
 LONG = 32  # numbers; what is shorter does not count there
-OFTEN = (
-    8  # what is done so many times less often than the innermost loop's turns does not count there, either
-)
+OFTEN = 8  # nor does what is done so many times less often than the turns of the innermost loop
 MANY = 2**31  # lanes, where nobody says how many there are
 FEWEST_IN_CALLS = 8  # of fewer lanes XLA works out some numbers otherwise, in the last bit
 

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 RULES: dict[str, Callable[..., Any]] = {}
-OF_PARTS: set[str] = (
-    set()
-)  # primitives whose rules know numbers of two words; the others are applied to each word
+# The primitives whose rules know numbers of two words; the others are applied to each word.
+OF_PARTS: set[str] = set()
 
 
 def rule(*names: str, of_parts: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
