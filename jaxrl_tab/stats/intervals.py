@@ -312,9 +312,7 @@ def tolerance_interval(
             return median, values[:, ranks[-1] - 1], values[:, n - ranks[-1]]
         k = np.nan
         if n > 1:
-            k = special.ndtri((1 + content) / 2) * np.sqrt(
-                (n - 1 / n) / special.chdtri(n - 1, confidence)
-            )
+            k = special.ndtri((1 + content) / 2) * np.sqrt((n - 1 / n) / special.chdtri(n - 1, confidence))
         with np.errstate(invalid="ignore"):
             mean, half = values.mean(-1), k * values.std(-1) * np.sqrt(n / max(n - 1, 1))
         return median, mean - half, mean + half

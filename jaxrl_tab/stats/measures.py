@@ -222,7 +222,9 @@ def _merged(ds: xr.Dataset, every: int) -> xr.Dataset:
     sums = ds[["steps", "episodes", "returns", "lengths", "rewards"]]
     starts = np.arange(0, ds.sizes["row"], every)
     # The groups are neighbours, so this needs no `groupby`, which takes a hundred times as long.
-    merged = sums.isel(row=starts).map(lambda x: x.copy(data=_sums_from(sums[x.name], starts)), keep_attrs=True)
+    merged = sums.isel(row=starts).map(
+        lambda x: x.copy(data=_sums_from(sums[x.name], starts)), keep_attrs=True
+    )
     merged = merged.assign_coords(row=np.arange(len(starts)))
     return merged.assign(diverged=ds.diverged) if "diverged" in ds else merged
 
