@@ -269,8 +269,8 @@ def seeds_needed(
             return _power(n, effect, confidence)
         degrees, shift = groups * (n - 1), effect * np.sqrt(n / groups)
         critical = special.stdtrit(degrees, (1 + confidence) / 2)
-        missed = special.nctdtr(degrees, shift, [critical, -critical])  # of the noncentral t distribution
-        return float(1 - missed[0] + missed[1])
+        below_low, below_high = special.nctdtr(degrees, shift, [-critical, critical])  # of the noncentral t
+        return float(below_low + 1 - below_high)
 
     z = special.ndtri((1 + confidence) / 2) + special.ndtri(power)
     n = max(2, int(groups * (z / effect) ** 2))  # enough if sd were known exactly, so never too many

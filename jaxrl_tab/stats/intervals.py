@@ -263,9 +263,9 @@ def median_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 0.95
         # The k-th from either end bound the median with probability 1 - 2 P(Binomial(n, 1/2) < k).
         below = special.bdtr(np.arange(n + 1), n, 0.5)
         k = int(np.searchsorted(below, (1 - confidence) / 2))
-        missed = 2 * below[[k - 1, k]]
         if k == 0:
             return median, np.full(len(values), np.nan), np.full(len(values), np.nan)
+        missed = 2 * below[[k - 1, k]]
         inner = (1 - confidence - missed[0]) / (missed[1] - missed[0])
         inner = (n - k) * inner / (k + (n - 2 * k) * inner)
         low = _between(values[:, k - 1], values[:, k], inner)
