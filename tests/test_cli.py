@@ -299,7 +299,9 @@ def test_without_a_folder_ctrl_c_leaves_nothing(stopped, tmp_path, capsys):
     assert capsys.readouterr() == ("", "jaxrl-tab: interrupted\n")
 
 
-def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeypatch, tmp_path):
+def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeypatch, tmp_path, capsys):
+    """The table is shown before. Broken once: shown when `run` has returned -> fails."""
+
     def fail(*_):
         raise RuntimeError("no ink")
 
@@ -309,6 +311,22 @@ def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeyp
         main(["sweep", "windy-gridworld", "sarsa", *TINY, "--out", str(out)])
     assert error.value.__notes__ == [f"what is finished is kept, `jaxrl-tab resume {out}` goes on"]
     assert {file.name for file in out.iterdir()} == {"results.nc", "summary.csv"} | KEPT
+    table = capsys.readouterr().out
+    assert "│ sarsa" in table
+    assert "results.nc" not in table
+
+
+def test_where_nobody_reads_the_table_the_files_are_written(tmp_path):
+    """As with `| head -0`. Broken once: `show` lets the error through -> fails."""
+    command = [sys.executable, "-m", "jaxrl_tab", "sweep", "windy-gridworld", "sarsa", *TINY, "--out", "run"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path)
+    assert process.stdout and process.stderr
+    process.stdout.close()
+    assert (process.stderr.read(), process.wait()) == (b"", 1)
+    process.stderr.close()
+    assert {"results.nc", "summary.csv", "overview.png", "report.html"} <= {
+        file.name for file in (tmp_path / "run").iterdir()
+    }
 
 
 # --- refusals ----------------------------------------------------------------------------------------

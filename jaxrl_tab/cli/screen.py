@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 PATIENCE = 2.0  # seconds of silence, at most
 
 
-def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> int:
+def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> None:
     """Prints what came out: tables for people, or JSON."""
     if options.json:
         summary = {"folder": folder and str(folder), "summary": _records(outcome.summary)}
         chosen = {"selection": _records(outcome.selection)} if outcome.fresh else {}
         print_json(summary | chosen)
-        return 0
+        return
     if options.quiet:
-        return 0
+        return
     for environment, methods in outcome.methods.items():
         with busy("summing up"):
             _ = methods.rows  # worked out now, while the line is shown; kept for the tables
@@ -43,10 +43,6 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> i
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
         why = "a number became infinite, or NaN, or grew beyond any possible return."
         console().print(f"{diverged} of {runs} runs diverged: {why}")
-    if folder:
-        name = next(iter(outcome.datasets))
-        say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])
-    return 0
 
 
 def _records(table: "pd.DataFrame") -> Any:
