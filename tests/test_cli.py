@@ -18,12 +18,13 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning, plot, stats
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
-from jaxrl_tab.cli import main, options, screen
+from jaxrl_tab.cli import main, screen
 from jaxrl_tab.cli import sweep as sweep_module
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Sweep
+from jaxrl_tab.cli.typed import flag_of
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import shards
@@ -495,7 +496,7 @@ def test_no_two_options_have_the_same_name(command):
     groups = [ENVS, METHODS] if command is Sweep else [ENVS]
     own = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(command)}
     for registry in groups:
-        names = {options.option_of(p) for cls in registry.values() for p in describe.parameters(cls)}
+        names = {flag_of(p) for cls in registry.values() for p in describe.parameters(cls)}
         assert not names & own
         own |= names
 

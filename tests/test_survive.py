@@ -19,7 +19,7 @@ import xarray as xr
 import jaxrl_tab as rl
 from jaxrl_tab import cli, plot, stats
 from jaxrl_tab.cli import interrupt
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import by_xla
 from jaxrl_tab.experiment import runner, shards, storage
 

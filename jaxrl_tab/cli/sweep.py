@@ -9,11 +9,10 @@ from typing import Any
 
 from jaxrl_tab.cli.common import (
     ENVIRONMENT,
+    EXECUTOR,
     HYPERPARAMETERS,
-    PROG,
     SEEDS,
     STEPS,
-    checked_name,
     find,
     named_in,
     prepare,
@@ -21,10 +20,12 @@ from jaxrl_tab.cli.common import (
     with_own,
 )
 from jaxrl_tab.cli.interrupt import interruptible
-from jaxrl_tab.cli.options import Group, Typed, parse, values, values_of, word
-from jaxrl_tab.cli.screen import busy, print_json, say_where, show_outcome
+from jaxrl_tab.cli.options import Typed, checked_name
+from jaxrl_tab.cli.screen import busy, say_where, show_outcome
+from jaxrl_tab.cli.streams import PROG, print_json
+from jaxrl_tab.cli.typed import Classes, parse, values, values_of, word
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError, one_line
+from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.names import is_from_outside
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.engine.backend import Backend
@@ -60,14 +61,6 @@ class Where:
     @property
     def bytes(self) -> int | None:
         return None if self.memory is None else memory.parse(self.memory)
-
-
-# Some parameters of the executors are called otherwise here, where they stand beside options of other things.
-EXECUTOR = Group(
-    executors.EXECUTORS,
-    "Of the executor. The address is that of a Ray cluster, or of process 0 of a distributed job.",
-    spelled={"num_processes": "processes", "process_id": "process", "parameters": "slurm"},
-)
 
 
 @contextlib.contextmanager
@@ -199,7 +192,7 @@ def _conduct(experiment: Experiment, executor: Executor, options: Sweep, command
 
 
 def _experiment(
-    options: Sweep, typed: Mapping[str, Typed], hyperparameters: Group, environment: Group
+    options: Sweep, typed: Mapping[str, Typed], hyperparameters: Classes, environment: Classes
 ) -> Experiment:
     """The experiment that is in a file, or was typed."""
     is_file = options.env.endswith(".toml") or Path(options.env).is_file()

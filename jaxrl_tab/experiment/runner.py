@@ -23,7 +23,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import names
-from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
+from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
 from jaxrl_tab.engine import backend, batch, provenance, room
 from jaxrl_tab.engine.log import Log
