@@ -232,7 +232,13 @@ def make_idle(put):
 
     put(sweep, "_conduct", stop)
     put(figure, "make_runs", stop)
-    put(rl.executors, "get", stop)
+    get = rl.executors.get
+
+    def get_or_stop(name, **given):
+        executor = get(name, **given)
+        return executor if name == "local" else stop()  # or no sweep would be read any further
+
+    put(rl.executors, "get", get_or_stop)
     for name in ("policy_iteration", "epsilon_soft"):
         put(planning, name, stop)
 
