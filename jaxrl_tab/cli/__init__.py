@@ -1,4 +1,4 @@
-"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, sweep, resume, figure.
+"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, watch, sweep, resume, figure.
 
 Options for environments and methods are made from the registries: a new entry's parameters are options with
 no edit here. All that a person can get wrong is refused before anything is compiled, with exit code 2 and
@@ -15,6 +15,7 @@ from jaxrl_tab.cli.listing import list_command
 from jaxrl_tab.cli.solve import solve_command
 from jaxrl_tab.cli.streams import complain, give_up, prepare_streams
 from jaxrl_tab.cli.sweep import resume_command, sweep_command
+from jaxrl_tab.cli.watch import watch_command
 from jaxrl_tab.core.checks import InputError, RunError, as_path, one_line, reason
 from jaxrl_tab.core.version import __version__
 
@@ -28,6 +29,7 @@ optimum.
 commands:
   list      the environments and the methods, with their parameters
   solve     the exact values and an optimal policy of an environment
+  watch     an episode of a method, step by step, while it learns
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
   resume    go on with a sweep that was interrupted
   figure    make published figures again, and check their numbers
@@ -35,6 +37,7 @@ commands:
 examples:
   {PROG} list
   {PROG} solve windy-gridworld --moves king
+  {PROG} watch windy-gridworld sarsa --alpha 0.5
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
   {PROG} sweep --write-template experiment.toml
   {PROG} resume runs/windy
@@ -87,6 +90,7 @@ def _dispatch(argv: list[str]) -> int:
     commands = {
         "list": list_command,
         "solve": solve_command,
+        "watch": watch_command,
         "sweep": sweep_command,
         "resume": resume_command,
         "figure": figure_command,

@@ -28,7 +28,8 @@ from jaxrl_tab.core.checks import InputError, build, but_none, nearest, one_line
 Typed = dict[str, tuple[str, ...]]
 """The options that were typed, each with its words; none for a switch."""
 PAIRS = Mapping[str, Any]  # the type of a parameter that is typed as KEY=VALUE ...
-METAVARS = {int: "N", float: "X", str: "X", Path: "DIR", PAIRS: "KEY=VALUE"}
+FILE = str | Path | None  # the type of a parameter that names a file
+METAVARS = {int: "N", float: "X", str: "X", Path: "DIR", FILE: "FILE", PAIRS: "KEY=VALUE"}
 
 
 class Group(NamedTuple):

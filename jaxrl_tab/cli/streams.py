@@ -30,6 +30,9 @@ LOOKALIKES |= {
     "α": "alpha",
     "λ": "lambda",
     "γ": "gamma",
+    "δ": "delta",
+    "…": "...",
+    "●": "@",
 }
 
 

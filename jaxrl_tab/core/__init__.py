@@ -19,5 +19,6 @@ Its modules, from the ground up:
     coverage    whether a behaviour policy takes every action that a target policy may take
     episode     the memory of the current episode, for methods that learn when it is over
     experience  logged experience, as arrays, checked
+    steps       an episode step by step, with what was learned in each step
     memory      how many bytes things take, and where large results go
 """
