@@ -48,9 +48,13 @@ def tables(env: Any, v: np.ndarray, q: np.ndarray | None) -> list[Table]:
 
 
 def position(env: Any, q: np.ndarray | None, s: int) -> list[Table]:
-    """Where the agent is: the table with state `s`, marked, and the best actions of the states in it."""
+    """Where the agent is: the table with state `s`, marked, and the best actions of the states in it.
+
+    They are left out where all actions are equally good, as where nothing has been learned yet.
+    """
     best = _best(env, q)
-    cells = [f"[dim cyan]{best(i)}[/]" for i in range(env.num_states)]
+    prefers = np.zeros(env.num_states, bool) if q is None else q.max(-1) > _least(q)
+    cells = [f"[dim cyan]{best(i)}[/]" if prefers[i] else "" for i in range(env.num_states)]
     if isinstance(env, Grid):
         cells[env.state(env.goal)] = "[bold green]G[/]"
     cells[s] = "[bold reverse] ● [/]"
@@ -69,6 +73,11 @@ def _best(env: Any, q: np.ndarray | None) -> Callable[[int], str]:
 def best_actions(q: np.ndarray) -> np.ndarray:
     """The actions whose values are maximal but for rounding, int [n], from values [A]."""
     return np.flatnonzero(q >= q.max() - 1e-9 * abs(q[q > policies.UNAVAILABLE]).max())
+
+
+def _least(q: np.ndarray) -> np.ndarray:
+    """The smallest value of an action in each state, of those that there are."""
+    return q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
 
 
 def _panel(panel: Panel, cells: Sequence[str], wind: Any, lines: bool = True) -> Table:

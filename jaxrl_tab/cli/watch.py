@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich import box
@@ -108,7 +109,7 @@ def watch_command(argv: list[str]) -> int:
     return 0
 
 
-def _files(options: Watch, env: object) -> list[Path]:
+def _files(options: Watch, env: Any) -> list[Path]:
     """The files to write. Raises InputError where one cannot be, before anything is computed."""
     files = []
     for ending in ("gif", "html"):
@@ -133,7 +134,7 @@ def _show(watched: Watched) -> None:
     else:
         table = _table(told)
         for row in told.rows():
-            table.add_row(*((row,) if isinstance(row, str) else map(escape, row)))
+            table.add_row(*map(escape, row))
         out.print(table)
     out.print(told.end, markup=False)
     env = watched.env
@@ -157,7 +158,7 @@ def _frames(watched: Watched, told: Told) -> Iterator[Together]:
 
 
 def _table(told: Told) -> Table:
-    table = Table(*map(escape, told.head), box=box.SIMPLE)
-    for column in table.columns[:-1]:
-        column.no_wrap = True
+    table = Table(box=box.SIMPLE)
+    for heading in told.head:
+        table.add_column(escape(heading), no_wrap=len(heading) < len("next state"))
     return table

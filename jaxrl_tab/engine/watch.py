@@ -90,8 +90,14 @@ class Watched:
         """What the run had learned at some 40 moments, of which most are early; it is run again for that."""
         every = -(-self.num_episodes // RECORDED)
         key = _key(self.root_seed, self.seed)
-        budget = {"num_episodes": self.num_episodes, "log_every": every}
-        _, log = train(key, self.algorithm, self.env, **budget, record=TableRecorder())
+        _, log = train(
+            key,
+            self.algorithm,
+            self.env,
+            num_episodes=self.num_episodes,
+            log_every=every,
+            record=TableRecorder(),
+        )
         assert log.recorded is not None
         tables = np.asarray(log.recorded["table"])
         rows = np.unique(np.rint(np.geomspace(1, len(tables), MOMENTS)).astype(int))

@@ -7,6 +7,7 @@ Its modules, from the ground up:
     states    the names of states
     steps     an episode as a table, a row for each step
     style     how pictures look: colours, markers, sizes, axes, legends
+    moves     where greedy actions lead: paths, and how long they are
     curves    pictures of learning curves and of sensitivity to hyperparameters
     grids     pictures of grids: values, greedy paths, and what changes from grid to grid
     panels    pictures of tasks that are no grids: panels of values and actions

@@ -13,7 +13,7 @@ from jaxrl_tab.show.states import state_names
 from jaxrl_tab.show.words import counted, significant
 
 AT_ENDS = 10  # steps at the beginning, and at the end, of an episode that is too long to show
-ENTRIES = 3  # of what a step changed
+ENTRIES = 2  # of what a step changed, that are named
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,15 +53,15 @@ class Told:
             self._changed(i),
         )
 
-    def rows(self) -> Iterator[tuple[str, ...] | str]:
-        """The rows of all steps; of a long episode its beginning and its end, and a line between them."""
-        left_out = len(self.steps) - 2 * AT_ENDS
+    def rows(self) -> Iterator[tuple[str, ...]]:
+        """The rows of all steps; of a long episode its beginning and its end, and between them what is left out."""
+        steps, left_out = range(len(self.steps)), len(self.steps) - 2 * AT_ENDS
         if left_out <= AT_ENDS:
-            yield from map(self.row, range(len(self.steps)))
+            yield from map(self.row, steps)
             return
-        yield from map(self.row, range(AT_ENDS))
-        yield f"… {counted(left_out, 'steps')} are left out …"
-        yield from map(self.row, range(len(self.steps) - AT_ENDS, len(self.steps)))
+        yield from map(self.row, steps[:AT_ENDS])
+        yield ("…", *[""] * (len(self.head) - 2), f"{counted(left_out, 'steps')} are left out")
+        yield from map(self.row, steps[-AT_ENDS:])
 
     @property
     def end(self) -> str:
@@ -90,7 +90,7 @@ class Told:
         most = np.argsort(-abs(change.after - change.before), kind="stable")[:ENTRIES]
         entries = []
         for s, a, *values in zip(*(x[most] for x in change), strict=True):
-            here = s == seen.s[i] and (a == seen.a[i] or self.learns is Learns.STATES)
+            here = bool(s == seen.s[i]) and (self.learns is Learns.STATES or bool(a == seen.a[i]))
             before, after = (_short(float(x)) for x in values)
             entries.append(f"{self._entry(int(s), int(a), here)}: {before} to {after}")
         more = len(change.s) - len(most)
