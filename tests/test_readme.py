@@ -45,7 +45,10 @@ def test_the_sarsa_that_is_shown_is_the_sarsa_that_runs():
 
 
 def test_what_is_watched_is_what_is_shown(capsys):
-    """Line by line, in this order; dots stand for lines that are left out. Broken once: two lines exchanged -> fails."""
+    """Line by line, in this order; dots stand for lines that are left out.
+
+    Broken once: two lines exchanged -> fails.
+    """
     (command,) = [block for block in blocks("console") if "watch" in block]
     assert main(command.partition("#")[0].split()[1:]) == 0
     printed = iter([" ".join(line.split()) for line in capsys.readouterr().out.splitlines()])

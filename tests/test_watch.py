@@ -48,7 +48,7 @@ def bits(x):
 def test_each_method_learns_what_it_learns_in_a_sweep(name):
     """To the last bit, with a step size that is no binary fraction; and nothing that it learns is left out.
 
-    Broken once: the words of the reset taken from the step before it -> fails.
+    Broken once: changes since the beginning of the episode -> fails.
     """
     env, alpha = rl.make("random-walk", states=5), {} if "monte-carlo" in name else {"alpha": 0.37}
     seen = watched(env, METHODS[name](**alpha), num_episodes=9, at=1)
@@ -74,7 +74,8 @@ CASES = {
 def test_the_steps_are_those_of_the_run(case):
     """As `collect` logs them, and the state of the learner is that of `train`, to the last bit.
 
-    Broken once: S' taken from the run, where the next episode has begun -> fails.
+    Broken once: S' taken from the run, where the next episode has begun; the first state of the episode drawn with
+    the words of one step later -> fails.
     """
     env, method, at = CASES[case]
     episode = watched(env, method, num_episodes=at)
