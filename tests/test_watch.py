@@ -19,7 +19,7 @@ import jaxrl_tab as rl
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.cli import main, tables
 from jaxrl_tab.cli import watch as command
-from jaxrl_tab.core.declared import Learns
+from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.steps import Change, Steps
 from jaxrl_tab.engine import stepwise
 from jaxrl_tab.engine import watch as module
@@ -50,9 +50,11 @@ def test_each_method_learns_what_it_learns_in_a_sweep(name):
 
     Broken once: changes since the beginning of the episode -> fails.
     """
-    env, alpha = rl.make("random-walk", states=5), {} if "monte-carlo" in name else {"alpha": 0.37}
-    seen = watched(env, METHODS[name](**alpha), num_episodes=9, at=1)
-    swept = rl.sweep(env, name, alpha, num_seeds=SEED + 1, num_episodes=1, seed=ROOT)
+    env = rl.make("random-walk", states=5)
+    grid = {of_method(METHODS[name]).learns.initial: 0.5, "gamma": 0.9}  # every step changes something
+    grid |= {} if "monte-carlo" in name else {"alpha": 0.37}
+    seen = watched(env, METHODS[name](**grid), num_episodes=9, at=1)
+    swept = rl.sweep(env, name, grid, num_seeds=SEED + 1, num_episodes=1, seed=ROOT)
     assert bits(seen.q) == bits(swept.q[SEED])
     assert len(seen.steps) == swept.log.lengths[SEED, -1]
     q = seen.before.copy()
@@ -331,6 +333,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "no episodes": ({"num_episodes": 0}, "watch: num_episodes must be a whole number of at least 1, not 0"),
     "seed": ({"seed": -1}, "watch: seed must be a whole number of at least 0, not -1"),
     "root": ({"root_seed": 0.5}, "watch: root_seed must be a whole number of at least 0, not 0.5"),
+    "a batch": ({"algorithm": rl.Sarsa(alpha=np.ones(2))}, "Sarsa: alpha"),
     "a class": ({"algorithm": rl.Sarsa}, "algorithm must be an instance, such as Sarsa"),
     "a name": ({"algorithm": "sarsa"}, "algorithm must be an instance, such as Sarsa"),
     "several tables": ({"algorithm": rl.ManyTargets(targets=PI)}, "ManyTargets has several"),

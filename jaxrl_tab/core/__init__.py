@@ -4,6 +4,7 @@ Its modules, from the ground up:
 
     version     the version of the package
     checks      checks of the values that users give, and the wording of the messages about them
+    notebook    objects in a line, and as a table in a notebook
     pytree      frozen dataclasses that are JAX pytrees, whose fields say what they take
     describe    the parameters of a class and what they are, for help and lists
     modules     files of somebody's own, loaded by their checksum, with the files that they import

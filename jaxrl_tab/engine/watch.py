@@ -3,7 +3,7 @@
 import dataclasses
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -11,18 +11,18 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.checks import InputError, check_held, check_pytree, whole
+from jaxrl_tab.core.checks import InputError, whole
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.names import registered_name
+from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.steps import Change, Steps
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
 from jaxrl_tab.engine import stepwise
 from jaxrl_tab.engine.results import label, parameters
-from jaxrl_tab.engine.train import train
+from jaxrl_tab.engine.train import checked_pair, train
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.show import learning
-from jaxrl_tab.show.html import render
 from jaxrl_tab.show.steps import Told
 from jaxrl_tab.show.words import counted, label_of, title_of
 
@@ -134,7 +134,9 @@ class Watched:
         return f"<Watched: {self.name}: episode {self.at} of {self.num_episodes}, seed {self.seed}, {steps}>"
 
     def _repr_html_(self) -> str:
-        return render("steps.html", name=self.name, watched=self, told=self.told)
+        told = self.told
+        title = f"{self.name}: episode {self.at} of {self.num_episodes}, seed {self.seed}. {told.end}"
+        return table(title, told.head, told.rows())
 
 
 def watch(
@@ -162,9 +164,7 @@ def watch(
     Raises:
         InputError: something given is wrong; nothing was compiled.
     """
-    if isinstance(algorithm, Environment):
-        env, algorithm = algorithm, env
-    env, algorithm = cast(Environment, env), cast(Algorithm, algorithm)
+    algorithm, env = checked_pair(algorithm, env)
     whole("watch", "num_episodes", num_episodes)
     at = num_episodes if at is None else whole("watch", "at", at)
     for name, value in (("seed", seed), ("root_seed", root_seed)):
@@ -175,9 +175,6 @@ def watch(
             who="watch",
             field="at",
         )
-    check_pytree("algorithm", algorithm, METHODS)
-    check_pytree("env", env, ENVS)
-    check_held(env)
     if jax.eval_shape(lambda: _first_learner(algorithm, env).q).ndim != 2:
         raise InputError(
             f"watch shows one table of values [S, A], and {type(algorithm).__name__} has several"
