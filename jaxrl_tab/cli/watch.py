@@ -13,27 +13,20 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from jaxrl_tab.cli.common import (
-    ENVIRONMENT,
-    HYPERPARAMETERS,
-    find,
-    named_in,
-    prepare,
-    start_jax,
-    with_own,
-)
-from jaxrl_tab.cli.options import FILE, parse, values_of, word
-from jaxrl_tab.cli.screen import busy, console
+from jaxrl_tab.cli.common import ENVIRONMENT, OF_ONE_METHOD, find, named_in, prepare, start_jax, with_own
+from jaxrl_tab.cli.screen import busy
+from jaxrl_tab.cli.streams import console
 from jaxrl_tab.cli.tables import position, tables
-from jaxrl_tab.core.checks import InputError, build
+from jaxrl_tab.cli.typed import FILE, parse, values_of, word
+from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.declared import Learns, of_environment
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.core.types import FiniteEnvironment
 from jaxrl_tab.engine.watch import EPISODES, Watched, watch
 from jaxrl_tab.show import learning
 from jaxrl_tab.show.steps import Told
 
-METHOD = HYPERPARAMETERS._replace(help="Of the method.", grids=False, defaults={})
 SECONDS, SLOWEST = 20.0, 0.5  # that an episode is played for, about; and one step of it, at most
 LAST_STEPS = 8  # of which a person sees the numbers while an episode is played
 FEW_STATES = 25  # of which the values are listed after an episode
@@ -81,7 +74,7 @@ def watch_command(argv: list[str]) -> int:
     prepare()
     for_environment, for_method = named_in(argv)
     groups = {
-        "hyperparameters": with_own(METHOD, for_method),
+        "hyperparameters": with_own(OF_ONE_METHOD, for_method),
         "environment": with_own(ENVIRONMENT, for_environment),
     }
     options, typed = parse(Watch, argv, **groups)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxrl_tab.core.checks import as_array, explained, shown
+from jaxrl_tab.core.checks import as_array, explained
+from jaxrl_tab.core.errors import shown
 
 FEW = 12  # numbers of an array that are shown
 LEFT = ' style="text-align: left"'

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import one_line
 from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.declared import Learns
+from jaxrl_tab.core.errors import one_line
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.schedules import typed

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.checks import InputError, whole
 from jaxrl_tab.core.declared import of_method
+from jaxrl_tab.core.errors import InputError, whole
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.notebook import table

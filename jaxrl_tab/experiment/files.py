@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxrl_tab.core.checks import RunError, one_line
+from jaxrl_tab.core.errors import RunError, one_line
 from jaxrl_tab.core.memory import words
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.types import Environment

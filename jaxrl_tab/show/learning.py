@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.core.checks import InputError, as_path, one_line, reason
 from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.errors import InputError, as_path, one_line, reason
 from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.core.types import Environment, FiniteEnvironment
 from jaxrl_tab.envs.base import Grid

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.notebook import table
 
 PLACES = 50  # of which a notebook shows the intervals
