@@ -150,7 +150,8 @@ def block(code: Lowering, facts: Facts, target: Target, lanes: int) -> tuple[int
 
 def _leave_one_by_one(code: Lowering, facts: Facts) -> bool:
     """Whether there are loops that lanes leave one by one: the more go side by side, the longer they wait."""
-    return any(value.op == "loop" and facts.varies(value) for value in operations(code.region))
+    loops = (value for value in operations(code.region) if value.op == "loop" and facts.varies(value))
+    return not all(map(facts.is_branch, loops))
 
 
 def _swept(code: Lowering, facts: Facts, width: int) -> int:

@@ -94,12 +94,21 @@ class Vectors(Writer):
         return writer.value(f"shufflevector {whole} {one}, {whole} poison, <{w} x i32> zeroinitializer")
 
     def lanes_of(self, x: str) -> list[str]:
-        """The numbers of a vector of indices, none of which is negative, as 64 bits."""
+        """The numbers of a vector of indices, none of which is negative, as 64 bits: two leave it at a time."""
         if x not in self.elements:
-            parts = [
-                self.value(f"extractelement {self.kind(np.int32)} {x}, i32 {j}") for j in range(self.width)
-            ]
-            self.elements[x] = [self.value(f"zext i32 {part} to i64") for part in parts]
+            pairs, whole = self.width // 2, self.kind(np.int32)
+            if self.width % 2:
+                numbers = [self.value(f"extractelement {whole} {x}, i32 {j}") for j in range(self.width)]
+                self.elements[x] = [self.value(f"zext i32 {number} to i64") for number in numbers]
+            else:
+                both = vector(pairs, "i64")
+                x64 = self.value(f"bitcast {whole} {x} to {both}")
+                of_pairs = [self.value(f"extractelement {both} {x64}, i32 {j}") for j in range(pairs)]
+                self.elements[x] = [
+                    self.value(f"{half} i64 {pair}, {number}")
+                    for pair in of_pairs
+                    for half, number in (("and", 2**32 - 1), ("lshr", 32))
+                ]
         return self.elements[x]
 
     def joined(self, kind: str, numbers: Sequence[str]) -> str:
