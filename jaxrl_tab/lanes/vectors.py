@@ -104,8 +104,8 @@ class Vectors(Writer):
                 both = vector(pairs, "i64")
                 x64 = self.value(f"bitcast {whole} {x} to {both}")
                 of_pairs = [self.value(f"extractelement {both} {x64}, i32 {j}") for j in range(pairs)]
-                # Nothing is done here, but LLVM forgets how large the numbers are: knowing it, LLVM 22 leaves out
-                # the mask of a lower half on x86 (when it shortens the mask to what it takes to be needed).
+                # This does nothing, but LLVM forgets how large the numbers are: where it knows that of a sum,
+                # LLVM 22 leaves out the mask of the lower half in an address, and reads anywhere.
                 of_pairs = [self.value(f'call i64 asm "", "=r,0"(i64 {pair})') for pair in of_pairs]
                 self.elements[x] = [
                     self.value(f"{half} i64 {pair}, {number}")
