@@ -149,6 +149,10 @@ class Facts:
         """Whether a loop has few turns for sure."""
         return self.counter(loop) is not None and self._turns_of(loop) <= SOON
 
+    def is_within_another(self, loop: Value) -> bool:
+        """Whether a loop stands in another one."""
+        return loop in self._around
+
     def is_branch(self, loop: Value) -> bool:
         """Whether a loop has one turn at most: it goes on while what it carries is True, and that is False then."""
         goes_on = loop.attr.condition.results[0]

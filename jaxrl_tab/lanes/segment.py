@@ -9,8 +9,6 @@ from jaxrl_tab.lanes.text import Writer
 from jaxrl_tab.lanes.types import in_memory, type_of, vector
 from jaxrl_tab.lanes.vectors import Vectors
 
-FEW = 8  # numbers of a row, among which one is chosen rather than read again
-
 
 class Segment(Vectors):
     """One of the pieces of which a kernel consists.
@@ -20,7 +18,7 @@ class Segment(Vectors):
     """
 
     def __init__(self, names: Names, around: str | None):
-        super().__init__(names.layout)
+        super().__init__(names.layout, names.target)
         self.names, self.facts, self.around = names, names.facts, around
         self._rows: dict[Value, list[str]] = {}
         self._current: dict[Buffer, list[Value]] = {}  # the rows that were read since the memory was changed
@@ -227,18 +225,23 @@ class Segment(Vectors):
         for row in self._current.get(value.attr, ()):
             first, count = self.facts.of(row.args[0]), row.attr[1]
             places = [x for x in self.facts.args(index) if x is not first]
-            if len(places) != 1 or count > FEW:
-                continue
-            low, high = self.facts.bounds(places[0])
-            if low < 0 or high >= count:
-                continue
-            place, (chosen, *others) = self.vector(places[0]), self._rows[row]
-            for k, x in enumerate(others, 1):
-                is_it = self.value(f"icmp eq {self.kind(np.int32)} {place}, {self.splat(np.int32, str(k))}")
-                kind = self.kind(value.dtype)
-                chosen = self.value(f"select {self.kind(bool)} {is_it}, {kind} {x}, {kind} {chosen}")
-            return chosen
+            if len(places) == 1 and self._stays_at_hand(count):
+                low, high = self.facts.bounds(places[0])
+                if low >= 0 and high < count:
+                    return self._chosen(self._rows[row], self.vector(places[0]), self.kind(value.dtype))
         return None
+
+    def _stays_at_hand(self, count: int) -> bool:
+        """Whether a row of so many numbers takes a quarter of the registers at most."""
+        return count * self.width <= self.target.registers // 4 * self.target.width
+
+    def _chosen(self, row: list[str], place: str, kind: str) -> str:
+        """Of each lane the number at its place in a row."""
+        chosen = row[0]
+        for k, x in enumerate(row[1:], 1):
+            is_it = self.value(f"icmp eq {self.kind(np.int32)} {place}, {self.splat(np.int32, str(k))}")
+            chosen = self.value(f"select {self.kind(bool)} {is_it}, {kind} {x}, {kind} {chosen}")
+        return chosen
 
     def _load_row(self, value: Value) -> list[str]:
         (buffer, count), kind = value.attr, in_memory(value.dtype)
