@@ -43,6 +43,7 @@ def entry_of_a_row(q, s, a):
 
 
 def entry_after_a_write(q, s, a):
+    q = q.at[0, 0].set(1.0)
     best = row_of(q, s).max()
     new = q.at[s, 2].add(best, mode="clip")
     return new.at[s, a].get(mode="clip") + best, new
@@ -63,7 +64,8 @@ def entry_behind_a_loop(q, s, a):
         q = q.at[s, k].add(1.0, mode="clip")
         return q, row_of(q, s).max()
 
-    q, best = lax.fori_loop(0, a, turn, (q, 0.0))
+    q = q.at[0, 0].set(1.0)
+    q, best = lax.fori_loop(0, a, turn, (q, row_of(q, s).max()))
     return best, q.at[s, a].get(mode="clip"), q
 
 
