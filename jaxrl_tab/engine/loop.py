@@ -166,7 +166,11 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
             # A' and the first action of an episode are drawn alike: one draw serves, whichever is wanted.
             a = algorithm.policy(jnp.where(last, key.start, key.update), learner, s)
         else:
-            a = jnp.where(last, start.action(key.start, learner, s_start), a_next)
+            a = lax.cond(  # few steps are the last of an episode: `lanes` leaves out what none of them wants
+                last,
+                lambda: jnp.asarray(start.action(key.start, learner, s_start), run.a.dtype),
+                lambda: jnp.asarray(a_next, run.a.dtype),
+            )
         g = run.g + run.discount * reward
         log = Log(
             steps=jnp.int32(1),
