@@ -30,6 +30,9 @@ def embedded(figure: "Figure", kind: Literal["svg", "png"]) -> str:
     """
     import matplotlib as mpl
 
+    from jaxrl_tab.show.style import lay_out
+
+    lay_out(figure)
     file, date = BytesIO(), {"svg": {"Date": None}, "png": None}
     with mpl.rc_context({"svg.hashsalt": "jaxrl_tab"}):
         figure.savefig(file, format=kind, metadata=date[kind])
