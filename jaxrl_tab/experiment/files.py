@@ -1,7 +1,7 @@
 """The files of results in an experiment's folder."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxrl_tab.core.errors import RunError, one_line
+from jaxrl_tab.core.checks import is_list
+from jaxrl_tab.core.errors import RunError, check_choice, one_line, unfit
 from jaxrl_tab.core.memory import words
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.types import Environment
@@ -118,8 +119,22 @@ class Outcome:
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
 
-def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:
-    """Tables, pictures and the report, each a whole file or none."""
+FORMATS = ("png", "svg", "pdf")
+
+
+def check_formats(formats: Any) -> tuple[str, ...]:
+    """The formats of pictures, of `FORMATS`, each once; none for no pictures. Raises InputError where one is unknown."""
+    if isinstance(formats, str) or not is_list(formats):
+        raise unfit(None, "formats", f"a list of some of {', '.join(FORMATS)}", formats)
+    for one in formats:
+        check_choice(None, "formats", one, FORMATS)
+    return tuple(dict.fromkeys(formats))
+
+
+def write_files(
+    store: Store, outcome: Outcome, records: Mapping[str, Any], formats: Sequence[str] = FORMATS[:1]
+) -> None:
+    """Tables, pictures in these formats, and the report, each a whole file or none."""
     from jaxrl_tab.show import plot, report
 
     folder = store.path
@@ -135,7 +150,8 @@ def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> N
         with storage.as_run_error(folder):
             for label, methods in outcome.methods.items():
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
-                plot.save_all(methods, outcome.envs[label], place)
+                if formats:
+                    plot.save_all(methods, outcome.envs[label], place, formats)
             report.write_methods(scratch, outcome.methods, _about(store, records), outcome.fresh_methods)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
