@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -119,11 +119,12 @@ class Outcome:
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
 
-FORMATS = ("png", "svg", "pdf")
+Format: TypeAlias = Literal["png", "svg", "pdf"]
+FORMATS: tuple[Format, ...] = get_args(Format)
 
 
-def check_formats(formats: Any) -> tuple[str, ...]:
-    """The formats of pictures, of `FORMATS`, each once; none for no pictures. Raises InputError where one is unknown."""
+def check_formats(formats: Any) -> tuple[Format, ...]:
+    """Formats of pictures, each once; none for no pictures. Raises InputError where one is not of `FORMATS`."""
     if isinstance(formats, str) or not is_list(formats):
         raise unfit(None, "formats", f"a list of some of {', '.join(FORMATS)}", formats)
     for one in formats:
@@ -132,7 +133,7 @@ def check_formats(formats: Any) -> tuple[str, ...]:
 
 
 def write_files(
-    store: Store, outcome: Outcome, records: Mapping[str, Any], formats: Sequence[str] = FORMATS[:1]
+    store: Store, outcome: Outcome, records: Mapping[str, Any], formats: Sequence[Format] = FORMATS[:1]
 ) -> None:
     """Tables, pictures in these formats, and the report, each a whole file or none."""
     from jaxrl_tab.show import plot, report
@@ -148,6 +149,7 @@ def write_files(
     names = storage.file_names(outcome.envs)
     try:
         with storage.as_run_error(folder):
+            scratch.mkdir(parents=True, exist_ok=True)
             for label, methods in outcome.methods.items():
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
                 if formats:

@@ -33,7 +33,7 @@ from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import shards, sources, storage
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import FORMATS, Outcome, check_formats, write_files
+from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, write_files
 from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
@@ -53,7 +53,7 @@ def run(
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
     ready: Callable[[Outcome], None] | None = None,
-    formats: Sequence[str] = FORMATS[:1],
+    formats: Sequence[Format] = FORMATS[:1],
     command: str | None = None,
 ) -> Outcome:
     """Runs an experiment, and leaves everything in a new folder. Where it is interrupted, `resume` goes on.
@@ -94,7 +94,7 @@ def resume(
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
     ready: Callable[[Outcome], None] | None = None,
-    formats: Sequence[str] = FORMATS[:1],
+    formats: Sequence[Format] = FORMATS[:1],
     command: str | None = None,
     mixed: bool = False,
 ) -> Outcome:
@@ -144,7 +144,7 @@ def _go_on(
     limit: int | None,
     progress: Report | Literal[False] | None,
     ready: Callable[[Outcome], None] | None,
-    formats: Sequence[str],
+    formats: Sequence[Format],
     command: str,
     keep: bool = True,
     mixed: bool = False,
