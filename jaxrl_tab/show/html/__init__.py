@@ -22,6 +22,11 @@ def render(template: str, **values: Any) -> str:
     return templates.get_template(template).render(values)
 
 
+def as_data(content: bytes, mime: str) -> str:
+    """The address of a file that holds the file itself (a data URI)."""
+    return f"data:{mime};base64,{b64encode(content).decode('ascii')}"
+
+
 def embedded(figure: "Figure", kind: Literal["svg", "png"]) -> str:
     """A figure as the address of a picture that holds the picture itself (a data URI).
 
@@ -37,4 +42,4 @@ def embedded(figure: "Figure", kind: Literal["svg", "png"]) -> str:
     with mpl.rc_context({"svg.hashsalt": "jaxrl_tab"}):
         figure.savefig(file, format=kind, metadata=date[kind])
     mime = {"svg": "image/svg+xml", "png": "image/png"}[kind]
-    return f"data:{mime};base64,{b64encode(file.getvalue()).decode('ascii')}"
+    return as_data(file.getvalue(), mime)
