@@ -21,7 +21,7 @@ import pytest
 
 annotations.check()
 
-from keeping import programs_folder, said  # noqa: F401  Fixtures of several files.
+from keeping import programs_folder, said, unoptimised  # noqa: F401  Fixtures of several files.
 
 import jaxrl_tab as rl
 
@@ -34,7 +34,7 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 # fused). XLA reads its flags as it starts, and what the tests start, and record, is without these.
 with pytest.MonkeyPatch.context() as patched:
     flags = "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true"
-    patched.setenv("XLA_FLAGS", f"{os.environ['XLA_FLAGS']} {flags}")
+    patched.setenv("XLA_FLAGS", f"{os.environ.get('XLA_FLAGS', '')} {flags}")
     jax.jit(lambda: 0)()
 
 # What is imported stays; and what is compiled has many small objects, among which there is little garbage.
