@@ -34,13 +34,12 @@ from jaxrl_tab.show.curves import (
 )
 from jaxrl_tab.show.grids import (
     changes,
-    greedy_actions,
     greedy_path,
     median_path,
-    tables_of_seeds,
     values,
     walk,
 )
+from jaxrl_tab.show.moves import greedy_actions, tables_of_seeds
 from jaxrl_tab.show.panels import (
     action_values,
     panels,

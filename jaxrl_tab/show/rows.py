@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from jaxrl_tab.show import plot, words
+from jaxrl_tab.show import words
 from jaxrl_tab.show.words import counted, counts_in_words, number
 from jaxrl_tab.stats.columns import COLUMNS, Column, Row, text
 
@@ -51,7 +51,7 @@ def varied(rows: Sequence[Row]) -> list[str]:
     values: dict[str, set[str]] = {}
     for row in rows:
         for name, value in row.setting.items():
-            values.setdefault(name, set()).add(plot.written(value))
+            values.setdefault(name, set()).add(words.written(value))
     return [name for name, texts in values.items() if len(texts) > 1]
 
 
@@ -148,7 +148,7 @@ def settings_table(ranked: Sequence[Row], view: View) -> Table:
     rows = [
         [
             f"{words.title_of(row.method)}{' ★' if star else ' ≈' if row['tied'] and not row['best'] else ''}",
-            *(plot.written(row.setting[name]) if name in row.setting else "–" for name in view.varied),
+            *(words.written(row.setting[name]) if name in row.setting else "–" for name in view.varied),
             number(row["score"][0], view.decimals),
             _between(row["score"], view) + _doubt(row),
             *(_cell(column, row, view) for column in columns),
@@ -212,7 +212,7 @@ def decimals(rows: Iterable[Row]) -> int:
 
 def _setting(row: Row, view: View) -> str:
     shown = {name: row.setting[name] for name in view.varied if name in row.setting}
-    return ", ".join(map(_unbroken, plot.in_words(shown)))
+    return ", ".join(map(_unbroken, words.in_words(shown)))
 
 
 def setting_of(row: Row, view: View) -> str:
