@@ -4,11 +4,13 @@ Its modules, from the ground up:
 
     progress  how far something is: one kind of report everywhere
     words     names, numbers and settings as people read them
+    moves     where greedy actions lead
     style     how pictures look: colours, markers, sizes, axes, legends
     curves    pictures of learning curves and of sensitivity to hyperparameters
     grids     pictures of grids: values, greedy paths, and what changes from grid to grid
     panels    pictures of tasks that are no grids: panels of values and actions
     plot      the public side of these, and all pictures of a sweep; `rl.plot`
+    explorer  the data of the report, in which its readers look around
     rows      what a chapter of the report says: its rows, notes and tables
     report    the report of an experiment, one HTML file; `rl.report`
     html      its templates
