@@ -9,6 +9,7 @@ uses      how often a value is used
 
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -289,6 +290,7 @@ class Facts:
         return (low, high) if every[0] <= low and high <= every[1] else every
 
 
+@cache
 def _every(dtype: np.dtype) -> tuple[int, int]:
     if dtype.kind == "b":
         return 0, 1

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
-from scipy import stats
+from scipy import special
 
 from jaxrl_tab.core.checks import FRACTION, InputError, check_within, nearest
 from jaxrl_tab.stats.along import Interval, along, check_dims
@@ -88,14 +88,14 @@ def _skew(z: np.ndarray) -> np.ndarray:
 
 def _student(z: np.ndarray, confidence: float) -> np.ndarray:
     """Bounds about the mean, [2, c], from deviations [c, n]."""
-    half = stats.t.ppf((1 + confidence) / 2, z.shape[-1] - 1) * standard_error(z)
+    half = special.stdtrit(z.shape[-1] - 1, (1 + confidence) / 2) * standard_error(z)
     return np.stack([-half, half])
 
 
 def _hall(z: np.ndarray, confidence: float) -> np.ndarray:
     """Hall's bounds about the mean, [2, c], and nowhere inside Student's."""
     student, a = _student(z, confidence), _skew(z)
-    u = stats.t.ppf((1 + confidence) / 2, z.shape[-1] - 1) * np.array([[1.0], [-1.0]])
+    u = special.stdtrit(z.shape[-1] - 1, (1 + confidence) / 2) * np.array([[1.0], [-1.0]])
     curved = np.abs(a) > 1e-6  # else the transformation is the identity
     a = np.where(curved, a, 1)
     t = np.where(curved, 3 / a * (np.cbrt(1 + a * (u - a / 6)) - 1), u)
@@ -110,7 +110,7 @@ def _p_value(z: np.ndarray, mean: np.ndarray) -> np.ndarray:
         t = np.where(mean == 0, 0, mean / error)
         u = np.where(np.isfinite(t), t + a * t**2 / 3 + a**2 * t**3 / 27 + a / 6, t)
     nearer = np.where(t * u > 0, np.minimum(abs(t), abs(u)), 0)
-    return 2 * stats.t.sf(nearer, z.shape[-1] - 1)
+    return 2 * special.stdtr(z.shape[-1] - 1, -nearer)
 
 
 BOUNDS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
@@ -261,10 +261,11 @@ def median_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 0.95
         values = np.sort(values)
         median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
         # The k-th from either end bound the median with probability 1 - 2 P(Binomial(n, 1/2) < k).
-        k = int(stats.binom.ppf((1 - confidence) / 2, n, 0.5))
-        missed = 2 * stats.binom.cdf([k - 1, k], n, 0.5)
+        below = special.bdtr(np.arange(n + 1), n, 0.5)
+        k = int(np.searchsorted(below, (1 - confidence) / 2))
         if k == 0:
             return median, np.full(len(values), np.nan), np.full(len(values), np.nan)
+        missed = 2 * below[[k - 1, k]]
         inner = (1 - confidence - missed[0]) / (missed[1] - missed[0])
         inner = (n - k) * inner / (k + (n - 2 * k) * inner)
         low = _between(values[:, k - 1], values[:, k], inner)
@@ -306,14 +307,12 @@ def tolerance_interval(
         values = np.sort(values)
         median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
         ranks = np.arange(1, (n + 1) // 2)  # what lies between the r-th and the (n + 1 - r)-th is Beta
-        ranks = ranks[stats.beta.sf(content, n + 1 - 2 * ranks, 2 * ranks) >= confidence]
+        ranks = ranks[special.betainc(2 * ranks, n + 1 - 2 * ranks, 1 - content) >= confidence]
         if ranks.size:
             return median, values[:, ranks[-1] - 1], values[:, n - ranks[-1]]
         k = np.nan
         if n > 1:
-            k = stats.norm.ppf((1 + content) / 2) * np.sqrt(
-                (n - 1 / n) / stats.chi2.ppf(1 - confidence, n - 1)
-            )
+            k = special.ndtri((1 + content) / 2) * np.sqrt((n - 1 / n) / special.chdtri(n - 1, confidence))
         with np.errstate(invalid="ignore"):
             mean, half = values.mean(-1), k * values.std(-1) * np.sqrt(n / max(n - 1, 1))
         return median, mean - half, mean + half

@@ -219,11 +219,18 @@ def merge_rows(ds: xr.Dataset, at_most: int) -> xr.Dataset:
 
 
 def _merged(ds: xr.Dataset, every: int) -> xr.Dataset:
-    group = xr.DataArray(np.arange(ds.sizes["row"]) // every, dims="row", name="group")
     sums = ds[["steps", "episodes", "returns", "lengths", "rewards"]]
-    merged = sums.groupby(group).sum("row", skipna=False).rename(group="row")
-    merged = merged.transpose(..., "row").assign_attrs(ds.attrs)
+    starts = np.arange(0, ds.sizes["row"], every)
+    # The groups are neighbours, so this needs no `groupby`, which takes several times as long.
+    merged = {name: (x.dims, _sums_from(x, starts), x.attrs) for name, x in sums.items()}
+    merged = sums.isel(row=starts).assign(merged).assign_coords(row=np.arange(len(starts)))
     return merged.assign(diverged=ds.diverged) if "diverged" in ds else merged
+
+
+def _sums_from(x: xr.DataArray, starts: np.ndarray) -> np.ndarray:
+    """The sums from each of these rows until before the next, of float64 or int64."""
+    dtype = float if x.dtype.kind == "f" else np.int64
+    return np.add.reduceat(x.values, starts, axis=x.dims.index("row"), dtype=dtype)
 
 
 def sound_runs(x: xr.DataArray, ds: xr.Dataset) -> xr.DataArray:
