@@ -5,6 +5,7 @@ Its modules, from the ground up:
     progress  how far something is: one kind of report everywhere
     words     names, numbers and settings as people read them
     moves     where greedy actions lead
+    tasks     what people see of a task: the tables of its states, and what is exact
     style     how pictures look: colours, markers, sizes, axes, legends
     curves    pictures of learning curves and of sensitivity to hyperparameters
     grids     pictures of grids: values, greedy paths, and what changes from grid to grid

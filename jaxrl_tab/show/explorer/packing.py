@@ -16,7 +16,7 @@ import numpy as np
 
 BELOW, ABOVE, MISSING = 65533, 65534, 65535  # the codes of -inf, inf and NaN
 MOST_CODES = 65533
-DIGITS = 3.5  # about so many of the largest number are kept
+DIGITS = 4.5  # about so many of the largest number are kept
 
 
 class Steps(NamedTuple):
