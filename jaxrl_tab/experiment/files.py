@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from jaxrl_tab.show.explorer.over_time import Again
     from jaxrl_tab.stats.columns import Methods
 
 
@@ -105,8 +106,14 @@ class Outcome:
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
 
-def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:
-    """Tables, pictures and the report, each a whole file or none."""
+def write_files(
+    store: Store,
+    outcome: Outcome,
+    records: Mapping[str, Any],
+    again: "Again | None" = None,
+    toml: Mapping[str, str] | None = None,
+) -> None:
+    """Tables, pictures and the report, each a whole file or none. `again` and `toml`: for the report."""
     from jaxrl_tab.show import plot, report
 
     folder = store.path
@@ -123,7 +130,8 @@ def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> N
             for label, methods in outcome.methods.items():
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
                 plot.save_all(methods, outcome.envs[label], place)
-            report.write_methods(scratch, outcome.methods, _about(store, records), outcome.fresh_methods)
+            about_all = _about(store, records)
+            report.write_methods(scratch, outcome.methods, about_all, outcome.fresh_methods, again, toml)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
             with storage.as_run_error(goal):

@@ -32,6 +32,7 @@ from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import sources, storage
+from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import Outcome, write_files
 from jaxrl_tab.experiment.progress import Meter
@@ -167,7 +168,8 @@ def _go_on(
                 if origin.changed and not new:
                     warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
                 meter.show("tables, pictures, report")
-                write_files(store, outcome, records)
+                run_again = RunAgain(job.parts, limit)
+                write_files(store, outcome, records, run_again, toml_of_settings(experiment))
     return outcome
 
 

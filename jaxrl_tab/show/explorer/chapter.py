@@ -14,10 +14,9 @@ import xarray as xr
 
 from jaxrl_tab import stats
 from jaxrl_tab.core.checks import InputError, RunError
-from jaxrl_tab.core.types import Environment
 from jaxrl_tab.show import words
-from jaxrl_tab.show.explorer.measures import Flat, Measure, measures_of, statistics
-from jaxrl_tab.show.explorer.over_time import RANKS, Again, Block, OverTime, block, ranks
+from jaxrl_tab.show.explorer.measures import STATISTICS, Flat, Measure, measures_of, statistics
+from jaxrl_tab.show.explorer.over_time import RANKS, Again, Block, OverTime, averaged, block, ranks
 from jaxrl_tab.show.explorer.packing import as_text, packed_floats
 from jaxrl_tab.show.explorer.scene import Scene, scene
 from jaxrl_tab.show.explorer.scores import Score, intervals, levels_of, scores_of
@@ -25,9 +24,10 @@ from jaxrl_tab.stats.columns import Method, Methods
 
 # Numbers in a page, of all its chapters together: of curves 4 bytes each, of tables about 5 bits.
 CURVES, TABLES = 2**18, 2**21
-ALL_STEPS = 2**22  # that all seeds of a setting may take together to be run again; else only five of them are
-MOST_STEPS = 2**26  # that these may take
-ALL_NUMBERS, MOST_NUMBERS = 2**21, 2**24  # the same of what is recorded of them
+# What the runs of a setting may take together that are run again: those that are shown one by one, and as many more
+# of the first seeds, for a mean, as these allow.
+MOST_STEPS, MOST_NUMBERS = 2**26, 2**24
+MORE_STEPS, MORE_NUMBERS = 2**20, 2**19
 
 T = TypeVar("T", Measure, Score)
 
@@ -94,6 +94,8 @@ def explorer(
         "prediction": methods.prediction,
         "optimum": optima.pop() if len(optima) == 1 and np.isfinite([*optima]).all() else None,
         "methods": shown,
+        "first": list(sweeps).index(stats.ranked(methods.settings)[0]),
+        "statistics": len(STATISTICS),
         "measures": [_described(measure) for measure in measures],
         "scores": [_described(score) for score in scores],
         "scene": stage.data | {"exact": stage.exact is not None},
@@ -126,7 +128,7 @@ class _Sweep:
 
     def curves(self, measures: list[Measure]) -> np.ndarray:
         """[kept, measures, statistics and single runs, points]: see `statistics`."""
-        each = len(measures) * (8 + len(RANKS)) * len(self.flat.x)
+        each = len(measures) * (len(STATISTICS) + len(RANKS)) * len(self.flat.x)
         self.kept = sorted(self._order[: max(1, CURVES // self.sharers // each)])
         return statistics(self.flat, measures, self.kept, [self.singles(i) for i in self.kept])
 
@@ -160,13 +162,13 @@ class _Sweep:
                     missing.append(f"{error}.")
             if over is None:
                 over = OverTime(self.final([setting])[0][:, None])
-            over = OverTime(*(None if x is None else x[:, :, stage.states] for x in over))
-            singles = [places.tolist().index(i) for i in self.singles(setting)]
-            whole = len(places) == self.flat.seeds
-            room -= (len(singles) + 2 * whole) * over.tables[0].size * (1 if over.visits is None else 2)
+            visits = None if over.visits is None else over.visits[:, :, stage.states]
+            over = OverTime(over.tables[:, :, stage.states], visits)
+            packed = block(over, np.searchsorted(places, self.singles(setting)), averaged(places))
+            room -= packed.numbers
             if room < 0 and setting != self.best:
                 return
-            yield setting, block(over, singles, whole)
+            yield setting, packed
 
     def _recorded(self, name: str, again: Again) -> tuple[OverTime, np.ndarray]:
         """The best setting run again: what its runs had learned at the points of its curves, and their places.
@@ -175,13 +177,13 @@ class _Sweep:
             InputError, RunError: it takes too long, or too much, or what was learned in the end is not the same.
         """
         ds, flat = self.own.ds, self.flat
-        steps = int(flat.flat(ds.steps)[self.best].sum(dtype=np.int64))
-        numbers = len(flat.x) * 2 * int(np.prod(ds.q.shape[-2:]))
-        places = np.arange(flat.seeds)
-        if steps > ALL_STEPS or numbers * flat.seeds > ALL_NUMBERS:
-            places = np.sort(np.unique(self.singles(self.best)))
-            if steps * len(places) > MOST_STEPS * flat.seeds or numbers * len(places) > MOST_NUMBERS:
-                raise RunError("the runs are too long, or their tables too large, to be recorded for this page")
+        singles = self.singles(self.best)
+        steps = int(flat.flat(ds.steps)[self.best].sum(dtype=np.int64)) // flat.seeds
+        numbers = 2 * len(flat.x) * int(np.prod(ds.q.shape[-2:]))
+        if steps * len(singles) > MOST_STEPS or numbers * len(singles) > MOST_NUMBERS:
+            raise RunError("the runs are too long, or their tables too large, to be recorded for this page")
+        more = min(flat.seeds, MORE_STEPS // steps, MORE_NUMBERS // numbers)
+        places = np.unique([*range(more), *singles])
         over = again(name, self.best, places, flat.every)
         if not np.array_equal(over.tables[:, -1], self.final([self.best])[0][places], equal_nan=True):
             raise RunError("the best setting, run again, gave other numbers: this is another kind of machine")
@@ -199,6 +201,7 @@ class _Sweep:
             "draws": [_axis(ds, drawn) for drawn in stats.drawn(ds)],
             "fixed": {words.symbol(key): words.written(x) for key, x in stats.fixed(ds).items()},
             "x": self.flat.x.tolist(),
+            "ends": self.flat.ends.tolist(),
             "best": self.best,
             "kept": self.kept,
             "ranks": list(self._ranks(self.best)),

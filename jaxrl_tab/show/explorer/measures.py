@@ -72,7 +72,7 @@ def measures_of(ds: xr.Dataset) -> list[Measure]:
         Measure(count[0], count[1], lambda x: x[count[0]].cumsum(-1), "count",
                 f'x = {points}.{count[0]}.cumsum("row")')
     )  # fmt: skip
-    recorded = {
+    recorded: dict[str, tuple[str, Kind]] = {
         "greedy_value": ("exact value of the greedy policy", "return"),
         "policy_value": ("exact value of the policy that acts", "return"),
         "q_error": ("largest |Q − q*|", "cost"),
@@ -118,8 +118,19 @@ class Flat:
     @cached_property
     def times(self) -> np.ndarray:
         """The time at the end of each row of the log, int [rows]."""
-        budget = self.ds.attrs.get("num_steps", self.ds.attrs.get("num_episodes"))
-        return np.minimum((np.arange(self.rows) + 1) * int(self.ds.attrs["log_every"]), int(budget))
+        attrs = self.ds.attrs
+        budget = attrs["num_steps"] if "num_steps" in attrs else attrs["num_episodes"]
+        return np.minimum((np.arange(self.rows) + 1) * int(attrs["log_every"]), int(budget))
+
+    @cached_property
+    def merged(self) -> xr.Dataset:
+        """The sums of the log at the points of a curve."""
+        return stats.merge_rows(self.ds, POINTS)
+
+    @cached_property
+    def returns(self) -> xr.DataArray:
+        """The mean return at the points of a curve, [*hyperparameters, seed, row]."""
+        return stats.learning_curve(self.merged)
 
     @cached_property
     def diverged(self) -> np.ndarray:

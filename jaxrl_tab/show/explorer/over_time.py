@@ -34,10 +34,12 @@ class Block(NamedTuple):
 
     Attributes:
         text: the numbers, as `packing.as_text` gives them: tables, greedy sets, how many seeds agree, visits.
+        numbers: how many of them there are.
         data: what it takes to read them, as JSON has it.
     """
 
     text: str
+    numbers: int
     data: dict[str, Any]
 
 
@@ -54,8 +56,13 @@ def ranks(order: Sequence[int]) -> dict[str, int]:
     return {name: int(order[round(share * last)]) for name, share in RANKS.items()}
 
 
-def block(over: OverTime, singles: Sequence[int], whole: bool) -> Block:
-    """The views of some runs: where these are all of the setting mean and median; and single runs.
+def averaged(places: np.ndarray) -> int:
+    """How many of the first seeds are among these places, [runs] ascending, without a gap: a mean is of them."""
+    return int((places == np.arange(len(places))).sum())
+
+
+def block(over: OverTime, singles: Sequence[int] | np.ndarray, first: int) -> Block:
+    """The views of some runs: mean and median of the first ones, where these are several; and single runs.
 
     A mean of tables has arrows of its own, which need be those of no run. So the arrows of mean and median are a
     vote: the actions that the most seeds would take, with the share of seeds that would.
@@ -63,29 +70,40 @@ def block(over: OverTime, singles: Sequence[int], whole: bool) -> Block:
     Args:
         over: of these runs.
         singles: the places, in `over`, of the runs that are looked at one by one.
-        whole: whether these are all runs of the setting.
+        first: how many runs a mean is of.
     """
     # Where no action may be taken, nothing is learned: there is no number to show.
     tables = np.where(over.tables == UNAVAILABLE, np.nan, over.tables)
-    sets = greedy(over.tables[singles])
-    shown, counts, agree = tables[singles], over.visits if over.visits is None else over.visits[singles], b""
-    if whole:
+    shown, sets, agree, visits = tables[singles], greedy(over.tables[singles]), b"", over.visits
+    if visits is not None:
+        visits = visits[singles]
+    if first > 1:
         with np.errstate(invalid="ignore", over="ignore"):
-            averages = np.stack([tables.mean(0, dtype=float), np.median(tables, axis=0)])
+            averages = np.stack([tables[:first].mean(0, dtype=float), np.median(tables[:first], axis=0)])
         shown = np.concatenate([averages, shown])
-        vote = _vote(over.tables)
+        vote = _vote(over.tables[:first])
         most = vote >= vote.max(-1, keepdims=True) - 1e-6
         sets = np.concatenate([most[None], sets])
         agree = np.rint(100 * np.where(most, vote, 0).sum(-1)).astype(np.uint8).tobytes()
-        if over.visits is not None:
-            counts = np.concatenate([over.visits.mean(0, dtype=float)[None], over.visits[singles]])
+        if visits is not None:
+            visits = np.concatenate([np.asarray(over.visits)[:first].mean(0, dtype=float)[None], visits])
     steps, visit_step = Steps.of(shown), None
-    parts = [packed_codes(codes(shown, steps)), packed_sets(sets), agree]
-    if counts is not None:
-        visit_step = 10.0 ** max(0, int(np.ceil(np.log10(max(1, counts.max()) / 65000))))
-        parts.append(packed_codes(codes(counts.astype(float), Steps(0.0, visit_step, 0))))
-    numbers = {"low": steps.low, "step": steps.step, "decimals": steps.decimals, "visits": visit_step}
-    return Block(as_text(*parts), {"moments": shown.shape[1], "averages": whole, **numbers})
+    parts, numbers = [packed_codes(codes(shown, steps)), packed_sets(sets), agree], shown.size
+    if visits is not None:
+        visit_step = 10.0 ** max(0, int(np.ceil(np.log10(max(1, visits.max()) / 65000))))
+        parts.append(packed_codes(codes(visits.astype(float), Steps(0.0, visit_step, 0))))
+        numbers += visits.size
+    data = {
+        "moments": shown.shape[1],
+        "actions": tables.shape[-1],
+        "visited": 0 if visits is None else visits.shape[-1],
+        "averaged": first if first > 1 else 0,
+        "low": steps.low,
+        "step": steps.step,
+        "decimals": steps.decimals,
+        "visits": visit_step,
+    }
+    return Block(as_text(*parts), numbers, data)
 
 
 def greedy(q: np.ndarray) -> np.ndarray:

@@ -94,7 +94,7 @@ def unpacked_sets(data: bytes, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def as_text(*parts: bytes) -> str:
-    return base64.b64encode(zlib.compress(b"".join(parts), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(b"".join(parts), 6)).decode("ascii")
 
 
 def from_text(text: str) -> bytes:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from jaxrl_tab.show.explorer.measures import POINTS, Flat, Kind, Measure
 from jaxrl_tab.show.words import significant
 from jaxrl_tab.stats.columns import Method
 
+Middle = Literal["mean", "median"]
 SHARES = (0.02, 0.1, 0.3)  # of the way from the worst to the best, so much is left at a threshold
 
 
@@ -25,15 +27,15 @@ class Score:
         kind: how its axis is, see `Measure`.
         middle: the statistic.
         code: the lines of Python that work it out, as `x`, from all settings `ds`.
-        of: works it out: the runs float64 [settings, seeds] from all settings of a sweep.
+        of: works it out: a number for each run of a sweep, float64 [*hyperparameters, seed].
     """
 
     key: str
     title: str
     kind: Kind
-    middle: Literal["mean", "median"]
+    middle: Middle
     code: str
-    of: Callable[[xr.Dataset], xr.DataArray]
+    of: Callable[[Flat], xr.DataArray]
 
 
 def scores_of(ds: xr.Dataset, measures: Sequence[Measure], levels: Sequence[float]) -> list[Score]:
@@ -41,43 +43,41 @@ def scores_of(ds: xr.Dataset, measures: Sequence[Measure], levels: Sequence[floa
     first = measures[0]
     by_steps = "num_steps" in ds.attrs
     unit = "steps" if by_steps else "episodes"
+    lower = first.kind == "cost"
+    name, kind = ("mean RMS error, whole run", "cost") if lower else ("mean return, last tenth", "return")
     shown = [
-        Score("score", "mean RMS error, whole run", "cost", "mean", "x = stats.score(ds)", stats.score)
-        if first.key == "v_error"
-        else Score("score", "mean return, last tenth", "return", "mean", "x = stats.score(ds)", stats.score),
+        Score("score", name, kind, "mean", "x = stats.score(ds)", lambda flat: stats.score(flat.ds)),
         Score("interim", "mean return, whole run (interim)", "return", "mean", "x = stats.mean_return(ds)",
-              stats.mean_return),
+              lambda flat: stats.mean_return(flat.ds)),
         Score("area", "area under the curve of returns", "return", "mean",
               f"merged = stats.merge_rows(ds, {POINTS})\n"
-              "x = stats.area_under_curve(stats.learning_curve(merged), merged.steps)", _area),
+              "x = stats.area_under_curve(stats.learning_curve(merged), merged.steps)",
+              lambda flat: stats.area_under_curve(flat.returns, flat.merged.steps)),
     ]  # fmt: skip
-    lower = first.kind == "cost"
     word = "an error of" if lower else "a mean return of"
     for level in levels:
         shown.append(
             Score(f"until {level:g}", f"{unit} until {word} {significant(level)}", "cost", "median",
-                  _time_code(level, lower, by_steps),
-                  lambda ds, level=level: _time_to(ds, level, lower, by_steps))
+                  _time_code(level, lower, by_steps), partial(_time_to, level=level, lower=lower))
         )  # fmt: skip
-    ends = {"greedy_value": "return", "policy_value": "return", "q_error": "cost", "v_error": "cost"}
+    ends: dict[str, tuple[Kind, Middle]] = {
+        "greedy_value": ("return", "median"),
+        "policy_value": ("return", "median"),
+        "q_error": ("cost", "mean"),
+        "v_error": ("cost", "mean"),
+    }
     titles = {measure.key: measure.title for measure in measures}
-    for name, kind in ends.items():
+    for name, (kind, middle) in ends.items():
         if name in ds:
-            middle = "median" if kind == "return" else "mean"
-            code = f'x = ds["{name}"].isel(row=-1)'
-            at_end = lambda ds, n=name: ds[n].isel(row=-1).astype(float)
-            shown.append(Score(f"{name} end", f"{titles[name]}, at the end", kind, middle, code, at_end))
-    if by_steps:
-        shown.append(
-            Score("episodes", "episodes finished in all", "count", "mean", 'x = ds.episodes.sum("row")',
-                  lambda ds: ds.episodes.sum("row").astype(float))
-        )  # fmt: skip
-    else:
-        shown.append(
-            Score("steps", "time steps taken in all", "count", "mean", 'x = ds.steps.sum("row")',
-                  lambda ds: ds.steps.sum("row").astype(float))
-        )  # fmt: skip
-    return shown
+            shown.append(
+                Score(f"{name} end", f"{titles[name]}, at the end", kind, middle,
+                      f'x = ds["{name}"].isel(row=-1)', partial(_at_end, name=name))
+            )  # fmt: skip
+    count, title = (
+        ("episodes", "episodes finished in all") if by_steps else ("steps", "time steps taken in all")
+    )
+    code = f'x = ds.{count}.sum("row")'
+    return [*shown, Score(count, title, "count", "mean", code, partial(_sum, name=count))]
 
 
 def levels_of(middles: np.ndarray, cost: bool) -> list[float]:
@@ -99,7 +99,7 @@ def intervals(flat: Flat, scores: Sequence[Score], own: Method) -> np.ndarray:
         if score.key == "score":
             interval = own.interval
         else:
-            x = score.of(flat.ds)
+            x = score.of(flat)
             x = x if "diverged" not in flat.ds or score.middle == "median" else x.where(~flat.ds.diverged)
             interval = (stats.median_interval if score.middle == "median" else stats.mean_interval)(x)
         for k, part in enumerate(interval[:3]):
@@ -107,16 +107,18 @@ def intervals(flat: Flat, scores: Sequence[Score], own: Method) -> np.ndarray:
     return shown
 
 
-def _area(ds: xr.Dataset) -> xr.DataArray:
-    merged = stats.merge_rows(ds, POINTS)
-    return stats.area_under_curve(stats.learning_curve(merged), merged.steps)
+def _time_to(flat: Flat, level: float, lower: bool) -> xr.DataArray:
+    merged, curve = (flat.ds, flat.ds.v_error) if lower else (flat.merged, flat.returns)
+    time = merged.steps if "num_steps" in flat.ds.attrs else merged.episodes
+    return stats.time_to_threshold(curve, level, time.cumsum("row"), at_most=lower)
 
 
-def _time_to(ds: xr.Dataset, level: float, lower: bool, by_steps: bool) -> xr.DataArray:
-    merged = ds if lower else stats.merge_rows(ds, POINTS)
-    curve = ds.v_error if lower else stats.learning_curve(merged)
-    time = stats.episode_curve(merged)["time_steps" if by_steps else "episodes"]
-    return stats.time_to_threshold(curve, level, time, at_most=lower)
+def _at_end(flat: Flat, name: str) -> xr.DataArray:
+    return flat.ds[name].isel(row=-1).astype(float)
+
+
+def _sum(flat: Flat, name: str) -> xr.DataArray:
+    return flat.ds[name].sum("row").astype(float)
 
 
 def _time_code(level: float, lower: bool, by_steps: bool) -> str:
