@@ -6,7 +6,7 @@ function scaleOf(kind, values, least) {
   let high = seen.length ? seen.reduce((a, b) => Math.max(a, b)) : 1;
   const same = low === high;
   if (same) [low, high] = [low - (Math.abs(low) || 1) / 2, high + (Math.abs(high) || 1) / 2];
-  const wide = (a, b) => a > 0 && (kind === "log" || (kind === "auto" && b / a > 20));
+  const wide = (a, b) => a > 0 && (kind === "log" || (kind === "auto" && b / a > 8));
   if (!same && wide(low, high)) return { kind: "log", low, high, warp: Math.log10 };
   if (!same && wide(-high, -low)) return { kind: "minus", low, high, warp: (y) => -Math.log10(-y) };
   if (least !== undefined && low >= least) low = Math.min(low, least);
@@ -42,7 +42,7 @@ let clips = 0;
 // The frame of a chart: `x` and `y` give places, `plot` is what is cut off at its edges.
 function frame(box, label, { height, x, y, xName, xTicks, left, yTicks }) {
   box.replaceChildren();
-  const W = Math.max(260, box.clientWidth), x0 = left || 56, x1 = W - 12, y0 = height - 44, y1 = 10;
+  const W = Math.max(260, box.clientWidth), x0 = left || 56, x1 = W - 24, y0 = height - 44, y1 = 10;
   const svg = el("svg", { viewBox: `0 0 ${W} ${height}`, width: W, height, role: "group", "aria-label": label }, box);
   const a = y.warp(y.low), b = y.warp(y.high), pad = 6;
   const atY = (v) => (Number.isFinite(v) ? y0 - pad - ((y0 - y1 - 2 * pad) * (y.warp(v) - a)) / (b - a || 1) : NaN);

@@ -80,11 +80,11 @@ function curvesCard(c) {
     cursor = { f, marks, line: el("line", { class: "cursor", y1: f.y1, y2: f.y0 }, f.svg) };
     scrub(el("rect", { class: "hit", x: f.x0, y: f.y1, width: f.x1 - f.x0, height: f.y0 - f.y1 }, f.svg), f, times);
     drawLegend(all);
-    const missing = all.length - kept.length, middle = shown.length && statistics(shown[0]).middle;
+    const some = c.methods.some((one) => one.data.kept.length < one.count), middle = shown.length && statistics(shown[0]).middle;
     note.textContent = [
       shown.length && `Lines: ${middle} over the seeds.`,
       state.band !== "none" && `Bands: 95% intervals of the ${middle}${state.band === "all" && middle === "mean" ? ", that hold at all points at once (Bonferroni)" : ", each point for itself"}.`,
-      missing && `${missing} settings have no curve in this page, which keeps the best ones and their neighbours: results.nc has them all.`,
+      some && `This page has the curves of ${c.methods.map((one) => `${count(one.data.kept.length)} of ${count(one.count)} settings of ${one.data.title}`).join(", ")}: the best, and those that differ from it in one value. All are in results.nc.`,
     ].filter(Boolean).join(" ");
     move();
   }

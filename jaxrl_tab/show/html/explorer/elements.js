@@ -7,6 +7,7 @@ function el(tag, attributes, parent, text) {
   const e = IN_SVG.has(tag) ? document.createElementNS(SVG, tag) : document.createElement(tag);
   for (const [key, value] of Object.entries(attributes || {})) {
     if (key === "style") Object.assign(e.style, value);
+    else if (key.startsWith("aria-")) e.setAttribute(key, String(value));
     else if (value === true) e.setAttribute(key, "");
     else if (value !== false && value !== undefined && value !== null) e.setAttribute(key, value);
   }

@@ -48,7 +48,7 @@ async function chapter(root, number) {
     tables: (m) => {
       const setting = state.settings[m], key = `${m}-${setting}`, about = methods[m].data.tables[setting];
       if (!about) return null;
-      if (!kept.has(key)) kept.set(key, tablesOf(`${id}-tables-${key}`, about, data.scene.states.length, methods[m].data.ranks)));
+      if (!kept.has(key)) kept.set(key, tablesOf(`${id}-tables-${key}`, about, data.scene.states.length, methods[m].data.ranks));
       return kept.get(key);
     },
     set: (changes) => (Object.assign(state, changes), draw()),

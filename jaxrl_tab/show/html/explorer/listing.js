@@ -49,7 +49,11 @@ function listing(c, section) {
     body.replaceChildren(...(open ? fits : fits.slice(0, AT_ONCE)));
     all.hidden = fits.length <= AT_ONCE;
     all.textContent = open ? `show the first ${AT_ONCE}` : `show all ${fits.length}`;
-    told.textContent = wanted.length ? `${fits.length} of ${rows.length} settings` : "";
+    const every = c.methods.reduce((sum, m) => sum + m.count, 0);
+    told.textContent = [
+      wanted.length && `${count(fits.length)} of ${count(rows.length)} settings`,
+      every > rows.length && `the best ${count(rows.length)} of ${count(every)} are here, and all are in summary.csv`,
+    ].filter(Boolean).join("; ");
   }
 
   show();

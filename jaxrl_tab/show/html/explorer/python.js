@@ -11,15 +11,14 @@ function opened(method, setting) {
   return lines.join("\n");
 }
 
-const indented = (text) => text.split("\n").map((line) => `    ${line}`).join("\n");
-
 function curvesCode(c, lines) {
   const measure = c.data.measures.find((m) => m.key === c.state.measure), median = c.state.view === "median" || measure.middle === "median";
   const level = c.state.band === "all" && !median ? ", confidence=1 - 0.05 / x.sizes[\"row\"]" : "";
   const interval = measure.kind === "share" ? "stats.proportion_interval(x)" : median ? "stats.median_interval(x)" : `stats.mean_interval(x${level})`;
-  const shown = lines.filter((s) => !c.state.off.has(s.name)), every = Math.ceil(c.methods[0].data.rows / c.methods[0].data.x.length);
+  const shown = lines.filter((s) => !c.state.off.has(s.name));
   const parts = shown.map((s) => [
     opened(s.m, s.setting), `ends = ${quoted(s.m.data.ends)}`, measure.code, 'x = x.where(~ds.diverged)', `middle, low, high, n = ${interval}`,
+    "few = n < 0.9 * ds.sizes[\"seed\"]  # those that have a number there may be the good ones", "middle, low, high = (part.where(~few) for part in (middle, low, high))",
     `time = ${quoted(s.m.data.x)}  # ${c.data.unit}`, `ax.plot(time, middle, label=${quoted(s.name)})`, ...(c.state.band === "none" ? [] : ["ax.fill_between(time, low, high, alpha=0.2)"]),
   ].join("\n"));
   return [

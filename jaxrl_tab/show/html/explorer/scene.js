@@ -115,7 +115,7 @@ function panelStage(c, box, m, tables) {
       const share = over ? NaN : range.share(s, q, tables.visits(view, moment, s));
       cell.rect.style.fill = Number.isNaN(share) ? "var(--card)" : tint(share < 0 ? "--warm" : range.colour, Math.abs(share));
       const dark = Math.abs(share) > 0.6;
-      const shown = over ? "" : state.colour === "visits" ? visitsText(tables.visits(view, moment, s)) : state.colour === "error" ? tight(v - exact(s)) : tight(v);
+      const shown = over ? "" : untouched && state.colour !== "visits" ? "·" : state.colour === "visits" ? visitsText(tables.visits(view, moment, s)) : state.colour === "error" ? tight(v - exact(s)) : tight(v);
       cell.text.textContent = shown, cell.text.classList.toggle("light", dark);
       cell.letter.classList.toggle("light", dark), cell.arrow.classList.toggle("light", dark);
       const arrows = grid && scene.arrows.every(Boolean);

@@ -24,26 +24,28 @@ function settingsCard(c) {
     return drawn ? drawn.values.map((v, i) => [v, drawn.texts[i], m.number(m.places(setting).with(draw, i))]) : null;
   }
 
-  function others() {  // hyperparameters of the focus method that may have a curve for each value, or the other axis
-    const own = c.methods[state.method].data;
-    return own.axes.filter((a) => a.name !== "draw" && a.name !== state.axis && a.values.length > 1 && a.values.length <= 20);
-  }
+  // Hyperparameters of the focus method that may be the other axis; those with few values may have a curve for each.
+  const others = () => c.methods[state.method].data.axes.filter((a) => a.name !== "draw" && a.name !== state.axis && a.values.length > 1);
+  const FEW = 12;
 
   function draw() {
-    const own = c.methods[state.method], more = others();
-    by.fill([["methods", "method"], ...more.map((a) => [a.name, `value of ${a.symbol} (${own.data.title})`])]);
-    by.show(more.some((a) => a.name === state.by) ? state.by : "methods");
-    const heat = more.length && own.data.axes.some((a) => a.name === state.axis);
-    picture.fill(heat ? [["curves", "curves"], ["heat", "heat map"]] : [["curves", "curves"]]);
-    picture.show(heat ? state.picture : "curves");
+    const own = c.methods[state.method], more = others(), few = more.filter((a) => a.values.length <= FEW);
+    const possible = more.length && own.data.axes.some((a) => a.name === state.axis), heat = possible && state.picture === "heat";
+    picture.fill(possible ? [["curves", "curves"], ["heat", "heat map"]] : [["curves", "curves"]]);
+    picture.show(heat ? "heat" : "curves");
+    const named = (a) => [a.name, heat ? `${a.symbol} (${own.data.title})` : `value of ${a.symbol} (${own.data.title})`];
+    by.fill(heat ? more.map(named) : [["methods", "method"], ...few.map(named)]);
+    by.label.firstChild.textContent = heat ? "up the side" : "a curve for each";
+    const other = (heat ? more : few).find((a) => a.name === state.by) || (heat ? more[0] : undefined);
+    by.show(other ? other.name : "methods");
     score.show(state.score), axis.show(state.axis), scale.show(state.scoreScale), log.show(state.logAxis);
-    heat && state.picture === "heat" ? drawHeat(own, more.find((a) => a.name === state.by) || more[0]) : drawCurves(own, more);
+    heat ? drawHeat(own, other) : drawCurves(own, other);
   }
 
   const chosen = () => data.scores.find((s) => s.key === state.score);
 
-  function drawCurves(own, more) {
-    const k = data.scores.indexOf(chosen()), other = more.find((a) => a.name === state.by), f = c.methods.indexOf(own);
+  function drawCurves(own, other) {
+    const k = data.scores.indexOf(chosen()), f = c.methods.indexOf(own);
     const lines = (other
       ? other.texts.map((text, i) => ({ m: own, i, setting: own.number(own.places(c.settingOf(f)).with(own.data.axes.indexOf(other), i)), name: `${other.symbol} = ${text}` }))
       : c.methods.map((m, i) => ({ m, i, setting: c.settingOf(i), name: m.data.title }))
@@ -60,7 +62,7 @@ function settingsCard(c) {
     const means = lines.flatMap((line) => (line.points ? line.points.map((p) => line.m.score(p[2], k)[0]) : [line.m.score(line.setting, k)[0]]));
     const y = scaleOf(state.scoreScale, [...means, ["score", "interim"].includes(state.score) && data.optimum !== null && chosen().kind === "return" ? data.optimum : NaN], chosen().kind === "count" ? 0 : undefined);
     const sym = axes.find((a) => a.name === state.axis), name = sym.symbol === sym.name ? sym.name : `${sym.symbol} (${sym.name})`;
-    const fr = frame(body, `${chosen().title} against ${name}`, { height: 280, x, y, xName: name, xTicks: texts.map(([text, v]) => [at(v, text), text]) });
+    const fr = frame(body, `${chosen().title} against ${name}`, { height: 280, x, y, xName: name, xTicks: numeric && texts.length > FEW ? ticksOf(x, 6).map((v) => [v, minus(String(v))]) : texts.map(([text, v]) => [at(v, text), text]) });
     lines.forEach((line) => {
       const colour = colourOf(line.i), dash = dashOf(line.i);
       if (!line.points) {
@@ -113,16 +115,16 @@ function settingsCard(c) {
     const ordinal = (n) => ({ kind: "linear", low: -0.5, high: n - 0.5, warp: (v) => v });
     const y = { ...ordinal(other.values.length), text: (v) => other.texts[v] };
     const f = frame(body, `${chosen().title} over ${across.symbol} and ${other.symbol}`, {
-      height: Math.max(160, 70 + 34 * other.values.length), x: ordinal(across.values.length), y, xName: across.symbol,
-      xTicks: across.texts.map((text, a) => [a, text]), yTicks: other.values.map((_, b) => b), left: 40 + 7 * Math.max(...other.texts.map((t) => t.length)),
+      height: Math.max(160, Math.min(460, 70 + 34 * other.values.length)), x: ordinal(across.values.length), y, xName: across.symbol,
+      xTicks: across.texts.map((text, a) => [a, text]), yTicks: other.values.map((_, b) => b).filter((b) => b % Math.ceil(other.values.length / 20) === 0), left: 40 + 7 * Math.max(...other.texts.map((t) => t.length)),
     });
     el("text", { class: "name", x: 4, y: f.y1 + 4 }, f.svg, other.symbol);
-    const w = f.x(1) - f.x(0) || f.x1 - f.x0, h = f.y(0) - f.y(1) || f.y0 - f.y1, better = chosen().kind === "cost";
+    const w = f.x(1) - f.x(0) || f.x1 - f.x0, h = f.y(0) - f.y(1) || f.y0 - f.y1, better = chosen().kind === "cost", gap = Math.min(w, h) > 12 ? 1 : 0;
     across.values.forEach((_, a) => other.values.forEach((_, b) => {
       const [v, low, high] = own.score(number(a, b), k), chosenOne = number(a, b) === c.settingOf(m), dark = Number.isFinite(v) ? (better ? 1 - share(v) : share(v)) : 0;
       const text = `${across.symbol} = ${across.texts[a]}, ${other.symbol} = ${other.texts[b]}: ${short(v)} (${short(low)} to ${short(high)}), ${own.data.seeds} seeds`;
       const g = el("g", { class: chosenOne ? "point here" : "point", tabindex: 0, role: "button", "aria-label": text, "data-setting": `${m}-${number(a, b)}`, "data-value": v }, f.svg);
-      el("rect", { class: "heat", x: f.x(a) - w / 2 + 1, y: f.y(b) - h / 2 + 1, width: Math.max(1, w - 2), height: Math.max(1, h - 2), style: { fill: Number.isFinite(v) ? tint("--ramp", dark) : "var(--faint)" } }, g);
+      el("rect", { class: "heat", x: f.x(a) - w / 2 + gap, y: f.y(b) - h / 2 + gap, width: w - 2 * gap, height: h - 2 * gap, style: { fill: Number.isFinite(v) ? tint("--ramp", dark) : "var(--faint)" } }, g);
       if (w > 46 && h > 15) el("text", { class: dark > 0.55 ? "in light" : "in", x: f.x(a), y: f.y(b) + 4, "text-anchor": "middle" }, g, short(v));
       el("title", {}, g, text);
       press(g, () => c.pick(m, number(a, b)));
