@@ -14,6 +14,7 @@ from jaxrl_tab import report, stats
 from jaxrl_tab.show.explorer import chapter, packing, scores
 from jaxrl_tab.show.explorer.measures import STATISTICS
 from jaxrl_tab.show.explorer.over_time import OverTime, block, ranks
+from jaxrl_tab.stats.columns import Methods
 
 GROUP = 3  # rows of the log in a point of a curve: 100 rows, of which at most 40 points are made
 
@@ -129,7 +130,8 @@ def test_tables_over_time_are_those_of_the_same_runs(page):
         env, rl.QLearning, {"alpha": alpha}, num_seeds=8, num_steps=2000, log_every=60,
         record=lambda state: {"table": state.q}, progress=False,
     )  # fmt: skip
-    q = again.log.recorded["table"]
+    assert again.log.recorded is not None
+    q = np.asarray(again.log.recorded["table"])
     shown, views, about = decoded(page, 1, best)
     assert (about["moments"], about["averaged"]) == (34, 8)
     half = about["step"] / 2 + 1e-9
@@ -209,7 +211,7 @@ def windy_set(windy):
 
 def test_runs_that_are_not_the_same_again_are_left_out(windy, windy_set):
     """As on another kind of machine: the page tells it. Broken once: without the comparison -> fails."""
-    methods = stats.columns.Methods.of({"sarsa": windy_set}, windy)
+    methods = Methods.of({"sarsa": windy_set}, windy)
 
     def again_off_by(off):
         def again(name, setting, places, every):

@@ -104,10 +104,12 @@ def test_the_slider_moves_the_grid(page):
     assert page("$('.stage h5').textContent").startswith("Q-learning, α = ")
     alpha = float(page("$('.stage h5').textContent").rpartition(" ")[2])
     env = rl.make("windy-gridworld")
-    recorded = rl.sweep(
+    again = rl.sweep(
         env, "q-learning", {"alpha": alpha}, num_seeds=8, num_steps=1260, log_every=1260,
         record=lambda state: {"table": state.q}, progress=False,
-    ).log.recorded["table"][:, 0]  # fmt: skip
+    )  # fmt: skip
+    assert again.log.recorded is not None
+    recorded = np.asarray(again.log.recorded["table"])[:, 0]
     exact = rl.planning.value_iteration(env)[1]
     for s in (30, 33, 20):
         page(f"$('.cell[data-s=\"{s}\"]').dispatchEvent(new Event('pointerenter'))")

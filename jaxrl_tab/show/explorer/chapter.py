@@ -23,7 +23,7 @@ from jaxrl_tab.show.explorer.scores import Score, intervals, levels_of, scores_o
 from jaxrl_tab.stats.columns import Method, Methods
 
 # Numbers in a page, of all its chapters together: of curves 4 bytes each, of tables about 5 bits.
-CURVES, TABLES = 2**18, 2**21
+CURVES, TABLES = 2**19, 2**21
 # What the runs of a setting may take together that are run again: those that are shown one by one, and as many more
 # of the first seeds, for a mean, as these allow.
 MOST_STEPS, MOST_NUMBERS = 2**26, 2**24
@@ -226,4 +226,5 @@ def _common(lists: Sequence[list[T]]) -> list[T]:
 
 
 def _described(x: Measure | Score) -> dict[str, Any]:
-    return {"key": x.key, "title": x.title, "kind": x.kind, "middle": x.middle, "code": x.code}
+    more = {"partial": x.partial} if isinstance(x, Measure) else {}
+    return {"key": x.key, "title": x.title, "kind": x.kind, "middle": x.middle, "code": x.code} | more

@@ -40,9 +40,9 @@ function ticksOf(scale, n) {
 let clips = 0;
 
 // The frame of a chart: `x` and `y` give places, `plot` is what is cut off at its edges.
-function frame(box, label, { height, x, y, xName, xTicks, left, yTicks }) {
+function frame(box, label, { height, x, y, xName, xTicks, yName, left, yTicks }) {
   box.replaceChildren();
-  const W = Math.max(260, box.clientWidth), x0 = left || 56, x1 = W - 24, y0 = height - 44, y1 = 10;
+  const W = Math.max(260, box.clientWidth), x0 = left || 56, x1 = W - 24, y0 = height - 44, y1 = 26;
   const svg = el("svg", { viewBox: `0 0 ${W} ${height}`, width: W, height, role: "group", "aria-label": label }, box);
   const a = y.warp(y.low), b = y.warp(y.high), pad = 6;
   const atY = (v) => (Number.isFinite(v) ? y0 - pad - ((y0 - y1 - 2 * pad) * (y.warp(v) - a)) / (b - a || 1) : NaN);
@@ -64,6 +64,7 @@ function frame(box, label, { height, x, y, xName, xTicks, left, yTicks }) {
     end = at + half + 6;
     el("text", { class: "tick", x: at, y: y0 + 18, "text-anchor": "middle" }, svg, text);
   }
+  el("text", { class: "name", x: 0, y: 12 }, svg, yName);
   el("text", { class: "name", x: (x0 + x1) / 2, y: height - 4, "text-anchor": "middle" }, svg, xName);
   el("line", { class: "axis", x1: x0, x2: x1, y1: y0, y2: y0 }, svg);
   const id = `clip-${clips++}`;
@@ -109,6 +110,6 @@ function mark(parent, i, x, y, r, colour) {
   return el("path", { class: "mark", d, style: { fill: colour } }, parent);
 }
 
-// A colour of a scale from pale to full.
+// A colour of a scale from pale to strong, on which dark text can be read: its contrast is 4.5 or more.
 const tint = (colour, share) =>
-  `color-mix(in oklab, var(${colour}) ${Math.round(8 + 82 * Math.min(1, Math.max(0, share)))}%, var(--faint))`;
+  `color-mix(in oklab, var(${colour}) ${Math.round(6 + 64 * Math.min(1, Math.max(0, share)))}%, var(--faint))`;

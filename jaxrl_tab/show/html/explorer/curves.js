@@ -59,11 +59,8 @@ function curvesCard(c) {
     const times = shown.length ? shown[0].m.data.x : c.times, last = times[times.length - 1];
     const x = state.logTime ? { kind: "log", low: times[0], high: last, warp: Math.log10 } : { kind: "linear", low: 0, high: last, warp: (v) => v };
     const xTicks = ticksOf(x, Math.max(2, body.clientWidth / 120)).map((v) => [v, count(v)]);
-    const f = frame(body, `${chosen().title} over time`, { height: 300, x, y, xName: unit, xTicks });
-    if (Number.isFinite(optimum)) {
-      el("line", { class: "exact", x1: f.x0, x2: f.x1, y1: f.y(optimum), y2: f.y(optimum) }, f.plot);
-      el("text", { class: "tick", x: f.x0 + 4, y: f.y(optimum) + 14 }, f.plot, `exact optimum ${short(optimum)}`);
-    }
+    const f = frame(body, `${chosen().title} over time`, { height: 310, x, y, xName: unit, xTicks, yName: chosen().title + (Number.isFinite(optimum) ? ` (dashed: the exact optimum, ${short(optimum)})` : "") });
+    if (Number.isFinite(optimum)) el("line", { class: "exact", x1: f.x0, x2: f.x1, y1: f.y(optimum), y2: f.y(optimum) }, f.plot);
     const marks = [];
     for (const s of shown) {
       const at = statistics(s), of = (k) => s.m.curve(s.setting, m, k), xs = s.m.data.x.map(f.x);
@@ -84,6 +81,7 @@ function curvesCard(c) {
     note.textContent = [
       shown.length && `Lines: ${middle} over the seeds.`,
       state.band !== "none" && `Bands: 95% intervals of the ${middle}${state.band === "all" && middle === "mean" ? ", that hold at all points at once (Bonferroni)" : ", each point for itself"}.`,
+      chosen().partial && values.some(Number.isNaN) && "There is no line where fewer than 9 of 10 seeds ended an episode: those that did are the better ones.",
       some && `This page has the curves of ${c.methods.map((one) => `${count(one.data.kept.length)} of ${count(one.count)} settings of ${one.data.title}`).join(", ")}: the best, and those that differ from it in one value. All are in results.nc.`,
     ].filter(Boolean).join(" ");
     move();

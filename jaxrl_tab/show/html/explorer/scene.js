@@ -114,10 +114,8 @@ function panelStage(c, box, m, tables) {
       const untouched = q.every((x) => x === q[0]) && q.length > 1, sure = tables.agree(view, moment, s);
       const share = over ? NaN : range.share(s, q, tables.visits(view, moment, s));
       cell.rect.style.fill = Number.isNaN(share) ? "var(--card)" : tint(share < 0 ? "--warm" : range.colour, Math.abs(share));
-      const dark = Math.abs(share) > 0.6;
       const shown = over ? "" : untouched && state.colour !== "visits" ? "·" : state.colour === "visits" ? visitsText(tables.visits(view, moment, s)) : state.colour === "error" ? tight(v - exact(s)) : tight(v);
-      cell.text.textContent = shown, cell.text.classList.toggle("light", dark);
-      cell.letter.classList.toggle("light", dark), cell.arrow.classList.toggle("light", dark);
+      cell.text.textContent = shown;
       const arrows = grid && scene.arrows.every(Boolean);
       cell.arrow.setAttribute("d", !arrows || over || untouched ? "" : arrowsPath(cell, best.map((a) => scene.arrows[a]), best.length > 1));
       cell.letter.textContent = arrows || over || q.length < 2 || untouched ? "" : best.map((a) => letters[a]).join("");

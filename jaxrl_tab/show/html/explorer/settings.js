@@ -57,12 +57,13 @@ function settingsCard(c) {
     const xs = texts.map(([text, v]) => at(v, text)), positive = numeric && xs.every((v) => v > 0);
     const logs = positive && state.logAxis;
     log.label.hidden = !positive;
-    const x = { ...scaleOf(logs ? "log" : "linear", xs), margin: 16 };
+    const longest = Math.max(...texts.map(([text]) => text.length)), margin = numeric ? 16 : Math.max(16, 3.5 * longest - 20);
+    const x = { ...scaleOf(logs ? "log" : "linear", xs), margin };
     if (logs && xs.length > 1) x.warp = Math.log10;
     const means = lines.flatMap((line) => (line.points ? line.points.map((p) => line.m.score(p[2], k)[0]) : [line.m.score(line.setting, k)[0]]));
     const y = scaleOf(state.scoreScale, [...means, ["score", "interim"].includes(state.score) && data.optimum !== null && chosen().kind === "return" ? data.optimum : NaN], chosen().kind === "count" ? 0 : undefined);
     const sym = axes.find((a) => a.name === state.axis), name = sym.symbol === sym.name ? sym.name : `${sym.symbol} (${sym.name})`;
-    const fr = frame(body, `${chosen().title} against ${name}`, { height: 280, x, y, xName: name, xTicks: numeric && texts.length > FEW ? ticksOf(x, 6).map((v) => [v, minus(String(v))]) : texts.map(([text, v]) => [at(v, text), text]) });
+    const fr = frame(body, `${chosen().title} against ${name}`, { height: 290, x, y, xName: name, yName: chosen().title, xTicks: numeric && texts.length > FEW ? ticksOf(x, 6).map((v) => [v, minus(String(v))]) : texts.map(([text, v]) => [at(v, text), text]) });
     lines.forEach((line) => {
       const colour = colourOf(line.i), dash = dashOf(line.i);
       if (!line.points) {
@@ -116,16 +117,15 @@ function settingsCard(c) {
     const y = { ...ordinal(other.values.length), text: (v) => other.texts[v] };
     const f = frame(body, `${chosen().title} over ${across.symbol} and ${other.symbol}`, {
       height: Math.max(160, Math.min(460, 70 + 34 * other.values.length)), x: ordinal(across.values.length), y, xName: across.symbol,
-      xTicks: across.texts.map((text, a) => [a, text]), yTicks: other.values.map((_, b) => b).filter((b) => b % Math.ceil(other.values.length / 20) === 0), left: 40 + 7 * Math.max(...other.texts.map((t) => t.length)),
+      xTicks: across.texts.map((text, a) => [a, text]), yTicks: other.values.map((_, b) => b).filter((b) => b % Math.ceil(other.values.length / 20) === 0), yName: other.symbol, left: 40 + 7 * Math.max(...other.texts.map((t) => t.length)),
     });
-    el("text", { class: "name", x: 4, y: f.y1 + 4 }, f.svg, other.symbol);
     const w = f.x(1) - f.x(0) || f.x1 - f.x0, h = f.y(0) - f.y(1) || f.y0 - f.y1, better = chosen().kind === "cost", gap = Math.min(w, h) > 12 ? 1 : 0;
     across.values.forEach((_, a) => other.values.forEach((_, b) => {
       const [v, low, high] = own.score(number(a, b), k), chosenOne = number(a, b) === c.settingOf(m), dark = Number.isFinite(v) ? (better ? 1 - share(v) : share(v)) : 0;
       const text = `${across.symbol} = ${across.texts[a]}, ${other.symbol} = ${other.texts[b]}: ${short(v)} (${short(low)} to ${short(high)}), ${own.data.seeds} seeds`;
       const g = el("g", { class: chosenOne ? "point here" : "point", tabindex: 0, role: "button", "aria-label": text, "data-setting": `${m}-${number(a, b)}`, "data-value": v }, f.svg);
       el("rect", { class: "heat", x: f.x(a) - w / 2 + gap, y: f.y(b) - h / 2 + gap, width: w - 2 * gap, height: h - 2 * gap, style: { fill: Number.isFinite(v) ? tint("--ramp", dark) : "var(--faint)" } }, g);
-      if (w > 46 && h > 15) el("text", { class: dark > 0.55 ? "in light" : "in", x: f.x(a), y: f.y(b) + 4, "text-anchor": "middle" }, g, short(v));
+      if (w > 46 && h > 15) el("text", { class: "in", x: f.x(a), y: f.y(b) + 4, "text-anchor": "middle" }, g, short(v));
       el("title", {}, g, text);
       press(g, () => c.pick(m, number(a, b)));
     }));
