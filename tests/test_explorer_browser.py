@@ -290,6 +290,62 @@ def test_nothing_is_wider_than_the_window(page, width):
     page.wait("$$('.card svg').every(x => x.getBoundingClientRect().right <= innerWidth)")
 
 
+def test_panels_name_the_actions(browser, tmp_path):
+    """Blackjack: what a mean of tables says, and letters of what most seeds would do. Broken once: columns as rows
+    -> fails."""
+    env = rl.make("blackjack")
+    result = rl.sweep(env, "monte-carlo", {"epsilon": 0.2}, num_seeds=3, num_episodes=400, progress=False)
+    file = report.write(tmp_path, {"blackjack/monte-carlo": result.to_xarray()}, {"blackjack": env}, {})
+    look_at(browser, file)
+    tables = env.panels()
+    assert browser("$$('.panel .title').map(x => x.textContent)") == [table.title for table in tables]
+    states = np.unique(np.concatenate([table.states.ravel() for table in tables])).tolist()
+    s = tables[1].states[0, 4]
+    browser(f"$('.cell[data-s=\"{states.index(s)}\"]').dispatchEvent(new Event('pointerenter'))")
+    name = browser("$('.about h6').textContent")
+    assert name == f"No usable ace, player {tables[1].rows[0]}, dealer shows {tables[1].columns[4]}"
+    assert rows_of(browser, "learned") == pytest.approx(result.q[:, s].mean(0), abs=1e-4)
+    greedy = result.q[:, s] == result.q[:, s].max(-1, keepdims=True)
+    votes = (greedy / greedy.sum(-1, keepdims=True)).sum(0)
+    bold = browser("$$('.about th.best').map(x => x.textContent)")
+    assert bold == [env.action_names[a] for a in np.flatnonzero(np.isclose(votes, votes.max()))]
+    assert browser.messages == []
+
+
+def test_tasks_without_a_picture_have_a_table_of_states(browser, tmp_path):
+    """Broken once: the exact values of all states beside some -> fails."""
+    env = rl.RandomWalk()
+    result = rl.sweep(env, "td", {"alpha": 0.1}, num_seeds=3, num_episodes=20, exact=True, progress=False)
+    look_at(browser, report.write(tmp_path, {"walk/td": result.to_xarray()}, {"walk": env}, {}))
+    rows = browser("$$('.list tbody tr').map(row => [...row.cells].map(cell => cell.textContent))")
+    inner = range(1, env.num_states - 1)
+    assert [int(row[0].removesuffix(" (start)")) for row in rows] == [*inner]
+    assert [number(row[1]) for row in rows] == pytest.approx(result.q[:, 1:-1, 0].mean(0), abs=1e-3)
+    exact = [2 * s / (env.num_states - 1) - 1 for s in inner]  # a fair coin between -1 and 1
+    assert [number(row[2]) for row in rows] == pytest.approx(exact, abs=1e-3)
+    error = result.log.v_error
+    assert error is not None
+    assert at_cursor(browser) == pytest.approx({"TD(0)": float(error[:, -1].mean())}, rel=1e-5)
+    assert browser.messages == []
+
+
+def test_text_can_be_read_on_all_colours(page):
+    """Contrast of 4.5 or more, as WCAG 2.1 has it, in the grid. Broken once: white numbers on pale cells -> fails."""
+    contrasts = page("""(() => {
+      const context = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+      const light = (colour) => {
+        for (const style of ["white", colour]) context.fillStyle = style, context.fillRect(0, 0, 1, 1);
+        const [r, g, b] = [...context.getImageData(0, 0, 1, 1).data].map(x => x / 255)
+          .map(x => x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4);
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+      };
+      const ink = light(getComputedStyle($(".above .v")).fill);
+      return $$(".cell .box").map(x => (light(getComputedStyle(x).fill) + 0.05) / (ink + 0.05));
+    })()""")
+    assert len(contrasts) == 70
+    assert min(contrasts) >= 4.5
+
+
 def test_names_inject_nothing(browser, windy, tmp_path):
     """Names of methods and environments, values and paths. Broken once: JSON with its '<' as it is -> fails."""
     evil = "x</script><!--<img src=x onerror=hacked=1>&amp;\"'`${hacked=1}\u2028"

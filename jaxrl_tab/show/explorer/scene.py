@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.core.types import Environment, FiniteEnvironment
 from jaxrl_tab.envs.base import ARROWS, COMPASS, Grid, Panel
 from jaxrl_tab.exact import planning
@@ -39,20 +40,19 @@ def scene(env: Environment, datasets: Datasets, learned: np.ndarray) -> Scene:
         learned: what a method has learned that the states are worth, float [S]: of a long list of states those
             are shown where that is the furthest from what is exact, or else from 0.
     """
-    finite = isinstance(env, FiniteEnvironment)
+    model = planning.exact_model(env) if isinstance(env, FiniteEnvironment) else None
     tables = tables_of(env)
     if sum(table.states.size for table in tables) > MOST_CELLS:
         tables = ()
     exact = exact_tables(datasets, env)
-    start = np.flatnonzero(np.asarray(env.initial())) if finite else np.array([], int)
+    start = np.array([], int) if model is None else np.flatnonzero(model.start)
     if tables:
         states = np.unique(np.concatenate([table.states.ravel() for table in tables]))
     else:
         states = _listed(env.num_states, start, learned, exact)
     place = {int(s): i for i, s in enumerate(states)}
     terminal, reachable = np.zeros(env.num_states, bool), np.ones(env.num_states, bool)
-    if finite:
-        model = planning.exact_model(env)
+    if model is not None:
         terminal, reachable = planning.terminal_states(model), planning.reachable(model)
     names = of_environment(env).action_names
     data = {
@@ -66,7 +66,9 @@ def scene(env: Environment, datasets: Datasets, learned: np.ndarray) -> Scene:
         "unreachable": np.flatnonzero(~reachable[states]).tolist(),
         "grid": _grid(env) if tables and isinstance(env, Grid) else None,
     }
-    return Scene(states, None if exact is None else exact[states], data)
+    if exact is not None:
+        exact = np.where(exact == UNAVAILABLE, np.nan, exact)[states]
+    return Scene(states, exact, data)
 
 
 def _listed(num_states: int, start: np.ndarray, learned: np.ndarray, exact: np.ndarray | None) -> np.ndarray:

@@ -27,7 +27,9 @@ function sceneCard(c) {
 
   function move() {
     stages.forEach((stage) => stage.move());
-    note.textContent = c.methods[state.method].data.missing || "";
+    const { missing, best, tables } = c.methods[state.method].data;
+    const other = tables[best].moments > 1 && c.settingOf(state.method) !== best;
+    note.textContent = missing ? `These are the tables at the end: ${missing}` : other ? "Tables over time are kept of the best setting (★) of each method." : "";
   }
 
   return { draw, move, cell: () => stages.forEach((stage) => stage.cell()) };
