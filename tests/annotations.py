@@ -81,7 +81,7 @@ def checked(definition: Any) -> Any:
 
 def _refuse(violation: WrongArgument, call: Callable[[], Any]) -> NoReturn:
     """Raises the error of a function that was called with a wrong argument: its own, where it refuses that."""
-    from jaxrl_tab.core.checks import InputError, RunError
+    from jaxrl_tab.core.errors import InputError, RunError
 
     if not violation.called:
         violation.called = True

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from lanes_runs import runs_of
 
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.runs import Runs

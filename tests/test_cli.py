@@ -18,12 +18,13 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning, plot, stats
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
-from jaxrl_tab.cli import main, options, screen
+from jaxrl_tab.cli import main, screen
 from jaxrl_tab.cli import sweep as sweep_module
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Sweep
+from jaxrl_tab.cli.typed import flag_of
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import shards
@@ -299,7 +300,9 @@ def test_without_a_folder_ctrl_c_leaves_nothing(stopped, tmp_path, capsys):
     assert capsys.readouterr() == ("", "jaxrl-tab: interrupted\n")
 
 
-def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeypatch, tmp_path):
+def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeypatch, tmp_path, capsys):
+    """The table is shown before. Broken once: shown when `run` has returned -> fails."""
+
     def fail(*_):
         raise RuntimeError("no ink")
 
@@ -309,6 +312,22 @@ def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeyp
         main(["sweep", "windy-gridworld", "sarsa", *TINY, "--out", str(out)])
     assert error.value.__notes__ == [f"what is finished is kept, `jaxrl-tab resume {out}` goes on"]
     assert {file.name for file in out.iterdir()} == {"results.nc", "summary.csv"} | KEPT
+    table = capsys.readouterr().out
+    assert "│ sarsa" in table
+    assert "results.nc" not in table
+
+
+def test_where_nobody_reads_the_table_the_files_are_written(tmp_path):
+    """As with `| head -0`. Broken once: `show` lets the error through -> fails."""
+    command = [sys.executable, "-m", "jaxrl_tab", "sweep", "windy-gridworld", "sarsa", *TINY, "--out", "run"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path)
+    assert process.stdout and process.stderr
+    process.stdout.close()
+    assert (process.stderr.read(), process.wait()) == (b"", 1)
+    process.stderr.close()
+    assert {"results.nc", "summary.csv", "overview.png", "report.html"} <= {
+        file.name for file in (tmp_path / "run").iterdir()
+    }
 
 
 # --- refusals ----------------------------------------------------------------------------------------
@@ -477,7 +496,7 @@ def test_no_two_options_have_the_same_name(command):
     groups = [ENVS, METHODS] if command is Sweep else [ENVS]
     own = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(command)}
     for registry in groups:
-        names = {options.option_of(p) for cls in registry.values() for p in describe.parameters(cls)}
+        names = {flag_of(p) for cls in registry.values() for p in describe.parameters(cls)}
         assert not names & own
         own |= names
 

@@ -11,7 +11,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli import main
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.policies import EpsilonGreedy, Softmax, Table
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.sweep import compute, result

@@ -17,7 +17,7 @@ import pytest
 import tiny
 
 import jaxrl_tab as rl
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.experiment import runner
 
 STEP = 17

@@ -31,11 +31,10 @@ from jaxrl_tab import cli, planning, policies, schedules, stats
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.cli import figure, sweep
 from jaxrl_tab.cli.figure import Figure
-from jaxrl_tab.cli.listing import List
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Resume, Sweep
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import axes
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import runner
@@ -158,13 +157,15 @@ WORDS = [
 
 def options_of(command):
     """The options of a command as they are spelled."""
+    if command is None:
+        return ["--json"]
     own = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(command)]
     classes = [*ENVS.values(), *METHODS.values()] if command in (Sweep, Solve) else []
     return [*own, *("--" + p.name.replace("_", "-") for cls in classes for p in describe.parameters(cls))]
 
 
 COMMANDS = {
-    "list": List,
+    "list": None,
     "solve": Solve,
     "sweep": Sweep,
     "resume": Resume,
@@ -231,7 +232,13 @@ def make_idle(put):
 
     put(sweep, "_conduct", stop)
     put(figure, "make_runs", stop)
-    put(rl.executors, "get", stop)
+    get = rl.executors.get
+
+    def get_or_stop(name, **given):
+        executor = get(name, **given)
+        return executor if name == "local" else stop()  # or no sweep would be read any further
+
+    put(rl.executors, "get", get_or_stop)
     for name in ("policy_iteration", "epsilon_soft"):
         put(planning, name, stop)
 

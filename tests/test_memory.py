@@ -12,7 +12,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes, by_xla, room
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.experiment import shards

@@ -16,7 +16,7 @@ import quick
 import jaxrl_tab as rl
 from jaxrl_tab import cli, export, plot
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.experiment import plan, shards
 
 OWN = """

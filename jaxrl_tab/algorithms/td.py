@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import clock, policies, tables
-from jaxrl_tab.core.checks import InputError, concrete
+from jaxrl_tab.core.checks import concrete
 from jaxrl_tab.core.clock import Clock, Rate
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Available, Transition, restricted

@@ -9,8 +9,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.cli.common import ENVIRONMENT, find, named_in, new_folder, start_jax, with_own
-from jaxrl_tab.cli.options import parse, values_of, word, words
-from jaxrl_tab.cli.screen import busy, console, print_json, say_where
+from jaxrl_tab.cli.screen import busy, say_where
+from jaxrl_tab.cli.streams import console, print_json
+from jaxrl_tab.cli.typed import parse, values_of, word, words
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.declared import of_environment

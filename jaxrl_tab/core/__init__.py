@@ -3,7 +3,9 @@
 Its modules, from the ground up:
 
     version     the version of the package
-    checks      checks of the values that users give, and the wording of the messages about them
+    errors      what is said to a person who gave something wrong, and checks that need only the value
+    flags       what XLA is asked for before JAX starts
+    checks      checks of the values that users give
     pytree      frozen dataclasses that are JAX pytrees, whose fields say what they take
     describe    the parameters of a class and what they are, for help and lists
     modules     files of somebody's own, loaded by their checksum, with the files that they import

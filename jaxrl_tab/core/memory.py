@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxrl_tab.core.checks import unfit
+from jaxrl_tab.core.errors import unfit
 
 UNITS = {"B": 1} | {f"{k}B": 1000**i for i, k in enumerate("kMGT", 1)}
 BLOCK = 2**24  # bytes of results that are looked at at a time, after they are computed

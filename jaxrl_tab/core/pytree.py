@@ -10,7 +10,8 @@ from typing import Any, dataclass_transform
 
 import jax
 
-from jaxrl_tab.core.checks import LIMITS, T, check_fields, explained
+from jaxrl_tab.core.checks import T, check_fields, explained
+from jaxrl_tab.core.errors import LIMITS
 
 _ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
 _SECTION = "\nAttributes:\n"

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import memory, rng
-from jaxrl_tab.core.checks import RunError
+from jaxrl_tab.core.errors import RunError
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
 from jaxrl_tab.engine import backend, programs, provenance
 from jaxrl_tab.engine.budget import Budget

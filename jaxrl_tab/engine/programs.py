@@ -44,7 +44,7 @@ from typing import Any, TypeVar
 
 import jax
 
-from jaxrl_tab.core.checks import reason
+from jaxrl_tab.core.errors import reason
 from jaxrl_tab.engine import provenance
 
 T = TypeVar("T")

@@ -12,7 +12,8 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jaxrl_tab.core import memory, policies
-from jaxrl_tab.core.checks import InputError, check_pytree, first, foreign, is_distribution
+from jaxrl_tab.core.checks import check_pytree, first, foreign, is_distribution
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Available, Environment, FiniteEnvironment, available_actions, stand_ins
 
 T = TypeVar("T")

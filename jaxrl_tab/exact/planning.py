@@ -26,7 +26,8 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import RATE, InputError, as_array, check_within, first, shown
+from jaxrl_tab.core.checks import RATE, as_array, check_within, first
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (

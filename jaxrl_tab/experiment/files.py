@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxrl_tab.core.checks import RunError
+from jaxrl_tab.core.errors import RunError
 from jaxrl_tab.core.memory import words
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__

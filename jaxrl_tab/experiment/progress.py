@@ -1,11 +1,13 @@
 """How far an experiment is, and how long it will go on."""
 
+import contextlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
 
 from jaxrl_tab.experiment.shards import Job, Shard
 from jaxrl_tab.experiment.storage import Store
-from jaxrl_tab.show.progress import Progress, Report
+from jaxrl_tab.show.progress import Progress, Report, reporting
 
 
 def seconds_left(runs: Mapping[str, int], took: Mapping[str, tuple[int, float]]) -> float | None:
@@ -31,13 +33,19 @@ def seconds_left(runs: Mapping[str, int], took: Mapping[str, tuple[int, float]])
 class Meter:
     """Counts what is finished, and reports it."""
 
-    def __init__(self, report: Report):
-        self._report, self._begun = report, time.perf_counter()
-        self._last = self._begun
+    def __init__(self):
+        self._report: Report = lambda state: None
+        self._last = self._begun = time.perf_counter()
         self._state = Progress("planning")
         self._todo: dict[str, int] = {}  # runs of each part
         self._took: dict[str, tuple[int, float]] = {}  # how many of them are done, and in how many seconds
         self._missing: dict[int, Shard] = {}
+
+    @contextlib.contextmanager
+    def reporting(self, progress: Report | Literal[False] | None) -> Iterator[None]:
+        """Within the block what it counts is reported, as `progress` says: see `show.progress.reporting`."""
+        with reporting(progress) as self._report:
+            yield
 
     def begin(self, store: Store, job: Job, missing: Sequence[int], later: Mapping[str, int]) -> None:
         """Counts what is there already, what is missing, and runs of parts that come later."""

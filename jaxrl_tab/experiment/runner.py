@@ -23,7 +23,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import names
-from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
+from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
 from jaxrl_tab.engine import backend, batch, provenance, room
 from jaxrl_tab.engine.log import Log
@@ -40,7 +40,7 @@ from jaxrl_tab.experiment.records import Origin, is_session, library_versions, s
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
 from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
-from jaxrl_tab.show.progress import Report, reporting
+from jaxrl_tab.show.progress import Report
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -53,6 +53,7 @@ def run(
     executor: Executor | None = None,
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
+    ready: Callable[[Outcome], None] | None = None,
     command: str | None = None,
 ) -> Outcome:
     """Runs an experiment, and leaves everything in a new folder. Where it is interrupted, `resume` goes on.
@@ -63,6 +64,8 @@ def run(
         executor: where it is computed, see `executors`; by default in this process.
         memory: how many bytes it may take, as in `sweep`; of each worker, where there are several.
         progress: is called with a `Progress` as shards are finished; by default a bar, as in `sweep`.
+        ready: is called with the outcome as soon as all is computed, before tables, pictures and report are
+            written into the folder, which takes longer than to look at it.
         command: what was typed, for the records; by default what started this process.
 
     Raises:
@@ -76,11 +79,11 @@ def run(
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
             experiment = _begin(path, experiment, memory, keep=False)
-            return _go_on(path, experiment, executor, memory, progress, command, keep=False)
+            return _go_on(path, experiment, executor, memory, progress, ready, command, keep=False)
     path = _path(folder)
     experiment = _begin(path, experiment, memory)
     with storage.lock(path):
-        return _go_on(path, experiment, executor, memory, progress, command)
+        return _go_on(path, experiment, executor, memory, progress, ready, command)
 
 
 def resume(
@@ -89,6 +92,7 @@ def resume(
     executor: Executor | None = None,
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
+    ready: Callable[[Outcome], None] | None = None,
     command: str | None = None,
     mixed: bool = False,
 ) -> Outcome:
@@ -99,7 +103,7 @@ def resume(
 
     Args:
         folder: the folder.
-        executor, memory, progress, command: as in `run`.
+        executor, memory, progress, ready, command: as in `run`.
         mixed: go on also with other versions, or on another kind of processor, which may give numbers that
             differ in the last bits. The folder's provenance and report tell of it.
 
@@ -117,7 +121,7 @@ def resume(
         raise InputError(f"there is no experiment in {path}: neither {AS_WRITTEN} nor {RESOLVED}")
     command = _typed(command)
     with storage.lock(path):
-        return _go_on(path, _experiment_in(path), executor, memory, progress, command, mixed=mixed)
+        return _go_on(path, _experiment_in(path), executor, memory, progress, ready, command, mixed=mixed)
 
 
 def _typed(command: str | None) -> str:
@@ -136,6 +140,7 @@ def _go_on(
     executor: Executor | None,
     limit: int | None,
     progress: Report | Literal[False] | None,
+    ready: Callable[[Outcome], None] | None,
     command: str,
     keep: bool = True,
     mixed: bool = False,
@@ -145,32 +150,43 @@ def _go_on(
     _warn_of_damage(store)
     records = _records(store)
     libraries = library_versions(experiment.data())
-    job = Job.of(experiment, limit, libraries)
-    select = experiment.select
-    with backend.using(experiment.backend), settings_of(store, records), reporting(progress) as report:
-        meter = Meter(report)
-        origin = Origin.of(store, records, mixed, libraries)
-        if _missing(store, job):
-            origin.check(path)
-        with session(store, records, command, libraries):
-            later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
-            executor = executor or Local()
-            new = _compute(store, job, executor, meter, later, origin)
-            datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
-            envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-            outcome = Outcome(datasets, {}, envs)
-            if select:
-                job = job._replace(chosen=json.dumps(outcome.chosen))
-                new |= _compute(store, job, executor, meter, {}, origin)
-                fresh, _ = _collect(store, job, list(later), room)
-                outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
-            if keep and (new or not store.files):
-                if origin.changed and not new:
-                    warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
+    job, meter = Job.of(experiment, limit, libraries), Meter()
+    with backend.using(experiment.backend), settings_of(store, records):
+        with meter.reporting(progress):
+            origin = Origin.of(store, records, mixed, libraries)
+            if _missing(store, job):
+                origin.check(path)
+            with session(store, records, command, libraries):
+                select = experiment.select
+                fresh_seeds = select["fresh_seeds"] if select else 0
+                outcome, new = _results(store, job, fresh_seeds, executor or Local(), meter, origin)
+        if ready:
+            ready(outcome)  # after the bar, for what is printed beside one is lost in it
+        if keep and (new or not store.files):
+            if origin.changed and not new:
+                warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
+            with meter.reporting(progress):
                 meter.show("tables, pictures, report")
                 run_again = RunAgain(job.parts, limit)
                 write_files(store, outcome, records, run_again, toml_of_settings(experiment))
     return outcome
+
+
+def _results(
+    store: Store, job: Job, fresh_seeds: int, executor: Executor, meter: Meter, origin: Origin
+) -> tuple[Outcome, bool]:
+    """What the experiment gives, of which the missing shards are computed; and whether there were any."""
+    later = {FRESH + name: fresh_seeds for name in job.parts if fresh_seeds}
+    new = _compute(store, job, executor, meter, later, origin)
+    datasets, room = _collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
+    envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
+    outcome = Outcome(datasets, {}, envs)
+    if fresh_seeds:
+        job = job._replace(chosen=json.dumps(outcome.chosen))
+        new |= _compute(store, job, executor, meter, {}, origin)
+        fresh, _ = _collect(store, job, list(later), room)
+        outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
+    return outcome, new
 
 
 def _compute(

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import modules
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import provenance, room
 from jaxrl_tab.engine.log import recorded_shapes
 from jaxrl_tab.engine.part import Part, compute

@@ -35,8 +35,9 @@ import jax
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import memory, modules
-from jaxrl_tab.core.checks import InputError, as_path, checked, nearest, one_line, shown
+from jaxrl_tab.core.checks import checked
 from jaxrl_tab.core.declared import Learns, of_method
+from jaxrl_tab.core.errors import InputError, as_path, nearest, one_line, shown
 from jaxrl_tab.core.pytree import field
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.backend import Backend

@@ -14,7 +14,7 @@ import xarray as xr
 
 from jaxrl_tab import stats
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.show import words

@@ -3,8 +3,8 @@
 import numpy as np
 
 from jaxrl_tab import stats
-from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions
 from jaxrl_tab.envs.base import Panel
 from jaxrl_tab.exact import planning

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.errors import InputError, shown
 
 MEMORY = 2**22  # float64 of one intermediate result, unless all values of one place are more
 

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.stats.along import Datasets, Interval
 from jaxrl_tab.stats.bootstrap import iqm_interval

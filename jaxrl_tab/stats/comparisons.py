@@ -8,7 +8,8 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
-from jaxrl_tab.core.checks import FRACTION, InputError, check_within, shown
+from jaxrl_tab.core.checks import FRACTION, check_within
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.stats.along import Interval, aligned, along, check_dims
 from jaxrl_tab.stats.intervals import least_of, mean_with_p, seeds_wanted, with_one_more
 

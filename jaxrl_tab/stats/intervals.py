@@ -7,7 +7,8 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
-from jaxrl_tab.core.checks import FRACTION, InputError, check_within, nearest
+from jaxrl_tab.core.checks import FRACTION, check_within
+from jaxrl_tab.core.errors import InputError, nearest
 from jaxrl_tab.stats.along import Interval, along, check_dims
 from jaxrl_tab.stats.bootstrap import (
     RESAMPLES,

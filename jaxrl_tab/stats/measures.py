@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.declared import Learns, of_environment
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
 from jaxrl_tab.stats.along import Interval, blocks, by_seeds, check_dims

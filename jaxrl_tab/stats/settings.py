@@ -7,7 +7,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import xarray as xr
 
-from jaxrl_tab.core.checks import FRACTION, InputError, check_within
+from jaxrl_tab.core.checks import FRACTION, check_within
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.stats.along import Interval, name_list
 from jaxrl_tab.stats.comparisons import Difference, paired_difference

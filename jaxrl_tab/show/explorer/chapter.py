@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from jaxrl_tab import stats
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.show import words
 from jaxrl_tab.show.explorer.measures import STATISTICS, Flat, Measure, measures_of, statistics
 from jaxrl_tab.show.explorer.over_time import RANKS, Again, Block, OverTime, averaged, block, ranks
