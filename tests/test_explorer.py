@@ -229,7 +229,7 @@ def test_runs_that_are_not_the_same_again_are_left_out(windy, windy_set):
 
 
 def test_of_many_settings_the_page_keeps_the_best(windy, windy_set, tmp_path):
-    """10,000 settings are below 10 MB. Broken once: room for all curves -> fails."""
+    """10,000 settings are below 10 MB. Broken once: without those beside the best one -> fails."""
     n = 100
     axes = {"alpha": np.geomspace(0.01, 1, n), "epsilon": np.linspace(0, 1, n)}
     one = windy_set.isel(alpha=0, seed=[0, 1], drop=True)

@@ -14,7 +14,18 @@ from importlib.resources import files
 from typing import Any
 
 # In the order in which they are joined to one script.
-SCRIPTS = ("data", "elements", "axes", "curves", "settings", "scene", "python", "listing", "explorer")
+SCRIPTS = (
+    "data",
+    "elements",
+    "axes",
+    "curves",
+    "settings",
+    "states",
+    "scene",
+    "python",
+    "listing",
+    "explorer",
+)
 
 
 def render(template: str, *, styles: Sequence[str] = (), script: str = "", **values: Any) -> str:

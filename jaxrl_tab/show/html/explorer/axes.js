@@ -14,9 +14,13 @@ function scaleOf(kind, values, least) {
 }
 
 function niceTicks(low, high, n) {
-  const raw = (high - low) / n, power = 10 ** Math.floor(Math.log10(raw)), lead = raw / power;
-  const step = (lead > 5 ? 10 : lead > 2 ? 5 : lead > 1 ? 2 : 1) * power, ticks = [];
-  for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-9; v += step) ticks.push(+v.toPrecision(12));
+  const raw = (high - low) / n;
+  const power = 10 ** Math.floor(Math.log10(raw));
+  const lead = raw / power;
+  const step = (lead > 5 ? 10 : lead > 2 ? 5 : lead > 1 ? 2 : 1) * power;
+  const ticks = [];
+  for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-9; v += step)
+    ticks.push(+v.toPrecision(12));
   return ticks;
 }
 
@@ -42,25 +46,39 @@ let clips = 0;
 // The frame of a chart: `x` and `y` give places, `plot` is what is cut off at its edges.
 function frame(box, label, { height, x, y, xName, xTicks, yName, left, yTicks }) {
   box.replaceChildren();
-  const W = Math.max(260, box.clientWidth), x0 = left || 56, x1 = W - 24, y0 = height - 44, y1 = 26;
+  const W = Math.max(260, box.clientWidth);
+  const x0 = left || 56;
+  const x1 = W - 24;
+  const y0 = height - 44;
+  const y1 = 26;
   const svg = el("svg", { viewBox: `0 0 ${W} ${height}`, width: W, height, role: "group", "aria-label": label }, box);
-  const a = y.warp(y.low), b = y.warp(y.high), pad = 6;
+  const a = y.warp(y.low);
+  const b = y.warp(y.high);
+  const pad = 6;
   const atY = (v) => (Number.isFinite(v) ? y0 - pad - ((y0 - y1 - 2 * pad) * (y.warp(v) - a)) / (b - a || 1) : NaN);
   // Where the end of a band lies, which may be infinite, or zero where an axis has none: beyond the edge.
   const edge = (v) => {
     if (v === -Infinity || (y.kind === "log" && v <= 0)) return height + 100;
     return v === Infinity || (y.kind === "minus" && v >= 0) ? -100 : atY(v);
   };
-  const c = x.warp(x.low), d = x.warp(x.high), margin = x.margin || 0;
+  const c = x.warp(x.low);
+  const d = x.warp(x.high);
+  const margin = x.margin || 0;
   const atX = (v) => x0 + margin + ((x1 - x0 - 2 * margin) * (x.warp(v) - c)) / (d - c || 1);
   for (const v of yTicks || ticksOf(y, 5)) {
     el("line", { class: "grid", x1: x0, x2: x1, y1: atY(v), y2: atY(v) }, svg);
-    el("text", { class: "tick", x: x0 - 7, y: atY(v) + 4, "text-anchor": "end" }, svg, y.text ? y.text(v) : minus(String(v)));
+    el(
+      "text",
+      { class: "tick", x: x0 - 7, y: atY(v) + 4, "text-anchor": "end" },
+      svg,
+      y.text ? y.text(v) : minus(String(v)),
+    );
   }
   let end = -Infinity;
   for (const [v, text] of xTicks) {
-    const at = atX(v), half = 4 * text.length;
-    if (at - half < end) continue;  // no room beside the last one
+    const at = atX(v);
+    const half = 4 * text.length;
+    if (at - half < end) continue; // no room beside the last one
     end = at + half + 6;
     el("text", { class: "tick", x: at, y: y0 + 18, "text-anchor": "middle" }, svg, text);
   }
@@ -68,13 +86,18 @@ function frame(box, label, { height, x, y, xName, xTicks, yName, left, yTicks })
   el("text", { class: "name", x: (x0 + x1) / 2, y: height - 4, "text-anchor": "middle" }, svg, xName);
   el("line", { class: "axis", x1: x0, x2: x1, y1: y0, y2: y0 }, svg);
   const id = `clip-${clips++}`;
-  el("rect", { x: x0, y: y1 - 4, width: x1 - x0 + 6, height: y0 - y1 + 4 }, el("clipPath", { id }, el("defs", {}, svg)));
+  el(
+    "rect",
+    { x: x0, y: y1 - 4, width: x1 - x0 + 6, height: y0 - y1 + 4 },
+    el("clipPath", { id }, el("defs", {}, svg)),
+  );
   const plot = el("g", { "clip-path": `url(#${id})` }, svg);
   return { svg, plot, W, H: height, x0, x1, y0, y1, x: atX, y: atY, edge };
 }
 
 function linePath(xs, ys) {
-  let d = "", pen = false;
+  let d = "";
+  let pen = false;
   xs.forEach((x, i) => {
     if (Number.isFinite(ys[i])) d += `${pen ? "L" : "M"}${x.toFixed(1)} ${ys[i].toFixed(1)}`;
     pen = Number.isFinite(ys[i]);
@@ -83,7 +106,8 @@ function linePath(xs, ys) {
 }
 
 function bandPath(xs, low, high) {
-  let d = "", run = [];
+  let d = "";
+  let run = [];
   const flush = () => {
     const edge = (of, places) => places.map((i) => `${xs[i].toFixed(1)} ${of[i].toFixed(1)}`).join("L");
     if (run.length > 1) d += `M${edge(high, run)}L${edge(low, [...run].reverse())}Z`;
@@ -95,7 +119,7 @@ function bandPath(xs, low, high) {
 }
 
 const DASHES = ["", "8 4", "2 4", "10 4 2 4"];
-const COLOURS = 7;  // as in the pictures; `page.css` has them
+const COLOURS = 7; // as in the pictures; `page.css` has them
 const colourOf = (i) => `var(--c${i % COLOURS})`;
 const dashOf = (i) => DASHES[i % DASHES.length];
 

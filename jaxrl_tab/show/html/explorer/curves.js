@@ -1,14 +1,38 @@
 // Learning curves: a measure over time, of several settings.
 
-const STATISTICS = { mean: 0, low: 1, high: 2, allLow: 3, allHigh: 4, median: 5, medianLow: 6, medianHigh: 7, runs: 8 };
+const STATISTICS = {
+  mean: 0,
+  low: 1,
+  high: 2,
+  allLow: 3,
+  allHigh: 4,
+  median: 5,
+  medianLow: 6,
+  medianHigh: 7,
+  runs: 8,
+};
 
 function curvesCard(c) {
-  const { section, controls, body } = card(c.root, "Learning curves", "curves"), { state, data } = c;
-  const measure = select(controls, "measure", data.measures.map((m) => [m.key, m.title]), (v) => c.set({ measure: v }));
+  const { section, controls, body } = card(c.root, "Learning curves", "curves");
+  const { state, data } = c;
+  const measure = select(
+    controls,
+    "measure",
+    data.measures.map((m) => [m.key, m.title]),
+    (v) => c.set({ measure: v }),
+  );
   const lines = select(controls, "a curve for each", [], (v) => c.set({ lines: v }));
-  const bands = [["point", "95% at each point"], ["all", "95% for all points at once"], ["none", "none"]];
+  const bands = [
+    ["point", "95% at each point"],
+    ["all", "95% for all points at once"],
+    ["none", "none"],
+  ];
   const band = select(controls, "bands", bands, (v) => c.set({ band: v }));
-  const kinds = [["auto", "as fits"], ["linear", "linear"], ["log", "logarithmic"]];
+  const kinds = [
+    ["auto", "as fits"],
+    ["linear", "linear"],
+    ["log", "logarithmic"],
+  ];
   const scale = select(controls, "vertical axis", kinds, (v) => c.set({ scale: v }));
   const logTime = check(controls, "logarithmic time", (on) => c.set({ logTime: on }));
   const runs = check(controls, "single runs", (on) => c.set({ runs: on }));
@@ -23,14 +47,33 @@ function curvesCard(c) {
 
   // What is drawn: a method, a setting, a name and how it looks.
   function series() {
-    const focus = state.method, own = c.methods[focus];
+    const focus = state.method;
+    const own = c.methods[focus];
     const axis = own.data.axes.findIndex((a) => a.name === state.lines);
     if (axis < 0)
-      return c.methods.map((m, i) => ({ m, setting: c.settingOf(i), name: m.data.title, colour: colourOf(i), dash: dashOf(i), i, main: i === focus }));
-    const here = own.places(c.settingOf(focus)), values = own.data.axes[axis];
+      return c.methods.map((m, i) => ({
+        m,
+        setting: c.settingOf(i),
+        name: m.data.title,
+        colour: colourOf(i),
+        dash: dashOf(i),
+        i,
+        main: i === focus,
+      }));
+    const here = own.places(c.settingOf(focus));
+    const values = own.data.axes[axis];
     return values.texts.map((text, k) => {
-      const place = here.with(axis, k), setting = own.number(place);
-      return { m: own, setting, name: `${values.symbol} = ${text}`, colour: colourOf(k), dash: dashOf(Math.floor(k / COLOURS) + (k % COLOURS)), i: k, main: setting === c.settingOf(focus) };
+      const place = here.with(axis, k);
+      const setting = own.number(place);
+      return {
+        m: own,
+        setting,
+        name: `${values.symbol} = ${text}`,
+        colour: colourOf(k),
+        dash: dashOf(Math.floor(k / COLOURS) + (k % COLOURS)),
+        i: k,
+        main: setting === c.settingOf(focus),
+      };
     });
   }
 
@@ -42,29 +85,73 @@ function curvesCard(c) {
     if (state.band === "none") return { at, middle };
     if (middle === "median") return { at, middle, low: STATISTICS.medianLow, high: STATISTICS.medianHigh };
     const all = state.band === "all";
-    return { at, middle, low: all ? STATISTICS.allLow : STATISTICS.low, high: all ? STATISTICS.allHigh : STATISTICS.high };
+    return {
+      at,
+      middle,
+      low: all ? STATISTICS.allLow : STATISTICS.low,
+      high: all ? STATISTICS.allHigh : STATISTICS.high,
+    };
   }
 
   function draw() {
-    const all = series(), kept = all.filter((s) => s.m.curve(s.setting, 0, 0)), m = data.measures.indexOf(chosen());
-    const shown = kept.filter((s) => !state.off.has(s.name)), unit = data.unit === "steps" ? "time steps" : "episodes";
-    measure.show(state.measure), band.show(state.band), scale.show(state.scale), logTime.show(state.logTime), runs.show(state.runs);
+    const all = series();
+    const kept = all.filter((s) => s.m.curve(s.setting, 0, 0));
+    const m = data.measures.indexOf(chosen());
+    const shown = kept.filter((s) => !state.off.has(s.name));
+    const unit = data.unit === "steps" ? "time steps" : "episodes";
+    (measure.show(state.measure),
+      band.show(state.band),
+      scale.show(state.scale),
+      logTime.show(state.logTime),
+      runs.show(state.runs));
     const own = c.methods[state.method].data;
-    lines.fill([["methods", "method"], ...own.axes.filter((a) => a.values.length > 1 && a.values.length <= 60 && a.name !== "draw").map((a) => [a.name, `value of ${a.symbol} (${own.title})`])]);
+    lines.fill([
+      ["methods", "method"],
+      ...own.axes
+        .filter((a) => a.values.length > 1 && a.values.length <= 60 && a.name !== "draw")
+        .map((a) => [a.name, `value of ${a.symbol} (${own.title})`]),
+    ]);
     lines.show(state.lines);
     if (lines.box.selectedIndex < 0) lines.show("methods");
     const values = shown.flatMap((s) => [...s.m.curve(s.setting, m, statistics(s).at)]);
     const optimum = chosen().key === "return" && data.optimum !== null ? data.optimum : NaN;
-    const y = scaleOf(chosen().kind === "share" ? "linear" : state.scale, chosen().kind === "share" ? [0, 1] : [...values, optimum], chosen().kind === "count" ? 0 : undefined);
-    const times = shown.length ? shown[0].m.data.x : c.times, last = times[times.length - 1];
-    const x = state.logTime ? { kind: "log", low: times[0], high: last, warp: Math.log10 } : { kind: "linear", low: 0, high: last, warp: (v) => v };
+    const y = scaleOf(
+      chosen().kind === "share" ? "linear" : state.scale,
+      chosen().kind === "share" ? [0, 1] : [...values, optimum],
+      chosen().kind === "count" ? 0 : undefined,
+    );
+    const times = shown.length ? shown[0].m.data.x : c.times;
+    const last = times[times.length - 1];
+    const x = state.logTime
+      ? { kind: "log", low: times[0], high: last, warp: Math.log10 }
+      : { kind: "linear", low: 0, high: last, warp: (v) => v };
     const xTicks = ticksOf(x, Math.max(2, body.clientWidth / 120)).map((v) => [v, count(v)]);
-    const f = frame(body, `${chosen().title} over time`, { height: 310, x, y, xName: unit, xTicks, yName: chosen().title + (Number.isFinite(optimum) ? ` (dashed: the exact optimum, ${short(optimum)})` : "") });
-    if (Number.isFinite(optimum)) el("line", { class: "exact", x1: f.x0, x2: f.x1, y1: f.y(optimum), y2: f.y(optimum) }, f.plot);
+    const f = frame(body, `${chosen().title} over time`, {
+      height: 310,
+      x,
+      y,
+      xName: unit,
+      xTicks,
+      yName: chosen().title + (Number.isFinite(optimum) ? ` (dashed: the exact optimum, ${short(optimum)})` : ""),
+    });
+    if (Number.isFinite(optimum))
+      el("line", { class: "exact", x1: f.x0, x2: f.x1, y1: f.y(optimum), y2: f.y(optimum) }, f.plot);
     const marks = [];
     for (const s of shown) {
-      const at = statistics(s), of = (k) => s.m.curve(s.setting, m, k), xs = s.m.data.x.map(f.x);
-      const path = (k, kind) => el("path", { class: kind, d: linePath(xs, Array.from(of(k), f.y)), style: { stroke: s.colour }, "stroke-dasharray": s.dash }, f.plot);
+      const at = statistics(s);
+      const of = (k) => s.m.curve(s.setting, m, k);
+      const xs = s.m.data.x.map(f.x);
+      const path = (k, kind) =>
+        el(
+          "path",
+          {
+            class: kind,
+            d: linePath(xs, Array.from(of(k), f.y)),
+            style: { stroke: s.colour },
+            "stroke-dasharray": s.dash,
+          },
+          f.plot,
+        );
       if (at.low !== undefined) {
         const d = bandPath(xs, Array.from(of(at.low), f.edge), Array.from(of(at.high), f.edge));
         el("path", { class: "band", d, style: { fill: s.colour } }, f.plot);
@@ -77,26 +164,47 @@ function curvesCard(c) {
     cursor = { f, marks, line: el("line", { class: "cursor", y1: f.y1, y2: f.y0 }, f.svg) };
     scrub(el("rect", { class: "hit", x: f.x0, y: f.y1, width: f.x1 - f.x0, height: f.y0 - f.y1 }, f.svg), f, times);
     drawLegend(all);
-    const some = c.methods.some((one) => one.data.kept.length < one.count), middle = shown.length && statistics(shown[0]).middle;
+    const some = c.methods.some((one) => one.data.kept.length < one.count);
+    const middle = shown.length && statistics(shown[0]).middle;
     note.textContent = [
       shown.length && `Lines: ${middle} over the seeds.`,
-      state.band !== "none" && `Bands: 95% intervals of the ${middle}${state.band === "all" && middle === "mean" ? ", that hold at all points at once (Bonferroni)" : ", each point for itself"}.`,
-      chosen().partial && values.some(Number.isNaN) && "There is no line where fewer than 9 of 10 seeds ended an episode: those that did are the better ones.",
-      some && `This page has the curves of ${c.methods.map((one) => `${count(one.data.kept.length)} of ${count(one.count)} settings of ${one.data.title}`).join(", ")}: the best, and those that differ from it in one value. All are in results.nc.`,
-    ].filter(Boolean).join(" ");
+      state.band !== "none" &&
+        `Bands: 95% intervals of the ${middle}${state.band === "all" && middle === "mean" ? ", that hold at all points at once (Bonferroni)" : ", each point for itself"}.`,
+      chosen().partial &&
+        values.some(Number.isNaN) &&
+        "There is no line where fewer than 9 of 10 seeds ended an episode: those that did are the better ones.",
+      some &&
+        `This page has the curves of ${c.methods.map((one) => `${count(one.data.kept.length)} of ${count(one.count)} settings of ${one.data.title}`).join(", ")}: the best, and those that differ from it in one value. All are in results.nc.`,
+    ]
+      .filter(Boolean)
+      .join(" ");
     move();
   }
 
   function drawLegend(all) {
     legend.querySelectorAll("tr").forEach((row) => row.remove());
     for (const s of all) {
-      const kept = s.m.curve(s.setting, 0, 0) !== null, on = kept && !state.off.has(s.name);
+      const kept = s.m.curve(s.setting, 0, 0) !== null;
+      const on = kept && !state.off.has(s.name);
       const row = el("tr", { class: on ? (s.main ? "main" : "") : "off" }, legend);
-      const button = el("button", { type: "button", class: "toggle", "aria-pressed": on, disabled: !kept }, el("th", { scope: "row" }, row));
+      const button = el(
+        "button",
+        { type: "button", class: "toggle", "aria-pressed": on, disabled: !kept },
+        el("th", { scope: "row" }, row),
+      );
       const swatch = el("svg", { viewBox: "0 0 34 12", width: 34, height: 12, "aria-hidden": "true" }, button);
-      el("line", { class: "line", x1: 1, x2: 33, y1: 6, y2: 6, style: { stroke: s.colour }, "stroke-dasharray": s.dash }, swatch);
+      el(
+        "line",
+        { class: "line", x1: 1, x2: 33, y1: 6, y2: 6, style: { stroke: s.colour }, "stroke-dasharray": s.dash },
+        swatch,
+      );
       mark(swatch, s.i, 17, 6, 4, s.colour);
-      el("span", {}, button, s.m.data.axes.length && state.lines === "methods" ? `${s.name} (${s.m.inWords(s.setting)})` : s.name);
+      el(
+        "span",
+        {},
+        button,
+        s.m.data.axes.length && state.lines === "methods" ? `${s.name} (${s.m.inWords(s.setting)})` : s.name,
+      );
       button.addEventListener("click", () => {
         state.off.has(s.name) ? state.off.delete(s.name) : state.off.add(s.name);
         c.set({});
@@ -109,15 +217,17 @@ function curvesCard(c) {
   // The cursor and the numbers at it.
   function move() {
     if (!cursor) return;
-    const time = c.time(), { f } = cursor;
-    cursor.line.setAttribute("x1", f.x(time)), cursor.line.setAttribute("x2", f.x(time));
+    const time = c.time();
+    const { f } = cursor;
+    (cursor.line.setAttribute("x1", f.x(time)), cursor.line.setAttribute("x2", f.x(time)));
     legend.caption.textContent = `after ${count(time)} ${data.unit}`;
     for (const { s, at, of, xs, dot } of cursor.marks) {
-      const k = s.m.pointAt(time), v = of(at.at)[k];
+      const k = s.m.pointAt(time);
+      const v = of(at.at)[k];
       dot.setAttribute("transform", `translate(${xs[k]} ${Number.isFinite(v) ? f.y(v) : 0})`);
       dot.style.display = Number.isFinite(v) ? "" : "none";
       const cell = [...legend.querySelectorAll("td[data-curve]")].find((td) => td.dataset.curve === s.name);
-      cell.textContent = short(v), (cell.dataset.value = v);
+      ((cell.textContent = short(v)), (cell.dataset.value = v));
       const bounds = at.low !== undefined && at.at < STATISTICS.runs;
       cell.nextSibling.textContent = bounds ? `${short(of(at.low)[k])} to ${short(of(at.high)[k])}` : "";
     }
@@ -125,7 +235,8 @@ function curvesCard(c) {
 
   function scrub(hit, f, times) {
     const moment = (event) => {
-      const box = f.svg.getBoundingClientRect(), at = ((event.clientX - box.left) * f.W) / box.width;
+      const box = f.svg.getBoundingClientRect();
+      const at = ((event.clientX - box.left) * f.W) / box.width;
       c.go(times.reduce((best, t, i) => (Math.abs(f.x(t) - at) < Math.abs(f.x(times[best]) - at) ? i : best), 0));
     };
     hit.addEventListener("pointerdown", (event) => (hit.setPointerCapture(event.pointerId), moment(event)));

@@ -1,7 +1,19 @@
 // Elements, and numbers as people read them. Text of the data gets into the page as text alone, never as HTML.
 
 const SVG = "http://www.w3.org/2000/svg";
-const IN_SVG = new Set(["svg", "g", "path", "line", "rect", "circle", "text", "defs", "clipPath", "pattern", "title"]);
+const IN_SVG = new Set([
+  "svg",
+  "g",
+  "path",
+  "line",
+  "rect",
+  "circle",
+  "text",
+  "defs",
+  "clipPath",
+  "pattern",
+  "title",
+]);
 
 function el(tag, attributes, parent, text) {
   const e = IN_SVG.has(tag) ? document.createElementNS(SVG, tag) : document.createElement(tag);
@@ -51,7 +63,8 @@ function select(parent, name, items, then) {
 }
 
 function check(parent, name, then) {
-  const label = el("label", { class: "check" }, parent), box = el("input", { type: "checkbox" }, label);
+  const label = el("label", { class: "check" }, parent);
+  const box = el("input", { type: "checkbox" }, label);
   el("span", {}, label, name);
   box.addEventListener("change", () => then(box.checked));
   return { label, show: (on) => (box.checked = on) };
