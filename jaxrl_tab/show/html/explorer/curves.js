@@ -113,7 +113,12 @@ function curvesCard(c) {
     ]);
     lines.show(state.lines);
     if (lines.box.selectedIndex < 0) lines.show("methods");
-    const values = shown.flatMap((s) => [...s.m.curve(s.setting, m, statistics(s).at)]);
+    const drawn = (s) => [
+      statistics(s).at,
+      ...(statistics(s).at >= STATISTICS.runs ? [STATISTICS[statistics(s).middle]] : []),
+      ...(state.runs && s.main ? s.m.ranks.map((_, k) => STATISTICS.runs + k) : []),
+    ];
+    const values = shown.flatMap((s) => drawn(s).flatMap((k) => [...s.m.curve(s.setting, m, k)]));
     const optimum = chosen().key === "return" && data.optimum !== null ? data.optimum : NaN;
     const y = scaleOf(
       chosen().kind === "share" ? "linear" : state.scale,
@@ -166,8 +171,10 @@ function curvesCard(c) {
     drawLegend(all);
     const some = c.methods.some((one) => one.data.kept.length < one.count);
     const middle = shown.length && statistics(shown[0]).middle;
+    const one = shown.find((s) => statistics(s).at >= STATISTICS.runs);
+    const single = one && one.m.seedName(one.setting, state.view);
     note.textContent = [
-      shown.length && `Lines: ${middle} over the seeds.`,
+      shown.length && `Lines: ${middle} over the seeds${single ? `; thick: ${single}` : ""}.`,
       state.band !== "none" &&
         `Bands: 95% intervals of the ${middle}${state.band === "all" && middle === "mean" ? ", that hold at all points at once (Bonferroni)" : ", each point for itself"}.`,
       chosen().partial &&
