@@ -330,7 +330,7 @@ def test_tasks_without_a_picture_have_a_table_of_states(browser, tmp_path):
 
 
 def test_text_can_be_read_on_all_colours(page):
-    """Contrast of 4.5 or more, as WCAG 2.1 has it, in the grid. Broken once: colours as strong as those of the curves -> fails."""
+    """Contrast of 4.5 or more (WCAG 2.1), in the grid. Broken once: colours as strong as of curves -> fails."""
     contrasts = page("""(() => {
       const context = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
       const light = (colour) => {

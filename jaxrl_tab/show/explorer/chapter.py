@@ -79,17 +79,16 @@ def explorer(
         blocks[f"curves-{i}"] = as_text(packed_floats(curves[name]))
         numbers = intervals(sweep.flat, scores, sweep.own)
         blocks[f"scores-{i}"] = as_text(packed_floats(numbers))
-        tables, missing = {}, []
-        for setting, packed in sweep.tables(f"{label}/{name}", stage, again, missing):
+        tables = {}
+        for setting, packed in sweep.tables(f"{label}/{name}", stage, again):
             blocks[f"tables-{i}-{setting}"] = packed.text
             tables[setting] = packed.data
         code = {"group": group + name, "toml": toml.get(f"{label}/{name}")}
-        shown.append(sweep.data(name) | code | {"tables": tables, "missing": " ".join(missing)})
+        shown.append(sweep.data(name) | code | {"tables": tables, "missing": sweep.missing})
     if stage.exact is not None:
         blocks["exact"] = as_text(packed_floats(stage.exact))
     optima = {float(x) for ds in methods.values() for x in np.ravel(stats.optimum(ds).values)}
     data = {
-        "label": words.title_of(label),
         "unit": "steps" if "num_steps" in first.flat.ds.attrs else "episodes",
         "prediction": methods.prediction,
         "optimum": optima.pop() if len(optima) == 1 and np.isfinite([*optima]).all() else None,
@@ -111,7 +110,7 @@ class _Sweep:
         flat: its sweep with the settings in one row.
         best: the number of its best setting.
         kept: the numbers of the settings of which curves are kept, int ascending.
-        tabled: of which tables are kept, the best first.
+        missing: why there are no tables over time; empty where there are.
     """
 
     def __init__(self, own: Method, sharers: int) -> None:
@@ -125,6 +124,7 @@ class _Sweep:
         self._order = [int(i) for i in dict.fromkeys(order)]
         self.sharers = sharers
         self.kept: list[int] = []
+        self.missing = ""
 
     def curves(self, measures: list[Measure]) -> np.ndarray:
         """[kept, measures, statistics and single runs, points]: see `statistics`."""
@@ -137,21 +137,15 @@ class _Sweep:
         return list(self._ranks(setting).values())
 
     def _ranks(self, setting: int) -> dict[str, int]:
-        merit = self._merit[setting]
+        merit = self.flat.flat(self.own.merit)[setting]
         return ranks(np.argsort(np.nan_to_num(merit, nan=-np.inf), kind="stable").tolist())
-
-    @property
-    def _merit(self) -> np.ndarray:
-        return self.flat.flat(self.own.merit)
 
     def final(self, settings: Sequence[int]) -> np.ndarray:
         """The tables at the end, [settings, seeds, S, A]."""
         return self.flat.flat(self.own.ds.q)[list(settings)]
 
-    def tables(
-        self, name: str, stage: Scene, again: Again | None, missing: list[str]
-    ) -> Iterator[tuple[int, Block]]:
-        """The views of the settings for which there is room; `missing` gets why there are none over time."""
+    def tables(self, name: str, stage: Scene, again: Again | None) -> Iterator[tuple[int, Block]]:
+        """The views of the settings for which there is room, by their numbers."""
         room = TABLES // self.sharers
         for setting in self._order:
             over, places = None, np.arange(self.flat.seeds)
@@ -159,7 +153,7 @@ class _Sweep:
                 try:
                     over, places = self._recorded(name, again)
                 except (InputError, RunError) as error:
-                    missing.append(f"{error}.")
+                    self.missing = f"{error}."
             if over is None:
                 over = OverTime(self.final([setting])[0][:, None])
             visits = None if over.visits is None else over.visits[:, :, stage.states]
@@ -194,12 +188,10 @@ class _Sweep:
         ds, seeds = self.own.ds, self.own.ds.seed.values
         axes = stats.hyperparameters(ds)
         return {
-            "name": name,
             "title": words.title_of(name),
             "seeds": self.flat.seeds,
             "axes": [_axis(ds, axis) for axis in axes],
             "draws": [_axis(ds, drawn) for drawn in stats.drawn(ds)],
-            "fixed": {words.symbol(key): words.written(x) for key, x in stats.fixed(ds).items()},
             "x": self.flat.x.tolist(),
             "ends": self.flat.ends.tolist(),
             "best": self.best,

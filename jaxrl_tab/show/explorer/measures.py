@@ -143,20 +143,18 @@ class Flat:
         axes = len(stats.hyperparameters(self.ds))
         return x.values.reshape(self.count, *x.shape[axes:])
 
-    def sums(self, setting: int, points: slice = slice(None)) -> Sums:
+    def sums(self, setting: int) -> Sums:
         """What the measures are made of, of one setting: float64 [seeds, points]."""
-        starts, ends = self.starts[points], self.ends[points]
-        rows = slice(int(starts[0]), int(ends[-1]) + 1)
-        found = {}
+        sums = {}
         for name, x in self.ds.items():
             if x.dims != self.ds.episodes.dims:
                 continue
             of_setting = self.flat(x)[setting]
             if name in SUMS:
-                found[name] = np.add.reduceat(of_setting[:, rows].astype(float), starts - starts[0], axis=-1)
+                sums[name] = np.add.reduceat(of_setting.astype(float), self.starts, axis=-1)
             else:
-                found[name] = of_setting[:, ends].astype(float)
-        return found
+                sums[name] = of_setting[:, self.ends].astype(float)
+        return sums
 
     def curves(self, measures: list[Measure], settings: list[int]) -> Iterator[tuple[slice, np.ndarray]]:
         """The runs of some settings, some at a time: which, and float64 [measures, settings, seeds, points]."""
