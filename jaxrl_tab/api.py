@@ -37,6 +37,7 @@ from jaxrl_tab.engine.offline import collect, learn, replay
 from jaxrl_tab.engine.results import SweepResult
 from jaxrl_tab.engine.sweep import sweep
 from jaxrl_tab.engine.train import train
+from jaxrl_tab.engine.watch import Watched, watch
 from jaxrl_tab.envs import (
     ENVS,
     Blackjack,
@@ -117,6 +118,7 @@ __all__ = [
     "Transition",
     "TwoDoors",
     "Uniform",
+    "Watched",
     "WindyGridworld",
     "algorithms",
     "batch",
@@ -144,4 +146,5 @@ __all__ = [
     "tables",
     "train",
     "use_all_cores",
+    "watch",
 ]

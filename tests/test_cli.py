@@ -337,7 +337,7 @@ REFUSALS = {
     "resume nowhere": "there is no folder nowhere",
     "resume nowhere --memory x": "memory must be a number with a unit",
     "swep": "did you mean 'sweep'?",
-    "nonsense": "choose one of list, solve, sweep, resume, figure",
+    "nonsense": "choose one of list, solve, watch, sweep, resume, figure",
     "list --jsn": "did you mean '--json'?",
     "solve": "name an environment: windy-gridworld",
     "solve windy-gridwrld": "did you mean 'windy-gridworld'?",
@@ -651,7 +651,7 @@ def test_help_and_version(capsys):
         assert "jaxrl-tab sweep windy-gridworld sarsa q-learning" in capsys.readouterr().out
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"jaxrl-tab {rl.__version__}\n"
-    for command in ("list", "solve", "sweep", "resume", "figure"):
+    for command in ("list", "solve", "watch", "sweep", "resume", "figure"):
         with pytest.raises(SystemExit) as stop:
             main([command, "--help"])
         assert not stop.value.code

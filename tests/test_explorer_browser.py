@@ -304,6 +304,9 @@ def test_panels_name_the_actions(browser, tmp_path):
     browser(f"$('.cell[data-s=\"{states.index(s)}\"]').dispatchEvent(new Event('pointerenter'))")
     name = browser("$('.about h6').textContent")
     assert name == f"No usable ace, player {tables[1].rows[0]}, dealer shows {tables[1].columns[4]}"
+    box = "(x => [x.x, x.y])($('.cell[data-s=\"{}\"]').getBoundingClientRect())"
+    (x, y), (left, same) = (browser(box.format(states.index(at))) for at in (s, tables[1].states[0, 3]))
+    assert (left < x, same) == (True, y)
     assert rows_of(browser, "learned") == pytest.approx(result.q[:, s].mean(0), abs=1e-4)
     greedy = result.q[:, s] == result.q[:, s].max(-1, keepdims=True)
     votes = (greedy / greedy.sum(-1, keepdims=True)).sum(0)
@@ -331,7 +334,7 @@ def test_tasks_without_a_picture_have_a_table_of_states(browser, tmp_path):
 
 def test_text_can_be_read_on_all_colours(page):
     """Contrast of 4.5 or more (WCAG 2.1), in the grid. Broken once: colours as strong as of curves -> fails."""
-    contrasts = page("""(() => {
+    contrasts = """(() => {
       const context = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
       const light = (colour) => {
         for (const style of ["white", colour]) context.fillStyle = style, context.fillRect(0, 0, 1, 1);
@@ -341,9 +344,15 @@ def test_text_can_be_read_on_all_colours(page):
       };
       const ink = light(getComputedStyle($(".above .v")).fill);
       return $$(".cell .box").map(x => (light(getComputedStyle(x).fill) + 0.05) / (ink + 0.05));
-    })()""")
-    assert len(contrasts) == 70
-    assert min(contrasts) >= 4.5
+    })()"""
+    for colour, moment in (("visits", 33), ("error", 0)):  # in which the strongest colours are
+        choose(page, ".learned", "colour", colour)
+        page.wait("$('.stage .small').textContent.length > 0")
+        slide(page, moment)
+        page.wait("$$('.cell .box').every(x => x.getAnimations().length === 0)")
+        shown = page(contrasts)
+        assert len(shown) == 70
+        assert 4.5 <= min(shown) < 7
 
 
 def test_names_inject_nothing(browser, windy, tmp_path):

@@ -29,10 +29,11 @@ import xarray as xr
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning, policies, schedules, stats
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.cli import figure, sweep
+from jaxrl_tab.cli import figure, sweep, watch
 from jaxrl_tab.cli.figure import Figure
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Resume, Sweep
+from jaxrl_tab.cli.watch import Watch
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import axes
@@ -160,19 +161,26 @@ def options_of(command):
     if command is None:
         return ["--json"]
     own = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(command)]
-    classes = [*ENVS.values(), *METHODS.values()] if command in (Sweep, Solve) else []
+    classes = [*ENVS.values(), *METHODS.values()] if command in (Sweep, Solve, Watch) else []
     return [*own, *("--" + p.name.replace("_", "-") for cls in classes for p in describe.parameters(cls))]
 
 
 COMMANDS = {
     "list": None,
     "solve": Solve,
+    "watch": Watch,
     "sweep": Sweep,
     "resume": Resume,
     "figure": Figure,
 }
 OPTIONS = {name: options_of(command) for name, command in COMMANDS.items()}
-NAMES = {"solve": list(ENVS), "figure": list(FIGURES), "sweep": list(ENVS), "list": [], "resume": ["."]}
+NAMES = {
+    "solve": list(ENVS),
+    "watch": list(ENVS),
+    "figure": list(FIGURES),
+    "sweep": list(ENVS),
+    "resume": ["."],
+}
 
 
 def some_words(draw):
@@ -181,8 +189,8 @@ def some_words(draw):
     words = [name]
     if names := NAMES.get(name, []):
         words.append(draw.choice(names))
-    if name == "sweep":
-        words += draw.choices(list(METHODS), k=draw.randint(1, 2))
+    if name in ("sweep", "watch"):
+        words += draw.choices(list(METHODS), k=draw.randint(1, 2 if name == "sweep" else 1))
     for _ in range(draw.randint(0, 3)):
         words.append(draw.choice(OPTIONS.get(name, WORDS)))
         words += draw.choices(WORDS, k=draw.choice([0, 1, 1, 1, 2]))
@@ -231,6 +239,7 @@ def make_idle(put):
         raise InputError("so far it was right")
 
     put(sweep, "_conduct", stop)
+    put(watch, "watch", stop)
     put(figure, "make_runs", stop)
     get = rl.executors.get
 
@@ -497,6 +506,11 @@ def called():
         given = {"num_steps": 10}
         batch = rl.Sarsa(alpha=np.ones(2))
         yield f"train {name}", lambda x, n=name, b=batch, g=given: rl.train(key, b, WINDY, **g | {n: x})
+    yield "watch env", lambda x: rl.watch(x, rl.Sarsa(), at=0)
+    yield "watch algorithm", lambda x: rl.watch(WINDY, x, at=0)
+    for name in ("num_episodes", "at", "seed", "root_seed"):
+        given = {"root_seed": -1} if name != "root_seed" else {"seed": -1}
+        yield f"watch {name}", lambda x, n=name, g=given: rl.watch(WINDY, rl.Sarsa(), **g | {n: x})
     yield "load", Experiment.load
     yield "from_data", Experiment.from_data
     whole = {"environment": "windy-gridworld", "method": "sarsa", "steps": 10}

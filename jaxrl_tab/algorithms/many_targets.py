@@ -15,6 +15,7 @@ from jaxrl_tab.core.checks import as_array, first, is_distribution
 from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.errors import InputError, shown, unfit
+from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Available, Transition, restricted
@@ -33,7 +34,7 @@ class ManyTargetsState(NamedTuple):
 
 
 @pytree
-class ManyTargets:
+class ManyTargets(Shown):
     """Learns about P target policies at once, while one behaviour policy acts.
 
     For every p (Expected Sarsa, book, equation 6.9):

@@ -11,6 +11,7 @@ from jaxrl_tab.core import clock, policies, tables
 from jaxrl_tab.core.checks import concrete
 from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Available, Transition, restricted
@@ -43,7 +44,7 @@ class TDState(NamedTuple):
 
 
 @pytree
-class TDControl:
+class TDControl(Shown):
     """One-step control with an epsilon-greedy, or any other, behaviour policy. A method adds its `update`."""
 
     alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")

@@ -1,4 +1,4 @@
-"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, sweep, resume, figure.
+"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, watch, sweep, resume, figure.
 
 Options for environments and methods are made from the registries: a new entry's parameters are options with
 no edit here. All that a person can get wrong is refused before anything is compiled, with exit code 2 and
@@ -17,7 +17,14 @@ from jaxrl_tab.core.errors import InputError, RunError, as_path, one_line, reaso
 from jaxrl_tab.core.version import __version__
 
 # Command -> the module that it is in, imported when it is asked for: they take a second.
-MODULES = {"list": "listing", "solve": "solve", "sweep": "sweep", "resume": "sweep", "figure": "figure"}
+MODULES = {
+    "list": "listing",
+    "solve": "solve",
+    "watch": "watch",
+    "sweep": "sweep",
+    "resume": "sweep",
+    "figure": "figure",
+}
 TRACEBACK = "JAXRL_TAB_TRACEBACK"
 HELP = f"""\
 usage: {PROG} COMMAND ...
@@ -28,6 +35,7 @@ optimum.
 commands:
   list      the environments and the methods, with their parameters
   solve     the exact values and an optimal policy of an environment
+  watch     an episode of a method, step by step, while it learns
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
   resume    go on with a sweep that was interrupted
   figure    make published figures again, and check their numbers
@@ -35,6 +43,7 @@ commands:
 examples:
   {PROG} list
   {PROG} solve windy-gridworld --moves king
+  {PROG} watch windy-gridworld sarsa --alpha 0.5
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
   {PROG} sweep --write-template experiment.toml
   {PROG} resume runs/windy

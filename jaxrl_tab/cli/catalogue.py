@@ -25,6 +25,7 @@ ENTRY_POINTS = {"environments": "jaxrl_tab.environments", "methods": "jaxrl_tab.
 # Command -> the module, the class that describes it, and its groups: title in the help -> which.
 COMMANDS = {
     "solve": ("solve", "Solve", {"environment": "environments"}),
+    "watch": ("watch", "Watch", {"hyperparameters": "one method", "environment": "environments"}),
     "sweep": (
         "sweep",
         "Sweep",
@@ -40,7 +41,7 @@ class Catalogue(NamedTuple):
 
     Attributes:
         commands: by their names.
-        groups: "environments", "methods" and "executors".
+        groups: "environments", "methods", "one method" (of which each option has one value) and "executors".
         listed: for `list`: "environments", "methods" (of control) and "prediction" -> name -> entry, with the
             defaults of the classes.
         facts: the same as JSON: name -> summary and parameters, those included that cannot be typed.
@@ -82,7 +83,7 @@ def live() -> Catalogue:
     from jaxrl_tab import interop  # noqa: F401  which adds its libraries
     from jaxrl_tab.algorithms import ALGORITHMS
     from jaxrl_tab.algorithms.prediction import PREDICTION
-    from jaxrl_tab.cli.common import ENVIRONMENT, EXECUTOR, HYPERPARAMETERS
+    from jaxrl_tab.cli.common import ENVIRONMENT, EXECUTOR, HYPERPARAMETERS, OF_ONE_METHOD
     from jaxrl_tab.cli.typed import Classes, command_of
     from jaxrl_tab.core import describe, names
     from jaxrl_tab.engine.results import label
@@ -105,6 +106,7 @@ def live() -> Catalogue:
         {
             "environments": ENVIRONMENT.group,
             "methods": HYPERPARAMETERS.group,
+            "one method": OF_ONE_METHOD.group,
             "executors": EXECUTOR.group,
         },
         {kind: dict(Classes(registry, "").group.entries) for kind, registry in registries.items()},

@@ -29,6 +29,7 @@ HYPERPARAMETERS = Classes(
     defaults={"alpha": ALPHAS},
     parts={"the methods of control": ALGORITHMS, "the methods of prediction": PREDICTION},
 )
+OF_ONE_METHOD = HYPERPARAMETERS._replace(help="Of the method.", grids=False, defaults={})
 # Some parameters of the executors are called otherwise here, where they stand beside options of other things.
 EXECUTOR = Classes(
     executors.EXECUTORS,

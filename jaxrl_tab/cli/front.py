@@ -43,7 +43,8 @@ def answer(command: str, argv: Sequence[str]) -> None:
     for title, noun in (("environment", "environments"), ("hyperparameters", "methods")):
         if title not in groups:
             continue
-        names, group = places.get("env" if title == "environment" else "methods", ()), groups[title]
+        place = "env" if title == "environment" else "method" if command == "watch" else "methods"
+        names, group = places.get(place, ()), groups[title]
         for name in (names := (names,) if isinstance(names, str) else names):
             if name not in group.entries:
                 if _may_be_elsewhere(name, noun, catalogue):

@@ -43,6 +43,9 @@ LOOKALIKES |= {
     "α": "alpha",
     "λ": "lambda",
     "γ": "gamma",
+    "δ": "delta",
+    "…": "...",
+    "●": "@",
 }
 
 

@@ -22,7 +22,8 @@ from jaxrl_tab.core.checks import KINDS, build, but_none
 from jaxrl_tab.core.errors import InputError, shown
 
 PAIRS = Mapping[str, Any]  # the type of a parameter that is typed as KEY=VALUE ...
-METAVARS = {int: "N", float: "X", str: "X", Path: "DIR", PAIRS: "KEY=VALUE"}
+FILE = str | Path | None  # the type of a parameter that names a file
+METAVARS = {int: "N", float: "X", str: "X", Path: "DIR", FILE: "FILE", PAIRS: "KEY=VALUE"}
 
 
 class Classes(NamedTuple):

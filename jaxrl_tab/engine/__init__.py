@@ -15,6 +15,8 @@ Its modules, from the ground up:
     by_xla      runs that XLA compiles, on all devices
     batch       many runs at once
     train       one run, checked, compiled and measured
+    stepwise    one run, one step at a time
+    watch       an episode of a run, step by step, and what the run learns over time
     axes        what a sweep tries of a hyperparameter: grids in steps, and random draws
     part        one method in one environment, with all its configurations and seeds
     counted     a method that also counts how often it took each action

@@ -60,23 +60,35 @@ def train(
     Raises:
         InputError: a number is out of range, or `exact` is asked of an environment without `outcomes`.
     """
-    if isinstance(algorithm, Environment):
-        algorithm, env = env, algorithm
-    algorithm, env = cast(Algorithm[L], algorithm), cast(Environment, env)
     budget = Budget(num_steps, num_episodes, log_every, bool(exact), record)
     rng.check_key(key)
-    check_pytree("algorithm", algorithm, METHODS)
-    if is_dataclass(algorithm):
-        schedules.check_single(type(algorithm).__name__, algorithm)
-    check_pytree("env", env, ENVS)
-    check_held(env)
-    restricted(algorithm, available_actions(env))  # raises InputError where the actions do not fit the method
+    algorithm, env = checked_pair(algorithm, env)
     if exact:
         planning.check_finite(env)
     if not _is_traced((key, algorithm, env)) and (learned := by_lanes.alone(key, algorithm, env, budget)):
         return learned
     full = in_full((algorithm, env)) if exact else None
     return unchecked(key, algorithm, env, full, budget)
+
+
+def checked_pair(
+    algorithm: Algorithm[L] | Environment, env: Environment | Algorithm[L]
+) -> tuple[Algorithm[L], Environment]:
+    """A method for one run and its environment, in this order, whichever was given first.
+
+    Raises:
+        InputError: one of them is wrong, or they do not fit.
+    """
+    if isinstance(algorithm, Environment):
+        algorithm, env = env, algorithm
+    algorithm, env = cast(Algorithm[L], algorithm), cast(Environment, env)
+    check_pytree("algorithm", algorithm, METHODS)
+    if is_dataclass(algorithm):
+        schedules.check_single(type(algorithm).__name__, algorithm)
+    check_pytree("env", env, ENVS)
+    check_held(env)
+    restricted(algorithm, available_actions(env))  # raises InputError where the actions do not fit the method
+    return algorithm, env
 
 
 def _is_traced(tree: Any) -> bool:

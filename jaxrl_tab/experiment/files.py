@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxrl_tab.core.errors import RunError
+from jaxrl_tab.core.errors import RunError, one_line
 from jaxrl_tab.core.memory import words
+from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine import provenance
@@ -41,6 +42,18 @@ class Outcome:
     datasets: "dict[str, xr.Dataset]"
     fresh: "dict[str, xr.Dataset]"
     envs: dict[str, Environment]
+
+    def __repr__(self) -> str:
+        return f"<Outcome: {one_line(', '.join(self.datasets))}>"
+
+    def _repr_html_(self) -> str:
+        from jaxrl_tab.show.rows import chosen
+
+        tables = []
+        for label, methods in self.methods.items():
+            best = chosen(methods, self.fresh_methods.get(label))
+            tables.append(table(f"{label}: the best setting of each method", best.head, best.rows))
+        return "\n".join(tables)
 
     @cached_property
     def methods(self) -> "dict[str, Methods]":

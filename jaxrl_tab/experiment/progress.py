@@ -75,6 +75,20 @@ class Meter:
         )
         self.show()
 
+    def underway(self, runs: int, steps: int) -> None:
+        """Reports what is finished of the shard that this process computes, the first that is missing."""
+        shard, now = next(iter(self._missing.values())), time.perf_counter()
+        before, seconds = self._took.get(shard.part, (0, 0.0))
+        took = self._took | {shard.part: (before + runs, seconds + now - self._last)}
+        self._report(
+            self._state._replace(
+                done=self._state.done + runs,
+                steps=self._state.steps + steps,
+                seconds=now - self._begun,
+                left=seconds_left(self._todo, took),
+            )
+        )
+
     def show(self, label: str | None = None) -> None:
         """Reports; `label` says what is under way where it is not a shard."""
         if label is None:

@@ -15,7 +15,7 @@ import shlex
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -31,7 +31,7 @@ from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
-from jaxrl_tab.experiment import sources, storage
+from jaxrl_tab.experiment import shards, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import Outcome, write_files
@@ -197,7 +197,8 @@ def _compute(
     if missing:
         origin.check(store.path)
     meter.begin(store, job, missing, later)
-    with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
+    # Where it stops, the workers do.
+    with _heard(meter.underway), contextlib.closing(executor.run(job, missing)) as finished:
         for number, arrays in finished:
             part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
             largest = part.largest_values[runs(part, job.shards[number]) // part.num_seeds]
@@ -207,6 +208,16 @@ def _compute(
             let_go()
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
     return bool(missing)
+
+
+@contextlib.contextmanager
+def _heard(underway: Callable[[int, int], None]) -> Iterator[None]:
+    """Within the block `underway` hears how far the shard is that is computed in this process."""
+    token = shards.progress.set(underway)
+    try:
+        yield
+    finally:
+        shards.progress.reset(token)
 
 
 def _missing(store: Store, job: Job) -> list[int]:

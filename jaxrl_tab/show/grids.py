@@ -61,16 +61,32 @@ def greedy_path(
     axes_title(ax, f"{title}\n{length}")
 
 
-def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
+def values(
+    ax: Axes,
+    env: Grid,
+    v: np.ndarray,
+    q: np.ndarray | None,
+    limits: tuple[float | None, float | None] = (None, None),
+) -> None:
     """A heat map of the values `v`, float [S], with the arrows of all greedy actions of `q`, [S, A].
 
     Hatched cells cannot be reached from the start.
+
+    Args:
+        ax: where to draw.
+        env: a grid.
+        v: values, [S].
+        q: action values, [S, A]; None: there are no arrows.
+        limits: the values at the ends of the colours, so that pictures compare; by default those of `v`.
     """
     moves = Moves.of(env)
     shown = np.isfinite(v) & moves.reachable
-    image = ax.imshow(np.ma.masked_array(v, ~shown).reshape(env.shape), cmap="viridis", zorder=1)
+    low, high = limits
+    cells = np.ma.masked_array(v, ~shown).reshape(env.shape)
+    image = ax.imshow(cells, cmap="viridis", vmin=low, vmax=high, zorder=1)
     _draw_grid(ax, env, moves)
-    _draw_arrows(ax, env, greedy_actions(q) & (shown & ~moves.terminal)[:, None], "white", raised=0.1)
+    if q is not None:
+        _draw_arrows(ax, env, greedy_actions(q) & (shown & ~moves.terminal)[:, None], "white", raised=0.1)
     _draw_ends(ax, env, aside=True)
     for s in np.flatnonzero(shown & ~moves.terminal):
         row, column = divmod(int(s), env.shape[1])

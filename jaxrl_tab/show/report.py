@@ -21,7 +21,7 @@ from jaxrl_tab.show import words
 from jaxrl_tab.show.explorer.chapter import Explorer, explorer
 from jaxrl_tab.show.explorer.measures import POINTS
 from jaxrl_tab.show.explorer.over_time import Again
-from jaxrl_tab.show.html import as_json, explorer_script, render
+from jaxrl_tab.show.html import EXPLORER, as_json, render
 from jaxrl_tab.show.rows import (
     AT_ONCE,
     Table,
@@ -110,7 +110,7 @@ def write_methods(
     page = render(
         "report.html",
         styles=["report.css"],
-        script=explorer_script(),
+        scripts=EXPLORER,
         points=f"at most {POINTS}",
         title=_title(chapters),
         chapters=chapters,

@@ -9,7 +9,7 @@ import xarray as xr
 
 from jaxrl_tab.show import words
 from jaxrl_tab.show.words import counted, counts_in_words, number
-from jaxrl_tab.stats.columns import COLUMNS, Column, Row, text
+from jaxrl_tab.stats.columns import COLUMNS, Column, Methods, Row, text
 
 AT_ONCE, AT_MOST = 12, 1000  # rows of a table that are shown unfolded, and rows that are shown at all
 
@@ -108,6 +108,15 @@ def notes(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> list[st
         for parameter, end in row.own.edges.items():
             notes.append(words.edge_warning(parameter, row.method, end))
     return notes
+
+
+def chosen(methods: Methods, fresh: Methods | None) -> Table:
+    """The best setting of each method, with its number on fresh seeds where it was run on some; the best first."""
+    again = {row.method: row for row in fresh.rows} if fresh else {}
+    stars = [row for row in methods.rows if row["best"]]
+    stars.sort(key=lambda row: rank(row, methods.prediction))
+    view = View(methods.prediction, varied(methods.rows), decimals([*stars, *again.values()]))
+    return chosen_table(stars, again, {}, view)
 
 
 def chosen_table(
