@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from jaxrl_tab.show.explorer.over_time import Again
     from jaxrl_tab.stats.columns import Methods
 
 
@@ -133,9 +134,17 @@ def check_formats(formats: Any) -> tuple[Format, ...]:
 
 
 def write_files(
-    store: Store, outcome: Outcome, records: Mapping[str, Any], formats: Sequence[Format] = FORMATS[:1]
+    store: Store,
+    outcome: Outcome,
+    records: Mapping[str, Any],
+    formats: Sequence[Format] = FORMATS[:1],
+    again: "Again | None" = None,
+    toml: Mapping[str, str] | None = None,
 ) -> None:
-    """Tables, pictures in these formats, and the report, each a whole file or none."""
+    """Tables, pictures in these formats, and the report, each a whole file or none.
+
+    `again` and `toml` are for the report, see `report.write`.
+    """
     from jaxrl_tab.show import plot, report
 
     folder = store.path
@@ -154,7 +163,8 @@ def write_files(
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
                 if formats:
                     plot.save_all(methods, outcome.envs[label], place, formats)
-            report.write_methods(scratch, outcome.methods, _about(store, records), outcome.fresh_methods)
+            about_all = _about(store, records)
+            report.write_methods(scratch, outcome.methods, about_all, outcome.fresh_methods, again, toml)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
             with storage.as_run_error(goal):

@@ -32,6 +32,7 @@ from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import shards, sources, storage
+from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, write_files
 from jaxrl_tab.experiment.progress import Meter
@@ -171,7 +172,8 @@ def _go_on(
                 warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
             with meter.reporting(progress):
                 meter.show("tables, pictures, report")
-                write_files(store, outcome, records, formats)
+                again, toml = RunAgain(job.parts, limit), toml_of_settings(experiment)
+                write_files(store, outcome, records, formats, again, toml)
     return outcome
 
 

@@ -45,8 +45,6 @@ from jaxrl_tab.show.panels import (
     panels,
     panels_canvas,
     state_values,
-    tables_of,
-    uniform_values,
 )
 from jaxrl_tab.show.style import (
     ALARM,
@@ -72,6 +70,7 @@ from jaxrl_tab.show.style import (
     literal,
     tidy,
 )
+from jaxrl_tab.show.tasks import tables_of, uniform_values
 from jaxrl_tab.show.words import in_words, seeds_in_words, shortened, title_of, unusual, written
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
