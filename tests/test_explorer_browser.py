@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from browser import Browser, needs_browser
 from made_up import make_result
+from PIL import Image
 
 import jaxrl_tab as rl
 from jaxrl_tab import report, stats
+from jaxrl_tab.show import learning
 
 pytestmark = needs_browser
 
@@ -376,6 +378,21 @@ def test_names_inject_nothing(browser, windy, tmp_path):
     assert browser("$('.stage h5').textContent").startswith(evil[:20])
     assert browser.messages == []
     assert len(browser.requests) == 1
+
+
+def test_the_page_of_watch_runs_under_its_policy(browser, tmp_path):
+    """The policy is that of all pages. Broken once: pictures in the page itself are not allowed -> fails."""
+    pictures = [Image.new("RGB", (3, 2), colour) for colour in ("red", "blue")]
+    learning.write(tmp_path / "learning.html", pictures, ["first", "<last>"], "it")
+    browser.messages.clear()
+    browser.open(tmp_path / "learning.html")
+    browser.wait("document.getElementById('picture')?.naturalWidth === 3")
+    browser.wait("!document.getElementById('controls').hidden")
+    browser("$('#moment').value = 0, $('#moment').oninput()")
+    assert browser("$('#title').textContent") == "first"
+    browser("$('#moment').value = 1, $('#moment').oninput()")
+    assert browser("$('#title').textContent") == "<last>"
+    assert browser.messages == []
 
 
 def test_without_scripts_the_tables_are_there(browser, explored):

@@ -267,7 +267,7 @@ def test_learning_over_time_is_written_as_an_animation(tmp_path):
     page = (tmp_path / "learning.html").read_text()
     check_nothing_is_injected(page, scripts=1)
     assert len(set(re.findall(r'"(data:image/png;base64,[^"]*)"', page))) == 4
-    assert '["after 0 of 3 episodes", "after 1 of 3 episodes"' in page
+    assert '["after 0 of 3 episodes","after 1 of 3 episodes"' in page
     assert '<img id="picture" src="data:image/png' in page  # without JavaScript: what was learned by the end
 
 
