@@ -142,7 +142,8 @@ class ByLanes:
 def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> tuple[Any, Log] | None:
     """What a single run gives, as `train`; None where it is not compiled by `lanes`.
 
-    That is so, too, where more than `MEASURED_ROWS` rows would each call XLA: then XLA does the whole run sooner.
+    That is so, too, where nobody asked for a backend and more than `MEASURED_ROWS` rows would each call XLA: then XLA
+    does the whole run sooner.
 
     Raises:
         InputError: `lanes` was asked for, and does not compile this.
@@ -150,7 +151,7 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
     if backend.chosen() != "lanes" or not rng.is_threefry(key):
         return None
     rows = (budget.num_steps or budget.num_episodes or 0) // budget.row
-    if (budget.record or budget.exact) and rows > MEASURED_ROWS:
+    if backend.asked() == "auto" and (budget.record or budget.exact) and rows > MEASURED_ROWS:
         return None
     arguments = program_arguments(budget, key, None, algorithm, env)
     of_run = signature(arguments)
