@@ -150,6 +150,20 @@ def test_nothing_slow_is_imported_for_it(words, code):
     assert done.returncode == code, done.stderr
 
 
+def test_without_pictures_matplotlib_is_not_imported(tmp_path):
+    """The report needs none. Broken once: `write_files` imports `show.plot` always -> fails."""
+    program = (
+        "import sys; from jaxrl_tab.cli import main;"
+        "code = main(sys.argv[1:]); assert 'matplotlib' not in sys.modules; sys.exit(code)"
+    )
+    words = "sweep windy-gridworld sarsa --seeds 2 --steps 100 --no-pictures --quiet --out run"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words.split()], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "report.html").exists()
+
+
 def test_where_the_sources_are_others_the_classes_decide(monkeypatch, tmp_path):
     """Or where the file is damaged, or classes were imported, and perhaps registered, already."""
     monkeypatch.delitem(sys.modules, "jaxrl_tab.envs")

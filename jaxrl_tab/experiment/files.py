@@ -145,7 +145,7 @@ def write_files(
 
     `again` and `toml` are for the report, see `report.write`.
     """
-    from jaxrl_tab.show import plot, report
+    from jaxrl_tab.show import report
 
     folder = store.path
     about = {"command": records["sessions"][0]["command"], "version": __version__}
@@ -162,6 +162,8 @@ def write_files(
             for label, methods in outcome.methods.items():
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
                 if formats:
+                    from jaxrl_tab.show import plot  # and with it Matplotlib, which the report does not need
+
                     plot.save_all(methods, outcome.envs[label], place, formats)
             about_all = _about(store, records)
             report.write_methods(scratch, outcome.methods, about_all, outcome.fresh_methods, again, toml)
