@@ -136,22 +136,20 @@ def _and_fields(cls: Any) -> Callable:
     init = cls.__init__
 
     @functools.cache
-    def fields() -> dict[str, Any]:
+    def fields() -> tuple[dict[str, Any], BeartypeConf]:
         hints = _hints(cls)
-        return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
+        # A leaf that is a number may be one of each run of a batch.
+        rules = _rules(float | int | np.number | np.ndarray | jax.Array)
+        return {field.name: hints[field.name] for field in dataclasses.fields(cls)}, rules
 
     @functools.wraps(init)
     def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
         init(self, *args, **kwargs)
         if type(self) is cls:
+            hints, rules = fields()
             with DIMENSIONS:
-                for name, hint in fields().items():
-                    # A leaf that is a number may be one of each run of a batch.
-                    die_if_unbearable(
-                        getattr(self, name),
-                        hint,
-                        conf=_rules(float | int | np.number | np.ndarray | jax.Array),
-                    )
+                for name, hint in hints.items():
+                    die_if_unbearable(getattr(self, name), hint, conf=rules)
 
     return __init__
 

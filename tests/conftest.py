@@ -22,7 +22,7 @@ import pytest
 annotations.check()
 
 from exploring import explored  # noqa: F401  A fixture of several files.
-from keeping import programs_folder, said  # noqa: F401  Fixtures of several files.
+from keeping import programs_folder, said, unoptimised  # noqa: F401  Fixtures of several files.
 
 import jaxrl_tab as rl
 
@@ -30,13 +30,6 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_key_reuse", False)
 jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parent.parent / ".pytest_cache" / "jax"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-
-# Of what LLVM does for speed a part is left out: the bits are the same (at level 0 they are not, for no product is
-# fused). XLA reads its flags as it starts, and what the tests start, and record, is without these.
-with pytest.MonkeyPatch.context() as patched:
-    flags = "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true"
-    patched.setenv("XLA_FLAGS", f"{os.environ['XLA_FLAGS']} {flags}")
-    jax.jit(lambda: 0)()
 
 # What is imported stays; and what is compiled has many small objects, among which there is little garbage.
 gc.freeze()
