@@ -169,7 +169,7 @@ def test_the_address_keeps_the_choice(page, explored):
     slide(page, 4)
     page("$('.legend button').click()")
     address = page("location.hash")
-    shown = "[$('.legend').textContent, $('.curves svg').textContent, $('.about').textContent, $('.settings svg').textContent]"
+    shown = "['.legend', '.curves .body', '.about', '.settings .body'].map(x => $(x).textContent)"
     before = page(shown)
     look_at(page, explored[0], address)
     assert page(shown) == before
