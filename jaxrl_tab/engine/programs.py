@@ -111,6 +111,31 @@ def kept(name: Any, make: Callable[[], T], pack: Callable[[T], bytes], unpack: C
     return made
 
 
+def note(name: str, data: bytes) -> None:
+    """Keeps `data` under a name, instead of what is there; it need not be there later."""
+    file = _file(("note", name))
+    if file is None or (key := _key(file.parent)) is None:
+        return
+    try:
+        _write(file, key, data)
+    except OSError as error:
+        _warn(f"{name} are not kept in {file.parent}: {reason(error)}")
+
+
+def noted(name: str, unpack: Callable[[bytes], T]) -> T | None:
+    """What was kept last under a name, unpacked; None where there is nothing, or nothing that can be used."""
+    file = _file(("note", name))
+    if file is None or (key := _key(file.parent)) is None:
+        return None
+    try:
+        return unpack(_read(file, key))
+    except FileNotFoundError:
+        return None
+    except Exception as error:
+        _warn(f"{file} is not used: {reason(error)}")
+        return None
+
+
 def _default() -> Path | None:
     """A folder of ours in the user's cache folder; None where there is none."""
     try:

@@ -25,7 +25,7 @@ import numpy as np
 from jaxrl_tab.core import names
 from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import backend, batch, provenance, room
+from jaxrl_tab.engine import backend, batch, provenance, room, speeds
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
 from jaxrl_tab.engine.results import is_diverged
@@ -202,6 +202,7 @@ def _compute(
     if missing:
         origin.check(store.path)
     meter.begin(store, job, missing, later)
+    clock = speeds.Clock()
     # Where it stops, the workers do.
     with _heard(meter.underway), contextlib.closing(executor.run(job, missing)) as finished:
         for number, arrays in finished:
@@ -212,6 +213,9 @@ def _compute(
             store.write(number, arrays, diverged, setting, origin.name)
             let_go()
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
+            if isinstance(executor, Local):  # others may have other machines
+                clock.finished(part, job.shards[number].runs, *map(float, arrays["seconds"]))
+    clock.keep()
     return bool(missing)
 
 
