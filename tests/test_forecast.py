@@ -1,4 +1,4 @@
-"""How long an experiment will take: from what was measured on this machine, and what that says before and on the way."""
+"""How long an experiment will take, from what was measured on this machine: before it begins, and on the way."""
 
 import logging
 

@@ -98,7 +98,8 @@ def _name(part: Part) -> str:
     """What has one speed: a method in an environment of so many states; what is measured costs, too."""
     env, budget = part.env, part.budget
     measures = f", exact every {budget.row}" if budget.exact else ", recorded" if budget.record else ""
-    return f"{_unit(part)} of {part.algorithm.__qualname__} in {type(env).__qualname__}, {env.num_states} states{measures}"
+    where = f"{type(env).__qualname__}, {env.num_states} states{measures}"
+    return f"{_unit(part)} of {part.algorithm.__qualname__} in {where}"
 
 
 def _packed(known: Mapping[str, Speed]) -> bytes:
