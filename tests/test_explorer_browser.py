@@ -423,3 +423,22 @@ def test_it_prints(page):
         assert page("$$('.card svg').length") >= 3
     finally:
         page.media("screen")
+
+
+def test_a_notebook_shows_the_page_in_a_frame(browser, explored, tmp_path):
+    """Of a sweep, and of an experiment; what is chosen there works. Broken once: the page is not escaped -> fails."""
+    result = rl.sweep(rl.make("windy-gridworld"), "sarsa", {"alpha": [0.3, 1.0]}, num_seeds=3, num_steps=2000)
+    for i, shown in enumerate((result.report(), explored[1].report())):
+        file = tmp_path / f"{i}.html"
+        file.write_text(f"<!doctype html><title>A notebook</title>{shown._repr_html_()}", encoding="utf-8")
+        browser.messages.clear()
+        browser.open(file)
+        inside = "$('iframe').contentDocument"
+        browser.wait(f"$('iframe') && {inside}?.querySelector('.explorer')?.dataset.ready === 'yes'")
+        slider = f"{inside}.querySelector('.player input')"
+        browser(f"(s => {{ s.value = 0; s.dispatchEvent(new Event('input')) }})({slider})")
+        title = browser(f"{inside}.querySelector('h1').textContent")
+        assert title in shown.title
+        assert repr(shown) == f"<Page {shown.title!r}: save('report.html') writes it>"
+        assert shown.save(tmp_path / "saved.html").read_text(encoding="utf-8") == shown.html
+        assert browser.messages == []

@@ -16,12 +16,15 @@ from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.log import Log
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+    from jaxrl_tab.show.report import Page
 
 CHUNK = 2**20  # bytes of the pieces in which a file holds a large variable
 
@@ -155,6 +158,18 @@ class SweepResult:
         from jaxrl_tab.stats import export
 
         return export.to_pandas(self.to_xarray(), per)
+
+    def report(self) -> "Page":
+        """The report of this sweep, to look around in: a notebook shows it, and its `save` writes it into a file.
+
+        What is shown of the tables is what was learned in the end; for the moments before it takes an experiment.
+        """
+        from jaxrl_tab.show import report
+        from jaxrl_tab.stats.columns import by_environment
+
+        datasets = {f"{self.environment}/{self.algorithm}": self.to_xarray()}
+        methods = by_environment(datasets, {self.environment: self.env})
+        return report.page(methods, {"made by": repr(self), "versions": provenance.installed()}, {})
 
 
 def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:

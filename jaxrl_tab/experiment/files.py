@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from jaxrl_tab.show.explorer.over_time import Again
+    from jaxrl_tab.show.report import Page
     from jaxrl_tab.stats.columns import Methods
 
 
@@ -55,6 +56,16 @@ class Outcome:
             best = chosen(methods, self.fresh_methods.get(label))
             tables.append(table(f"{label}: the best setting of each method", best.head, best.rows))
         return "\n".join(tables)
+
+    def report(self) -> "Page":
+        """The report, to look around in: a notebook shows it, and its `save` writes it into a file.
+
+        In the folder of the experiment it also has what was learned at the moments before.
+        """
+        from jaxrl_tab.show import report
+
+        about = {"made by": repr(self), "versions": provenance.installed()}
+        return report.page(self.methods, about, self.fresh_methods)
 
     @cached_property
     def methods(self) -> "dict[str, Methods]":

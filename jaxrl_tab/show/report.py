@@ -4,6 +4,8 @@ For each environment the setting chosen for each method, what one can look aroun
 first; then how to read it, and how it was made. Pictures are drawn in the browser, from data in the page (`explorer`).
 """
 
+import dataclasses
+import html
 from collections.abc import Mapping, Sequence
 from itertools import count
 from pathlib import Path
@@ -14,7 +16,7 @@ import xarray as xr
 
 from jaxrl_tab import stats
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.show import words
@@ -99,6 +101,45 @@ def write_methods(
         again, toml: see `explorer`; without `again` there are tables at the end of the runs alone.
         Others: as in `write`.
     """
+    return page(methods, about, fresh, again, toml).save(folder / FILE)
+
+
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """A report that is not in a folder: a notebook shows it.
+
+    Attributes:
+        title: what it is about.
+        html: the page.
+    """
+
+    title: str
+    html: str
+
+    def __repr__(self) -> str:
+        return f"<Page {one_line(self.title)!r}: save('report.html') writes it>"
+
+    def _repr_html_(self) -> str:
+        title, page = html.escape(self.title), html.escape(self.html)
+        return (
+            f'<iframe title="{title}" srcdoc="{page}" style="width: 100%; height: 60rem; border: 0"></iframe>'
+        )
+
+    def save(self, file: Path | str) -> Path:
+        """Writes the page into a file, over one that is there."""
+        file = Path(file)
+        file.write_text(self.html, encoding="utf-8")
+        return file
+
+
+def page(
+    methods: Mapping[str, Methods],
+    about: Mapping[str, Any],
+    fresh: Mapping[str, Methods],
+    again: Again | None = None,
+    toml: Mapping[str, str] | None = None,
+) -> Page:
+    """The report; arguments as in `write_methods`."""
     several = len(methods) > 1
     chapters = []
     for label, own in methods.items():
@@ -107,12 +148,13 @@ def write_methods(
         chapters.append(_chapter(label, own, fresh.get(label, Methods({})), seen))
     sweeps = {f"{label}/{name}": ds for label, own in methods.items() for name, ds in own.items()}
     seeds = [ds.sizes["seed"] for ds in sweeps.values()]
-    page = render(
+    title = _title(chapters)
+    rendered = render(
         "report.html",
         styles=["report.css"],
         scripts=EXPLORER,
         points=f"at most {POINTS}",
-        title=_title(chapters),
+        title=title,
         chapters=chapters,
         explained=dict(item for chapter in chapters for item in chapter.explained.items()),
         about=about,
@@ -124,9 +166,7 @@ def write_methods(
         at_once=AT_ONCE,
         version=__version__,
     )
-    file = folder / FILE
-    file.write_text(page, encoding="utf-8")
-    return file
+    return Page(title, rendered)
 
 
 class Chapter(NamedTuple):
