@@ -21,6 +21,7 @@ import pytest
 
 annotations.check()
 
+from exploring import explored  # noqa: F401  A fixture of several files.
 from keeping import programs_folder, said, unoptimised  # noqa: F401  Fixtures of several files.
 
 import jaxrl_tab as rl

@@ -330,6 +330,27 @@ def test_where_nobody_reads_the_table_the_files_are_written(tmp_path):
     }
 
 
+@pytest.mark.parametrize(
+    ("options", "endings"),
+    [
+        ("--formats svg pdf", {".svg", ".pdf"}),
+        ("--no-pictures", set()),
+        ("--formats svg --no-pictures", set()),
+    ],
+)
+def test_pictures_are_of_the_formats_that_are_wanted(options, endings, tmp_path, monkeypatch):
+    """And what is resumed has those that are wanted then. Broken once: the formats are not handed on -> fails."""
+    monkeypatch.setattr(plot, "save", lambda figure, file: file.touch())
+    out = tmp_path / "run"
+    call("sweep windy-gridworld sarsa", *TINY, "--quiet", "--out", str(out), *options.split())
+    pictures = {file.suffix for file in out.iterdir()} & {".png", ".svg", ".pdf"}
+    assert pictures == endings
+    assert {"results.nc", "summary.csv", "report.html"} <= {file.name for file in out.iterdir()}
+    (out / "results.nc").unlink()
+    call("resume", str(out), "--quiet")
+    assert (out / "overview.png").exists()
+
+
 # --- refusals ----------------------------------------------------------------------------------------
 
 REFUSALS = {
@@ -382,6 +403,7 @@ REFUSALS = {
     "resume nowhere --executor ray --num-cpus 0": "num_cpus must be a whole number of at least 1, not 0",
     "list --json=1": "--json: ignored explicit argument '1'",
     "sweep windy-gridworld sarsa --seeds": "--seeds: expected one argument",
+    "sweep windy-gridworld sarsa --formats png gif": "formats 'gif' is unknown; choose one of png, svg, pdf",
     "sweep windy-gridworld sarsa --steps 0": "steps must be a whole number of at least 1, not 0",
     "sweep windy-gridworld sarsa --episodes -1": "episodes must be a whole number of at least 1, not -1",
     "sweep windy-gridworld sarsa --log-every 0": "log_every must be a whole number of at least 1, not 0",

@@ -65,7 +65,18 @@ def of_the_command(words):
 # What needs more than a look at each word: the rest is refused at once.
 LATER = (
     *("resume", "figure", "sweep windy-gridworld sarsa --executor slurm", "list --jsn", "list --json=1"),
-    *("memory", "--wind 0 1", "--shape 7", "--states 4", "sarsa sarsa", "0.10", "glie", "small", "nowhere"),
+    *(
+        "memory",
+        "--formats",
+        "--wind 0 1",
+        "--shape 7",
+        "--states 4",
+        "sarsa sarsa",
+        "0.10",
+        "glie",
+        "small",
+        "nowhere",
+    ),
     *("--steps 10 --episodes 10", "--behaviour", "--offline", "--slurm y", "td sarsa", "swep", "nonsense"),
 )
 

@@ -336,6 +336,8 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a batch": ({"algorithm": rl.Sarsa(alpha=np.ones(2))}, "Sarsa: alpha"),
     "a class": ({"algorithm": rl.Sarsa}, "algorithm must be an instance, such as Sarsa"),
     "a name": ({"algorithm": "sarsa"}, "algorithm must be an instance, such as Sarsa"),
+    "no method": ({"algorithm": {}}, "algorithm must be a method such as Sarsa(), not {}"),
+    "no environment": ({"env": None}, "env must be an environment such as make('windy-gridworld'), not None"),
     "several tables": ({"algorithm": rl.ManyTargets(targets=PI)}, "ManyTargets has several"),
 }
 

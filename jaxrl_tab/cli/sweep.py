@@ -32,7 +32,7 @@ from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.executors import Executor
-from jaxrl_tab.experiment.files import Outcome
+from jaxrl_tab.experiment.files import FORMATS, Outcome, check_formats
 from jaxrl_tab.experiment.plan import plan
 from jaxrl_tab.experiment.spec import Experiment, template
 
@@ -46,17 +46,21 @@ class Where:
             docs/scaling.md.
         memory: How much memory a method may take, such as 4GB; results that do not fit go to temporary files.
             By default it is half of what is free.
+        formats: Of the pictures: png, svg, pdf, or several of them.
+        pictures: Draw no pictures. (The report shows the same, and more.)
         json: Print the summary, or what would be run, as JSON.
         quiet: Show no progress and no table.
     """
 
     executor: str = "local"
     memory: str | None = None
+    formats: tuple[str, ...] = FORMATS[:1]
+    pictures: bool = True
     json: bool = False
     quiet: bool = False
 
     def __post_init__(self):
-        _ = self.bytes  # raises InputError before anything is computed
+        _ = self.bytes, check_formats(self.formats)  # raises InputError before anything is computed
 
     @property
     def bytes(self) -> int | None:
@@ -301,7 +305,8 @@ def _watched(options: Where, folder: Path | None) -> Iterator[dict[str, Any]]:
 
     try:
         with interruptible():
-            yield {"progress": False if options.quiet else None, "ready": show}
+            formats = options.formats if options.pictures else ()
+            yield {"progress": False if options.quiet else None, "ready": show, "formats": formats}
     except InputError:
         raise
     except BaseException as stop:

@@ -13,6 +13,7 @@ from jaxtyping import PRNGKeyArray
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, restricted
 from jaxrl_tab.engine import by_lanes
 from jaxrl_tab.engine.budget import Budget, Record
@@ -83,9 +84,13 @@ def checked_pair(
         algorithm, env = env, algorithm
     algorithm, env = cast(Algorithm[L], algorithm), cast(Environment, env)
     check_pytree("algorithm", algorithm, METHODS)
+    if not isinstance(algorithm, Algorithm):
+        raise InputError(f"algorithm must be a method such as Sarsa(), not {shown(algorithm)}")
     if is_dataclass(algorithm):
         schedules.check_single(type(algorithm).__name__, algorithm)
     check_pytree("env", env, ENVS)
+    if not isinstance(env, Environment):
+        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     check_held(env)
     restricted(algorithm, available_actions(env))  # raises InputError where the actions do not fit the method
     return algorithm, env

@@ -1,15 +1,16 @@
 """The files of results in an experiment's folder."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from jaxrl_tab.core.errors import RunError, one_line
+from jaxrl_tab.core.checks import is_list
+from jaxrl_tab.core.errors import RunError, check_choice, one_line, unfit
 from jaxrl_tab.core.memory import words
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.types import Environment
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from jaxrl_tab.show.explorer.over_time import Again
     from jaxrl_tab.stats.columns import Methods
 
 
@@ -118,8 +120,31 @@ class Outcome:
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
 
-def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:
-    """Tables, pictures and the report, each a whole file or none."""
+Format: TypeAlias = Literal["png", "svg", "pdf"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+
+
+def check_formats(formats: Any) -> tuple[Format, ...]:
+    """Formats of pictures, each once; none for no pictures. Raises InputError where one is not of `FORMATS`."""
+    if isinstance(formats, str) or not is_list(formats):
+        raise unfit(None, "formats", f"a list of some of {', '.join(FORMATS)}", formats)
+    for one in formats:
+        check_choice(None, "formats", one, FORMATS)
+    return tuple(dict.fromkeys(formats))
+
+
+def write_files(
+    store: Store,
+    outcome: Outcome,
+    records: Mapping[str, Any],
+    formats: Sequence[Format] = FORMATS[:1],
+    again: "Again | None" = None,
+    toml: Mapping[str, str] | None = None,
+) -> None:
+    """Tables, pictures in these formats, and the report, each a whole file or none.
+
+    `again` and `toml` are for the report, see `report.write`.
+    """
     from jaxrl_tab.show import plot, report
 
     folder = store.path
@@ -133,10 +158,13 @@ def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> N
     names = storage.file_names(outcome.envs)
     try:
         with storage.as_run_error(folder):
+            scratch.mkdir(parents=True, exist_ok=True)
             for label, methods in outcome.methods.items():
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
-                plot.save_all(methods, outcome.envs[label], place)
-            report.write_methods(scratch, outcome.methods, _about(store, records), outcome.fresh_methods)
+                if formats:
+                    plot.save_all(methods, outcome.envs[label], place, formats)
+            about_all = _about(store, records)
+            report.write_methods(scratch, outcome.methods, about_all, outcome.fresh_methods, again, toml)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
             with storage.as_run_error(goal):

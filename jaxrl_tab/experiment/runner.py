@@ -32,8 +32,9 @@ from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import shards, sources, storage
+from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import Outcome, write_files
+from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, write_files
 from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
@@ -53,6 +54,7 @@ def run(
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
     ready: Callable[[Outcome], None] | None = None,
+    formats: Sequence[Format] = FORMATS[:1],
     command: str | None = None,
 ) -> Outcome:
     """Runs an experiment, and leaves everything in a new folder. Where it is interrupted, `resume` goes on.
@@ -65,6 +67,7 @@ def run(
         progress: is called with a `Progress` as shards are finished; by default a bar, as in `sweep`.
         ready: is called with the outcome as soon as all is computed, before tables, pictures and report are
             written into the folder, which takes longer than to look at it.
+        formats: of the pictures, some of "png", "svg" and "pdf"; none for no pictures.
         command: what was typed, for the records; by default what started this process.
 
     Raises:
@@ -73,16 +76,16 @@ def run(
     """
     if not isinstance(experiment, Experiment):
         raise InputError(f"run takes an Experiment, not {shown(experiment)}")
-    command = _typed(command)
+    command, formats = _typed(command), check_formats(formats)
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
             experiment = _begin(path, experiment, memory, keep=False)
-            return _go_on(path, experiment, executor, memory, progress, ready, command, keep=False)
+            return _go_on(path, experiment, executor, memory, progress, ready, formats, command, keep=False)
     path = _path(folder)
     experiment = _begin(path, experiment, memory)
     with storage.lock(path):
-        return _go_on(path, experiment, executor, memory, progress, ready, command)
+        return _go_on(path, experiment, executor, memory, progress, ready, formats, command)
 
 
 def resume(
@@ -92,6 +95,7 @@ def resume(
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
     ready: Callable[[Outcome], None] | None = None,
+    formats: Sequence[Format] = FORMATS[:1],
     command: str | None = None,
     mixed: bool = False,
 ) -> Outcome:
@@ -102,7 +106,7 @@ def resume(
 
     Args:
         folder: the folder.
-        executor, memory, progress, ready, command: as in `run`.
+        executor, memory, progress, ready, formats, command: as in `run`.
         mixed: go on also with other versions, or on another kind of processor, which may give numbers that
             differ in the last bits. The folder's provenance and report tell of it.
 
@@ -118,9 +122,10 @@ def resume(
         raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
     if not os.path.lexists(path / AS_WRITTEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {AS_WRITTEN} nor {RESOLVED}")
-    command = _typed(command)
+    command, formats = _typed(command), check_formats(formats)
     with storage.lock(path):
-        return _go_on(path, _experiment_in(path), executor, memory, progress, ready, command, mixed=mixed)
+        experiment = _experiment_in(path)
+        return _go_on(path, experiment, executor, memory, progress, ready, formats, command, mixed=mixed)
 
 
 def _typed(command: str | None) -> str:
@@ -140,6 +145,7 @@ def _go_on(
     limit: int | None,
     progress: Report | Literal[False] | None,
     ready: Callable[[Outcome], None] | None,
+    formats: Sequence[Format],
     command: str,
     keep: bool = True,
     mixed: bool = False,
@@ -166,7 +172,8 @@ def _go_on(
                 warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
             with meter.reporting(progress):
                 meter.show("tables, pictures, report")
-                write_files(store, outcome, records)
+                again, toml = RunAgain(job.parts, limit), toml_of_settings(experiment)
+                write_files(store, outcome, records, formats, again, toml)
     return outcome
 
 

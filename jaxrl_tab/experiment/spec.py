@@ -247,16 +247,21 @@ class Experiment:
 
     def to_toml(self) -> str:
         """The data as a file, which `load` reads as the same experiment."""
-        lines, tables = [], []
-        for key, value in self.data().items():
-            if key in ("environment", "method"):
-                for table in value:
-                    tables += ["", f"[[{key}]]", *_toml_lines(table)]
-            elif isinstance(value, Mapping):
-                tables += ["", f"[{key}]", *_toml_lines(value)]
-            else:
-                lines += _toml_lines({key: value})
-        return "\n".join([*lines, *tables]) + "\n"
+        return as_toml(self.data())
+
+
+def as_toml(data: Mapping[str, Any]) -> str:
+    """The data of an experiment as a file. The methods come last, and the last of them at the end."""
+    lines, listed, single = [], [], []
+    for key, value in data.items():
+        if key in ("environment", "method"):
+            for table in value:
+                listed += ["", f"[[{key}]]", *_toml_lines(table)]
+        elif isinstance(value, Mapping):
+            single += ["", f"[{key}]", *_toml_lines(value)]
+        else:
+            lines += _toml_lines({key: value})
+    return "\n".join([*lines, *single, *listed]) + "\n"
 
 
 def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:

@@ -17,7 +17,7 @@ from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.core.types import Environment, FiniteEnvironment
 from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.exact import planning
-from jaxrl_tab.show.html import as_data, render
+from jaxrl_tab.show.html import as_data, as_json, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,7 +95,9 @@ def write(file: Path, shown: "Sequence[Image]", titles: Sequence[str], name: str
     """
     if file.suffix.lower() == ".html":
         sources = [as_data(_png(picture), "image/png") for picture in shown]
-        data = render("learning.html", name=name, titles=titles, sources=sources, seconds=SECONDS).encode()
+        data = as_json({"sources": sources, "titles": list(titles), "seconds": SECONDS})
+        own = {"styles": ["learning.css"], "scripts": ["learning.js"], "data": data}
+        data = render("learning.html", name=name, titles=titles, source=sources[-1], **own).encode()
     else:
         data = _gif(shown)
     try:

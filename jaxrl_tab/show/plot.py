@@ -10,9 +10,9 @@ Datasets are those of `SweepResult.to_xarray`, one for each method, by the name 
 """
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
@@ -45,8 +45,6 @@ from jaxrl_tab.show.panels import (
     panels,
     panels_canvas,
     state_values,
-    tables_of,
-    uniform_values,
 )
 from jaxrl_tab.show.style import (
     ALARM,
@@ -72,9 +70,12 @@ from jaxrl_tab.show.style import (
     literal,
     tidy,
 )
+from jaxrl_tab.show.tasks import tables_of, uniform_values
 from jaxrl_tab.show.words import in_words, seeds_in_words, shortened, title_of, unusual, written
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
+
+Kind: TypeAlias = Literal["png", "pdf", "svg"]
 
 __all__ = [
     "ALARM",
@@ -145,7 +146,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
 
 
 def save_all(
-    datasets: Datasets, env: Environment, folder: Path | str, kind: Literal["png", "pdf", "svg"] = "png"
+    datasets: Datasets, env: Environment, folder: Path | str, kind: Kind | Sequence[Kind] = "png"
 ) -> list[Path]:
     """Writes the pictures of a sweep into `folder`, which is made if need be.
 
@@ -158,7 +159,7 @@ def save_all(
         datasets: a sweep for each method, at least one.
         env: the environment of all of them.
         folder: where to write; files of these names are overwritten.
-        kind: of the files. "pdf" and "svg" are sharp at any size, as for a paper, and take longer.
+        kind: of the files, or several kinds. "pdf" and "svg" are sharp at any size, as for a paper.
 
     Returns:
         The files written.
@@ -167,10 +168,14 @@ def save_all(
     folder.mkdir(parents=True, exist_ok=True)
     methods = Methods.of(datasets, env)
     figures = pictures(methods, env) | {"overview": overview(methods, env)}
-    files = [folder / f"{name}.{kind}" for name in figures]
-    for file, figure in zip(files, figures.values(), strict=True):
+    files = {
+        folder / f"{name}.{one}": figure
+        for name, figure in figures.items()
+        for one in ([kind] if isinstance(kind, str) else kind)
+    }
+    for file, figure in files.items():
         save(figure, file)
-    return files
+    return list(files)
 
 
 def save(figure: Figure, file: Path) -> None:

@@ -15,11 +15,18 @@ AT_ONCE, AT_MOST = 12, 1000  # rows of a table that are shown unfolded, and rows
 
 
 class Table(NamedTuple):
-    """A table as text: the first column to the left. `stars` says which rows are in bold."""
+    """A table as text: the first column to the left.
+
+    Attributes:
+        head, rows: the cells.
+        stars: which rows are in bold.
+        keys: by what the scripts of the page know the rows; none where they do not.
+    """
 
     head: list[str]
     rows: list[list[str]]
     stars: list[bool]
+    keys: Sequence[str] = ()
 
 
 class View(NamedTuple):
@@ -142,8 +149,8 @@ def chosen_table(
     )
 
 
-def settings_table(ranked: Sequence[Row], view: View) -> Table:
-    """All settings in the order given: the best of each method has a star."""
+def settings_table(ranked: Sequence[Row], keys: Sequence[str], view: View) -> Table:
+    """All settings in the order given: the best of each method has a star. `keys`: see `Table`."""
     settings = Counter(row.method for row in ranked)
     stars = [row["best"] and settings[row.method] > 1 for row in ranked[:AT_MOST]]
     columns = columns_of("all", ranked)
@@ -164,7 +171,7 @@ def settings_table(ranked: Sequence[Row], view: View) -> Table:
         ]
         for row, star in zip(ranked, stars, strict=False)  # `stars` ends after AT_MOST rows
     ]
-    return Table(head, rows, stars)
+    return Table(head, rows, stars, keys)
 
 
 def columns_of(table: str, rows: Sequence[Row]) -> list[Column]:

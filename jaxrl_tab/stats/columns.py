@@ -167,7 +167,7 @@ COLUMNS = [
         report="9 of 10 runs",
         written="range",
     ),
-    Column("seeds", lambda own: own.score.notnull().sum("seed"), written="count"),
+    Column("seeds", lambda own: own.score.notnull().sum("seed"), report="seeds", written="count"),
     Column(
         "unfinished",
         lambda own: own.unfinished,

@@ -11,7 +11,7 @@ from scipy import special
 from jaxrl_tab.core.checks import FRACTION, check_within
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.stats.along import Interval, aligned, along, check_dims
-from jaxrl_tab.stats.intervals import least_of, mean_and_bounds, seeds_wanted, with_one_more
+from jaxrl_tab.stats.intervals import least_of, mean_with_p, seeds_wanted, with_one_more
 
 POWER_RUNS, POWER_SIMULATED = 20_000, 200  # experiments; from so many seeds on Hall's test is Student's
 
@@ -134,7 +134,7 @@ def paired_difference(
     x, y = aligned(x, y)
     x, y = x.where(y.notnull()), y.where(x.notnull())
     difference = x - y
-    mean, low, high, p, n = along(difference, dim, lambda z: mean_and_bounds(z, confidence, "hall"), parts=4)
+    mean, low, high, p, n = along(difference, dim, lambda z: mean_with_p(z, "hall", confidence), parts=4)
     if worst is not None:
         worst = least_of(x.min(dim), y.min(dim), worst)
         if (few := seeds_wanted(x, dim) > n).any():  # one bad run more of x
@@ -284,4 +284,4 @@ def seeds_needed(
 def _power(n: int, effect: float, confidence: float) -> float:
     """How often `paired_difference` of n normal differences, with this mean and sd 1, finds them."""
     x = np.random.default_rng(n).standard_normal((POWER_RUNS, n)) + effect
-    return float((mean_and_bounds(x, confidence, "hall")[3] < 1 - confidence).mean())
+    return float((mean_with_p(x, "hall", confidence)[3] < 1 - confidence).mean())

@@ -60,21 +60,34 @@ def mean_interval(
     check_within("confidence", confidence, FRACTION)
 
     resamples = 1 if method in ("hall", "t") else RESAMPLES
-    return Interval(*along(x, dim, lambda values: mean_and_bounds(values, confidence, method)[:3], resamples))
+    return Interval(*along(x, dim, lambda values: mean_and_bounds(values, method, confidence), resamples))
 
 
-def mean_and_bounds(values: np.ndarray, confidence: float, method: str) -> tuple[np.ndarray, ...]:
-    """Mean, bounds, and p of "the mean is 0", [c] each, of values [c, n]."""
+def mean_and_bounds(values: np.ndarray, method: str, *confidences: float) -> tuple[np.ndarray, ...]:
+    """Mean, and for each confidence the bounds below and above, [c] each, of values [c, n]."""
+    mean, usable, z = _deviations(values)
+    bounds = np.full((2 * len(confidences), len(values)), np.nan)
+    if usable.any():
+        z, centre = z[usable], mean[usable]
+        bounds[:, usable] = centre + np.concatenate([BOUNDS[method](z, each) for each in confidences])
+    return mean, *bounds
+
+
+def mean_with_p(values: np.ndarray, method: str, confidence: float) -> tuple[np.ndarray, ...]:
+    """`mean_and_bounds`, and p of "the mean is 0"."""
+    mean, usable, z = _deviations(values)
+    p = np.full(len(values), np.nan)
+    if usable.any():
+        p[usable] = _p_value(z[usable], mean[usable])
+    return *mean_and_bounds(values, method, confidence), p
+
+
+def _deviations(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean [c]; whether there are enough values, and all finite, [c]; and how far each is from the mean, [c, n]."""
     with np.errstate(invalid="ignore"):  # infinities
         mean = values.mean(-1)
         z = values - mean[:, None]
-    low, high, p = np.full((3, len(values)), np.nan)
-    usable = np.isfinite(z).all(-1) & (values.shape[-1] > 1)
-    if usable.any():
-        z, centre = z[usable], mean[usable]
-        low[usable], high[usable] = centre + BOUNDS[method](z, confidence)
-        p[usable] = _p_value(z, centre)
-    return mean, low, high, p
+    return mean, np.isfinite(z).all(-1) & (values.shape[-1] > 1), z
 
 
 def _skew(z: np.ndarray) -> np.ndarray:
@@ -173,7 +186,7 @@ def with_one_more(
     more = xr.concat(
         [bare, value.broadcast_like(bare.isel({dim: 0}))], dim, coords="minimal", compat="override"
     )
-    mean, low, high, p, _ = along(more, dim, lambda z: mean_and_bounds(z, confidence, "t"), parts=4)
+    mean, low, high, p, _ = along(more, dim, lambda z: mean_with_p(z, "t", confidence), parts=4)
     return mean, low, high, p.where(np.sign(mean) == np.sign(x.mean(dim)), 1)
 
 
@@ -256,23 +269,24 @@ def median_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 0.95
         InputError: as `mean_interval`.
     """
     check_within("confidence", confidence, FRACTION)
+    return Interval(*along(x, dim, lambda values: median_and_bounds(values, confidence)))
 
-    def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
-        n = values.shape[-1]
-        values = np.sort(values)
-        median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
-        # The k-th from either end bound the median with probability 1 - 2 P(Binomial(n, 1/2) < k).
-        below = special.bdtr(np.arange(n + 1), n, 0.5)
-        k = int(np.searchsorted(below, (1 - confidence) / 2))
-        if k == 0:
-            return median, np.full(len(values), np.nan), np.full(len(values), np.nan)
-        missed = 2 * below[[k - 1, k]]
-        inner = (1 - confidence - missed[0]) / (missed[1] - missed[0])
-        inner = (n - k) * inner / (k + (n - 2 * k) * inner)
-        low = _between(values[:, k - 1], values[:, k], inner)
-        return median, low, _between(values[:, n - k], values[:, n - k - 1], inner)
 
-    return Interval(*along(x, dim, of))
+def median_and_bounds(values: np.ndarray, confidence: float) -> tuple[np.ndarray, ...]:
+    """Median and its bounds, [c] each, of values [c, n]."""
+    n = values.shape[-1]
+    values = np.sort(values)
+    median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
+    # The k-th from either end bound the median with probability 1 - 2 P(Binomial(n, 1/2) < k).
+    below = special.bdtr(np.arange(n + 1), n, 0.5)
+    k = int(np.searchsorted(below, (1 - confidence) / 2))
+    if k == 0:
+        return median, np.full(len(values), np.nan), np.full(len(values), np.nan)
+    missed = 2 * below[[k - 1, k]]
+    inner = (1 - confidence - missed[0]) / (missed[1] - missed[0])
+    inner = (n - k) * inner / (k + (n - 2 * k) * inner)
+    low = _between(values[:, k - 1], values[:, k], inner)
+    return median, low, _between(values[:, n - k], values[:, n - k - 1], inner)
 
 
 def _between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:

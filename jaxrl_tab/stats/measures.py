@@ -254,12 +254,16 @@ def area_under_curve(
         InputError: `curve` has no such dimension.
     """
     check_dims(curve, [dim])
-    has_value, place = curve.notnull(), xr.DataArray(np.arange(curve.sizes[dim]), dims=dim)
+    # Rows are taken by their places, so their labels must be no coordinate of these.
+    curve, place = curve.drop_vars(dim, errors="ignore"), xr.DataArray(np.arange(curve.sizes[dim]), dims=dim)
+    has_value = curve.notnull()
     any_value = has_value.any(dim)
     last = place.where(has_value, -1).reduce(np.maximum.accumulate, dim=dim)
     first = place.where(has_value, curve.sizes[dim]).min(dim).where(any_value, 0)
     filled = curve.astype(float).isel({dim: last.where(last >= 0, first).astype(int)})
-    width = xr.ones_like(place, float) if width is None else width.astype(float)
+    width = (
+        xr.ones_like(place, float) if width is None else width.astype(float).drop_vars(dim, errors="ignore")
+    )
     return ((filled * width).sum(dim, skipna=False) / width.sum(dim)).where(any_value)
 
 
