@@ -412,7 +412,7 @@ def test_the_plan_counts_programs_runs_blocks_and_bytes(parts):
     assert each * 64 < sarsa.working < 20 * each * 64
     assert found.unit == "steps" and found.devices == "2 cores"
     head, *lines, total, where = found.text().splitlines()
-    assert head.split() == ["programs", "runs", "blocks", "steps", "results", "working", "memory"]
+    assert head.split() == ["programs", "runs", "blocks", "steps", "results", "working", "memory", "time"]
     assert len(lines) == 4 and total.split()[:3] == ["all", "together", str(2 + 4 * kinds)]
     assert where == "on 2 cores"
 

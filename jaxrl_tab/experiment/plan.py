@@ -72,7 +72,8 @@ class Plan(NamedTuple):
             "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip()
             for row in rows
         ]
-        notes = [f"on {self.devices}; the time is that of computing, as fast as it was here before"]
+        measured = "; the time is that of computing, as fast as it was here before" if times else ""
+        notes = [f"on {self.devices}{measured}"]
         if total.seconds is not None and not total.is_measured:
             notes.append(
                 "?: nothing like it was run here yet, so this is no more than the right order of size"
