@@ -11,14 +11,13 @@ imported, with JAX, when the first of it is used (see `api`); so the command lin
 """
 
 import importlib
+import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from jaxrl_tab.core import flags
 from jaxrl_tab.core.version import __version__ as __version__
 
 _API = f"{__name__}.api"
-_WINGS = {"algorithms", "cli", "core", "engine", "envs", "exact", "experiment", "figures", "interop", "lanes"}
-_WINGS |= {"api", "show", "stats"}
 
 if TYPE_CHECKING:
     from jaxrl_tab.api import *  # noqa: F403
@@ -29,10 +28,11 @@ flags.set_flags()
 def __getattr__(name: str) -> Any:
     if name.startswith("__") and name != "__all__":  # what Python and its tools ask every module for
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    # `from jaxrl_tab import stats`, as it stands in the package itself, must not import everything.
-    is_wing = name in _WINGS
-    value = importlib.import_module(f"{__name__}.{name}" if is_wing else _API)
-    value = value if is_wing else getattr(value, name)
+    module = f"{__name__}.{name}"
+    if importlib.util.find_spec(module):  # `from jaxrl_tab import stats` must not import everything
+        value = importlib.import_module(module)
+    else:
+        value = getattr(importlib.import_module(_API), name)
     globals()[name] = value  # found at once from now on
     return value
 
