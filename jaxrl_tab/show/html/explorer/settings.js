@@ -176,26 +176,16 @@ function settingsCard(c) {
         const ends = `M${px[i] - 4} ${low}h8M${px[i] - 4} ${high}h8`;
         if (low - high >= 0)
           el("path", { class: "bar", d: `M${px[i]} ${low}V${high}${ends}`, style: { stroke: colour } }, fr.plot);
-        const here = c.settingOf(c.methods.indexOf(line.m)) === line.points[i][2];
+        const m = c.methods.indexOf(line.m);
+        const here = c.settingOf(m) === line.points[i][2];
         const text = `${line.name}, ${sym.symbol} = ${line.points[i][1]}: ${short(s[0])} (${short(s[1])} to ${short(s[2])}), ${line.m.data.seeds} seeds`;
-        const point = el(
-          "g",
-          {
-            class: here ? "point here" : "point",
-            tabindex: 0,
-            role: "button",
-            "aria-label": text,
-            "data-setting": `${c.methods.indexOf(line.m)}-${line.points[i][2]}`,
-            "data-value": s[0],
-            "data-low": s[1],
-            "data-high": s[2],
-          },
-          fr.svg,
-        );
+        const point = chooser(fr.svg, m, line.points[i][2], text, {
+          "data-value": s[0],
+          "data-low": s[1],
+          "data-high": s[2],
+        });
         el("circle", { class: "halo", cx: px[i], cy: fr.y(s[0]), r: 11 }, point);
         mark(point, line.i, px[i], fr.y(s[0]), here ? 6 : 4.5, colour);
-        el("title", {}, point, text);
-        press(point, () => c.pick(c.methods.indexOf(line.m), line.points[i][2]));
       });
     });
     const rest = own.data.axes.filter(
@@ -267,21 +257,9 @@ function settingsCard(c) {
     across.values.forEach((_, a) =>
       other.values.forEach((_, b) => {
         const [v, low, high] = own.score(number(a, b), k);
-        const chosenOne = number(a, b) === c.settingOf(m);
         const dark = Number.isFinite(v) ? (better ? 1 - share(v) : share(v)) : 0;
         const text = `${across.symbol} = ${across.texts[a]}, ${other.symbol} = ${other.texts[b]}: ${short(v)} (${short(low)} to ${short(high)}), ${own.data.seeds} seeds`;
-        const g = el(
-          "g",
-          {
-            class: chosenOne ? "point here" : "point",
-            tabindex: 0,
-            role: "button",
-            "aria-label": text,
-            "data-setting": `${m}-${number(a, b)}`,
-            "data-value": v,
-          },
-          f.svg,
-        );
+        const g = chooser(f.svg, m, number(a, b), text, { "data-value": v });
         el(
           "rect",
           {
@@ -296,12 +274,30 @@ function settingsCard(c) {
         );
         if (w > 46 && h > 15)
           el("text", { class: "in", x: f.x(a), y: f.y(b) + 4, "text-anchor": "middle" }, g, short(v));
-        el("title", {}, g, text);
-        press(g, () => c.pick(m, number(a, b)));
       }),
     );
     note.textContent = `${own.data.title}: ${chosen().title}, ${chosen().middle} over the seeds: the darker, the better (${short(range.low)} to ${short(range.high)}${range.kind === "linear" ? "" : ", on a logarithmic scale"}). Choose a cell to see its setting.`;
     legendBox.replaceChildren();
+  }
+
+  // A setting of method m that can be chosen: what it is, is read out, and shown beside the pointer.
+  function chooser(parent, m, setting, text, data) {
+    const here = setting === c.settingOf(m);
+    const g = el(
+      "g",
+      {
+        class: here ? "point here" : "point",
+        tabindex: 0,
+        role: "button",
+        "aria-label": text,
+        "data-setting": `${m}-${setting}`,
+        ...data,
+      },
+      parent,
+    );
+    el("title", {}, g, text);
+    press(g, () => c.pick(m, setting));
+    return g;
   }
 
   return { draw, move: () => {} };
