@@ -10,6 +10,7 @@ from jaxrl_tab.core import policies
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.envs.base import Grid, Panel
 from jaxrl_tab.exact import planning
+from jaxrl_tab.show.moves import preferring
 from jaxrl_tab.show.words import short_number, six_digits
 
 MANY_STATES = 500  # the rows of a table that people look through, at most
@@ -53,7 +54,7 @@ def position(env: Any, q: np.ndarray | None, s: int) -> list[Table]:
     They are left out where all actions are equally good, as where nothing has been learned yet.
     """
     best = _best(env, q)
-    prefers = np.zeros(env.num_states, bool) if q is None else q.max(-1) > _least(q)
+    prefers = np.zeros(env.num_states, bool) if q is None else preferring(q)
     cells = [f"[dim cyan]{best(i)}[/]" if prefers[i] else "" for i in range(env.num_states)]
     if isinstance(env, Grid):
         cells[env.state(env.goal)] = "[bold green]G[/]"
@@ -73,11 +74,6 @@ def _best(env: Any, q: np.ndarray | None) -> Callable[[int], str]:
 def best_actions(q: np.ndarray) -> np.ndarray:
     """The actions whose values are maximal but for rounding, int [n], from values [A]."""
     return np.flatnonzero(q >= q.max() - 1e-9 * abs(q[q > policies.UNAVAILABLE]).max())
-
-
-def _least(q: np.ndarray) -> np.ndarray:
-    """The smallest value of an action in each state, of those that there are."""
-    return q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
 
 
 def _panel(panel: Panel, cells: Sequence[str], wind: Any, lines: bool = True) -> Table:

@@ -10,10 +10,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from jaxrl_tab import stats
-from jaxrl_tab.core import policies
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.envs.base import COMPASS, Grid
-from jaxrl_tab.show.moves import Moves, greedy_actions, tables_of_seeds
+from jaxrl_tab.show.moves import Moves, greedy_actions, preferring, tables_of_seeds
 from jaxrl_tab.show.style import ALARM, COLORS, GREY, INK, SMALL, axes_title, color_bar
 from jaxrl_tab.show.words import label_of, seeds_in_words, significant
 from jaxrl_tab.stats.columns import Method
@@ -38,8 +37,7 @@ def greedy_path(
     """
     moves = Moves.of(env)
     path, arrives = moves.path(q, env.start_state)
-    least = q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
-    prefers = (q.max(-1) > least) & ~moves.terminal & moves.reachable
+    prefers = preferring(q) & ~moves.terminal & moves.reachable
     _draw_grid(ax, env, moves)
     rows, columns = np.divmod(path, env.shape[1])
     arrows = greedy_actions(q) & prefers[:, None]

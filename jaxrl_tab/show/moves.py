@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from jaxrl_tab.core import memory
+from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
 
@@ -72,6 +73,11 @@ def tables_of_seeds(ds: xr.Dataset) -> Iterable[np.ndarray]:
     q = ds.q.transpose("seed", "state", "action").values
     for block in memory.blocks(len(q), 16 * q[0].nbytes):
         yield q[block]
+
+
+def preferring(q: np.ndarray) -> np.ndarray:
+    """In which states some action is better than another, of those that there are: bool [S] for `q` [S, A]."""
+    return q.max(-1) > q.min(-1, where=q > UNAVAILABLE, initial=np.inf)
 
 
 def greedy_actions(q: np.ndarray) -> np.ndarray:
