@@ -21,17 +21,18 @@ from jaxrl_tab.cli.options import Command, Entry, Group, Option, Place
 PACKAGE = Path(__file__).parent.parent
 FILE = Path(__file__).with_name("catalogue.json")
 SOURCES = ("core", "envs", "algorithms", "figures", "experiment/executors", "cli")  # of what is in the file
-ENTRY_POINTS = {"environments": "jaxrl_tab.environments", "methods": "jaxrl_tab.methods"}
-# Command -> the module, the class that describes it, and its groups: title in the help -> which.
+# Command -> the module, the class that describes it, and its groups: title in the help -> which it is, and where the
+# names of its entries are typed: a place of the command, or an option.
+_ENVIRONMENT, _EXECUTOR = ("environments", "env"), ("executors", "--executor")
 COMMANDS = {
-    "solve": ("solve", "Solve", {"environment": "environments"}),
-    "watch": ("watch", "Watch", {"hyperparameters": "one method", "environment": "environments"}),
+    "solve": ("solve", "Solve", {"environment": _ENVIRONMENT}),
+    "watch": ("watch", "Watch", {"hyperparameters": ("one method", "method"), "environment": _ENVIRONMENT}),
     "sweep": (
         "sweep",
         "Sweep",
-        {"hyperparameters": "methods", "environment": "environments", "executor": "executors"},
+        {"hyperparameters": ("methods", "methods"), "environment": _ENVIRONMENT, "executor": _EXECUTOR},
     ),
-    "resume": ("sweep", "Resume", {"executor": "executors"}),
+    "resume": ("sweep", "Resume", {"executor": _EXECUTOR}),
     "figure": ("figure", "Figure", {}),
 }
 
@@ -73,9 +74,14 @@ def current() -> Catalogue | None:
 
 def everything() -> Catalogue:
     """What can be typed here, with what other packages add."""
-    if not any(metadata.entry_points(group=group) for group in ENTRY_POINTS.values()) and (kept := current()):
+    if (kept := current()) and not any(_added_to(group) for group in kept.groups.values()):
         return kept
     return live()
+
+
+def _added_to(group: Group) -> bool:
+    """Whether other packages add entries to a group."""
+    return bool(group.entry_points and metadata.entry_points(group=group.entry_points))
 
 
 def live() -> Catalogue:

@@ -35,6 +35,7 @@ EXECUTOR = Classes(
     executors.EXECUTORS,
     "Of the executor. The address is that of a Ray cluster, or of process 0 of a distributed job.",
     spelled={"num_processes": "processes", "process_id": "process", "parameters": "slurm"},
+    noun="an executor",
 )
 
 

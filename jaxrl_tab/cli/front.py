@@ -10,9 +10,8 @@ import re
 from collections.abc import Sequence
 from importlib import metadata
 
-from jaxrl_tab.cli.catalogue import COMMANDS, ENTRY_POINTS, Catalogue, current
-from jaxrl_tab.cli.options import Entry, Group, Typed, check_owners, check_words, parse
-from jaxrl_tab.core.errors import InputError, nearest, shown
+from jaxrl_tab.cli.catalogue import COMMANDS, Catalogue, current
+from jaxrl_tab.cli.options import Entry, Group, Typed, check_owners, check_words, checked_name, parse
 
 
 def answer(command: str, argv: Sequence[str]) -> None:
@@ -26,32 +25,28 @@ def answer(command: str, argv: Sequence[str]) -> None:
     catalogue = current()
     if catalogue is None or any(map(_needs_more, argv)):
         return
-    titles = COMMANDS[command][2]
-    groups = {title: catalogue.groups[name] for title, name in titles.items()}
+    groups = {title: (catalogue.groups[name], where) for title, (name, where) in COMMANDS[command][2].items()}
     described = catalogue.commands[command]
-    places, typed = parse(described, argv, groups)
+    places, typed = parse(described, argv, {title: group for title, (group, _) in groups.items()})
     _check(command, Entry("", described.options), typed["options"])
     if "--write-template" in typed["options"] or "--memory" in typed["options"]:
         return
-    if command == "figure" and (name := places.get("name")) and name not in catalogue.figures:
-        raise InputError(f"{shown(name)} is not a figure; {nearest(name, catalogue.figures)}")
-    if "executor" in groups:
-        name, group = typed["options"].get("--executor", ("local",))[0], groups["executor"]
-        if name not in group.entries:
-            raise InputError(f"{shown(name)} is not an executor; {nearest(name, group.entries)}")
-        _check_entries([name], typed["executor"], group)
-    for title, noun in (("environment", "environments"), ("hyperparameters", "methods")):
+    if command == "figure" and (name := places.get("name")):
+        checked_name("a figure", name, catalogue.figures)
+    for title in (
+        "executor",
+        "environment",
+        "hyperparameters",
+    ):  # in the order in which the commands look at them
         if title not in groups:
             continue
-        place = "env" if title == "environment" else "method" if command == "watch" else "methods"
-        names, group = places.get(place, ()), groups[title]
-        for name in (names := (names,) if isinstance(names, str) else names):
-            if name not in group.entries:
-                if _may_be_elsewhere(name, noun, catalogue):
-                    return
-                raise InputError(f"{shown(name)} is not {group.noun}; {nearest(name, group.entries)}")
-        if not names:
-            raise InputError(f"name {group.noun}: {', '.join(group.entries)}")
+        group, where = groups[title]
+        names = typed["options"].get(where, ("local",)) if title == "executor" else places.get(where, ())
+        names = (names,) if isinstance(names, str) else names
+        for name in names or ("",):
+            if name and name not in group.entries and _may_be_elsewhere(name, group, catalogue):
+                return
+            checked_name(group.noun, name, group.entries)
         _check_entries(names, typed[title], group)
 
 
@@ -60,10 +55,12 @@ def _needs_more(word: str) -> bool:
     return ":" in word or "(" in word or word.endswith((".py", ".npz", ".toml")) or os.path.isfile(word)
 
 
-def _may_be_elsewhere(name: str, kind: str, catalogue: Catalogue) -> bool:
+def _may_be_elsewhere(name: str, group: Group, catalogue: Catalogue) -> bool:
     """Whether the command may know more of a name: as one of another package, or of another library."""
+    if not group.entry_points:
+        return False
     plain = re.fullmatch("[a-z-]+", name) and name.replace("-", "") not in catalogue.elsewhere
-    return not plain or bool(metadata.entry_points(group=ENTRY_POINTS[kind], name=name))
+    return not plain or bool(metadata.entry_points(group=group.entry_points, name=name))
 
 
 def _check_entries(names: Sequence[str], typed: Typed, group: Group) -> None:

@@ -83,6 +83,7 @@ class Group(NamedTuple):
         noun: what an entry is called, with its article.
         grids: whether every option takes any number of values, to be tried one by one.
         parts: what people call parts of the registry -> the names in it.
+        entry_points: the group of entry points by which other packages add entries; empty where they cannot.
     """
 
     entries: Mapping[str, Entry]
@@ -90,6 +91,7 @@ class Group(NamedTuple):
     noun: str = ""
     grids: bool = False
     parts: Mapping[str, Collection[str]] = MappingProxyType({})
+    entry_points: str = ""
 
     def owners(self, names: Sequence[str]) -> str:
         """Names of the registry in few words: the name of a part instead of all that are in it."""

@@ -70,7 +70,7 @@ class Where:
 @contextlib.contextmanager
 def _executor(options: Any, typed: Typed, out: Path | None) -> Iterator[Executor]:
     """The executor that the options name, made with those of them that are its own."""
-    name = checked_name("an executor", options.executor, executors.EXECUTORS)
+    name = checked_name(EXECUTOR.noun, options.executor, executors.EXECUTORS)
     parameters = values_of(name, typed, EXECUTOR)
     if name == "slurm":
         if out is None:

@@ -37,6 +37,7 @@ class Classes(NamedTuple):
         defaults: parameter -> values, instead of the one number that the classes have.
         parts: what people call parts of the registry -> the names in it.
         spelled: parameter -> what it is called on the command line, where that is not its name.
+        noun: what one of them is called, with its article, where no kind says it.
     """
 
     registry: Mapping[str, type]
@@ -46,6 +47,7 @@ class Classes(NamedTuple):
     defaults: Mapping[str, tuple[Any, ...]] = MappingProxyType({})
     parts: Mapping[str, Collection[str]] = MappingProxyType({})
     spelled: Mapping[str, str] = MappingProxyType({})
+    noun: str = ""
 
     @property
     def group(self) -> Group:
@@ -53,9 +55,9 @@ class Classes(NamedTuple):
         entries = {
             name: Entry(describe.summary(cls), self._options(cls)) for name, cls in self.registry.items()
         }
-        noun = self.kind.noun if self.kind else ""
+        noun, entry_points = (self.kind.noun, self.kind.group) if self.kind else (self.noun, "")
         parts = {part: tuple(members) for part, members in self.parts.items()}
-        return Group(entries, about(self), noun, self.grids, parts)
+        return Group(entries, about(self), noun, self.grids, parts, entry_points)
 
     def _options(self, cls: type) -> tuple[Option, ...]:
         return tuple(option_of(p, self.spelled.get(p.name, p.name), self.default(p)) for p in parameters(cls))
