@@ -2,7 +2,7 @@
 
 live      which values and which stores the outputs need, through loops and memory
 same      what a loop carries but never changes: it is what was there before the loop
-varies    what differs from lane to lane; all else is worked out once for all of them
+varies    what differs from lane to lane; all else is worked out once for all of them. Of one lane alone nothing does
 ranges    between which bounds a whole number lies: an index that is proved to be in range is not clamped
 uses      how often a value is used
 """
@@ -36,9 +36,14 @@ def buffer_of(value: Value) -> Buffer | None:
 
 
 class Facts:
-    """The facts about the code of a region."""
+    """The facts about the code of a region.
 
-    def __init__(self, region: Region):
+    Attributes:
+        alone: whether it is for one lane alone.
+    """
+
+    def __init__(self, region: Region, alone: bool = False):
+        self.alone = alone
         self._loop_of: dict[
             Value, tuple[Value, int]
         ] = {}  # of what is carried: its loop, and its place there
@@ -51,7 +56,8 @@ class Facts:
         self.uses = self._count(region)
         self.varying: set[Any] = set()
         self.masked: set[Buffer] = set()  # written within a loop that lanes leave one by one
-        self._spread(region)
+        if not alone:
+            self._spread(region)
         self.range: dict[Value, tuple[int, int]] = {}
         self.after: dict[Value, tuple[int, int]] = {}  # of what counts the turns of a loop: when it is over
         self._bound(region)
