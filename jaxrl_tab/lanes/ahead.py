@@ -1,17 +1,18 @@
 """What a loop of one lane alone works out ahead: many numbers at once, which it then reads one by one.
 
 Where lanes go side by side, a processor always has something to do. One lane alone waits, as each operation waits
-for the one before. Two kinds of numbers need not be waited for:
+for the one before. Some numbers need not be waited for:
 
 - What the number of the turn decides, such as random words: worked out for the next turns at once.
 - What a few conditions decide, such as the probabilities of actions of which some are the best: worked out for all
-  cases before the loop. There are no more than `CASES` of them.
+  cases before the loop.
+- What both decide, such as the action that a word takes by them: worked out for all cases at the beginning of a turn.
 
 They are the same operations on the same numbers, in vectors: so they have the same bits.
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,29 +22,35 @@ from jaxrl_tab.lanes.layout import LINE
 from jaxrl_tab.lanes.names import Names
 from jaxrl_tab.lanes.segment import operation
 from jaxrl_tab.lanes.text import Function
-from jaxrl_tab.lanes.types import every, in_memory, is_bool, literal, type_of, vector
+from jaxrl_tab.lanes.types import every, in_memory, is_bool, type_of, vector
 
 TURNS = 64  # for so many turns at once
-CONDITIONS = 4  # at most decide a case
+CONDITIONS = 5  # at most decide a case
 OFTEN = 32  # turns at least of a loop in which it pays
 LONG = 12  # cycles at least, about, that are not waited for: more than it takes to read a number
 CYCLES = {"div": 11, "rem": 11, "sqrt": 15}  # of operations, about; of others on real numbers 4, and else 1
+BOTH = True
 
-Leaves: TypeAlias = "frozenset[Value] | None"  # what a value depends on that changes from turn to turn; None: much
 
-
-class _Slice(NamedTuple):
-    """Operations of a loop's body that depend on few leaves.
+class Depends(NamedTuple):
+    """What a value depends on that changes from turn to turn.
 
     Attributes:
-        leaves: of each value that depends on few.
-        ahead: the values that are worked out ahead.
-        read: those of them that are used by others.
+        turn: whether it depends on the number of the turn.
+        conditions: the conditions that decide it.
+        cycles: about how long it takes from these conditions on to work it out; or, without them, at all.
     """
 
-    leaves: dict[Value, frozenset[Value]]
-    ahead: set[Value]
-    read: list[Value]
+    turn: bool
+    conditions: frozenset[Value]
+    cycles: int
+
+    @property
+    def is_long(self) -> bool:
+        return (self.turn or bool(self.conditions)) and self.cycles >= LONG
+
+
+NOTHING = Depends(False, frozenset(), 0)
 
 
 class Ahead:
@@ -51,18 +58,52 @@ class Ahead:
 
     def __init__(self, names: Names, function: Function, value: Value):
         self.names, self.facts, self.function, self.loop = names, names.facts, function, value.attr
-        self.ops = [x for x in self.loop.body.ops if x in self.facts.live]
-        self._own = {*self.ops, *self.loop.body.params}
-        self._place: dict[Value, str] = {}
-        self._index: dict[Any, str] = {}
+        self.most = (2 * names.target.width).bit_length() - 1 
         often = self.facts._turns_of(value) >= OFTEN
-        counters = self._counters() if often else {}
-        self._steps = counters
-        self.by_turn = self._slice(lambda x: x in counters, len(counters))
-        self.by_case = self._slice(lambda x: often and is_bool(x.dtype), CONDITIONS)
-        self.values = self.by_turn.ahead | self.by_case.ahead
+        self.ops = [x for x in self.loop.body.ops if x in self.facts.live] if often else []
+        self._own = {*self.ops, *self.loop.body.params}
+        self._counters = self._found_counters()
+        self._depends: dict[Value, Depends] = {}
+        for x in self.ops:
+            if (depends := self._found(x)) is not None:
+                self._depends[x] = depends
+        self.values = {x for x, depends in self._depends.items() if depends.is_long}
+        used = {self.facts.of(x) for x in self._used(self.loop, self.values)}
+        self.both = {}  # of each set of conditions, what they and the turn decide
+        self.turns = []
+        self.cases = {}
+        for x in self.ops:
+            if x in self.values:
+                d = self._depends[x]
+                if d.turn and d.conditions and x in used:
+                    self.both.setdefault(d.conditions, []).append(x)
+        for conditions, wanted in self.both.items():
+            for x in self._cone(wanted, self._is_stop):
+                if x in self.values and self._depends[x].turn and self._depends[x].conditions:
+                    used |= {self.facts.of(y) for y in x.args}
+                    for y in map(self.facts.of, x.args):
+                        if y in self.values and not self._depends[y].turn:
+                            self.cases.setdefault(conditions, []).append(y)
+                else:
+                    used |= {self.facts.of(y) for y in x.args}
+        self.both_reads = [x for xs in self.both.values() for x in xs]
+        for x in self.ops:
+            if x in self.values and x in used:
+                d = self._depends[x]
+                if d.turn and not d.conditions:
+                    self.turns.append(x)
+        used = {self.facts.of(x) for x in self._used(self.loop, self.values)}
+        for x in self.ops:
+            if x in self.values and x in used and not self._depends[x].turn:
+                self.cases.setdefault(self._depends[x].conditions, []).append(x)
+        self.cases = {k: list(dict.fromkeys(v)) for k, v in self.cases.items()}
+        self._place: dict[tuple[Any, Value], str] = {}
+        self._index: dict[Any, str] = {}
 
-    def _counters(self) -> dict[Value, Value]:
+    def _is_stop(self, x):
+        return x in self.values and not (self._depends[x].turn and self._depends[x].conditions)
+
+    def _found_counters(self) -> dict[Value, Value]:
         """What the loop carries to which a constant is added in each turn, and the constant."""
         found = {}
         for param, after in zip(self.loop.body.params, self.loop.body.results, strict=True):
@@ -73,34 +114,33 @@ class Ahead:
                     found[param] = y
         return found
 
-    def _slice(self, is_leaf: Callable[[Value], bool], most: int) -> _Slice:
-        leaves: dict[Value, Leaves] = {}
-        cycles: dict[Value, int] = {}
+    def _of(self, x: Value) -> Depends | None:
+        x = self.facts.of(x)
+        if x in self._depends:
+            return self._depends[x]
+        if x in self._counters:
+            return Depends(True, frozenset(), 0)
+        if x in self._own or (x.op == "result" and x.args[0] in self._own):
+            return Depends(False, frozenset([x]), 0) if is_bool(x.dtype) else None
+        return NOTHING
 
-        def of(x: Value) -> Leaves:
-            if x in leaves:
-                return leaves[x]
-            if x.op == "result" and x.args[0] in self._own or x in self._own:
-                return frozenset([x]) if is_leaf(x) else None
-            return frozenset()
+    def _found(self, x: Value) -> Depends | None:
+        itself = Depends(False, frozenset([x]), 0) if is_bool(x.dtype) else None
+        if x.op not in scalars.OPERATIONS or x.op == "pow":
+            return itself
+        args = [self._of(y) for y in x.args]
+        if None in args:
+            return itself
+        turn = any(y.turn for y in args)
+        conditions = frozenset().union(*(y.conditions for y in args))
+        if len(conditions) > self.most or (turn and conditions and not BOTH):
+            return itself
+        own = CYCLES.get(x.op, 4) if x.args[-1].dtype.kind == "f" or x.dtype.kind == "f" else 1
+        cycles = own + max((y.cycles for y in args if bool(y.conditions) == bool(conditions)), default=0)
+        found = Depends(turn, conditions, cycles)
+        return itself if itself and conditions and not found.is_long else found
 
-        for value in self.ops:
-            each = [of(x) for x in self.facts.args(value)] if value.op in scalars.OPERATIONS and value.op != "pow" else [None]
-            few = None if None in each else frozenset().union(*each)
-            if few is None or len(few) > most or (few and value.dtype == bool and is_leaf(value)):
-                few = frozenset([value]) if is_leaf(value) else None
-            leaves[value] = few
-            cycles[value] = 0
-            if few is not None and few != {value}:
-                own = CYCLES.get(value.op, 4) if value.args[-1].dtype.kind == "f" or value.dtype.kind == "f" else 1
-                cycles[value] = own + max(cycles.get(x, 0) for x in self.facts.args(value))
-        ahead = {x for x in self.ops if leaves[x] and cycles[x] >= LONG}
-        if hasattr(self, "by_turn"):
-            ahead -= self.by_turn.ahead
-        used = {self.facts.of(x) for x in self._used(self.loop, ahead)}
-        return _Slice({k: v for k, v in leaves.items() if v is not None}, ahead, [x for x in self.ops if x in ahead & used])
-
-    def _used(self, loop: Loop, ahead: set[Value]) -> Iterable[Value]:
+    def _used(self, loop: Loop, ahead: set[Value]) -> Iterator[Value]:
         """What is used by all but `ahead`."""
         yield from loop.body.results
         yield from loop.condition.results
@@ -113,38 +153,48 @@ class Ahead:
 
     def before(self) -> None:
         """Before the loop: all cases."""
-        f = self.function
-        for leaves in {self.by_case.leaves[x]: None for x in self.by_case.read}:
-            width = 2 ** len(leaves)
-            known = {}
-            for k, leaf in enumerate(self._ordered(leaves)):
-                bits = ", ".join(f"i1 {'true' if case >> k & 1 else 'false'}" for case in range(width))
-                known[leaf] = f"<{bits}>"
-            self._work_out([x for x in self.by_case.read if self.by_case.leaves[x] == leaves], known, width)
+        for conditions, wanted in self.cases.items():
+            self._work_out(wanted, self._all_cases(conditions), 2 ** len(conditions), conditions, lambda x: False)
+
+    def _all_cases(self, conditions):
+        known = {}
+        for k, leaf in enumerate(self._ordered(conditions)):
+            bits = ", ".join(f"i1 {'true' if case >> k & 1 else 'false'}" for case in range(2 ** len(conditions)))
+            known[leaf] = f"<{bits}>"
+        return known
 
     def _ordered(self, leaves: frozenset[Value]) -> list[Value]:
         return [x for x in (*self.loop.body.params, *self.ops) if x in leaves]
 
     def turn(self, number: str) -> None:
         """At the beginning of a turn with this number."""
-        if not self.by_turn.read:
-            return
         f = self.function
-        place = f.value(f"and i32 {number}, {TURNS - 1}")
-        self._index[None] = f.value(f"zext i32 {place} to i64")
-        first, after = f.label("ahead"), f.label("ready")
-        f.line(f"br i1 {f.value(f'icmp eq i32 {place}, 0')}, label %{first}, label %{after}")
-        f.begin(first)
-        known = {}
-        for counter, step in self._steps.items():
-            kind = type_of(counter.dtype)
-            by = int(step.attr)
-            later = ", ".join(f"{kind} {(k * by + 2**31) % 2**32 - 2**31}" for k in range(TURNS))
-            now = self._splat(kind, self.names.scalars[counter], TURNS)
-            known[counter] = f.value(f"add {vector(TURNS, kind)} {now}, <{later}>")
-        self._work_out(self.by_turn.read, known, TURNS)
-        f.line(f"br label %{after}")
-        f.begin(after)
+        if self.turns:
+            place = f.value(f"and i32 {number}, {TURNS - 1}")
+            self._index[None] = f.value(f"zext i32 {place} to i64")
+            first, after = f.label("ahead"), f.label("ready")
+            f.line(f"br i1 {f.value(f'icmp eq i32 {place}, 0')}, label %{first}, label %{after}")
+            f.begin(first)
+            known = {counter: self._next_turns(counter) for counter in self._counters}
+            self._work_out(self.turns, known, TURNS, None, lambda x: False)
+            f.line(f"br label %{after}")
+            f.begin(after)
+            for x in self.turns:
+                self._read(x, None)
+        for conditions, wanted in self.both.items():
+            known = self._all_cases(conditions)
+            width = 2 ** len(conditions)
+            for x in self.cases.get(conditions, ()):
+                kind = vector(width, in_memory(x.dtype))
+                y = f.value(f"load {kind}, ptr {self._place[conditions, x]}, align {LINE}")
+                known[x] = f.value(f"trunc {kind} {y} to {vector(width, 'i1')}") if is_bool(x.dtype) else y
+            self._work_out(wanted, known, width, conditions, self._is_stop)
+
+    def _next_turns(self, counter: Value) -> str:
+        kind, by = type_of(counter.dtype), int(self._counters[counter].attr)
+        later = ", ".join(f"{kind} {(k * by + 2**31) % 2**32 - 2**31}" for k in range(TURNS))
+        now = self._splat(kind, self.names.scalars[counter], TURNS)
+        return self.function.value(f"add {vector(TURNS, kind)} {now}, <{later}>")
 
     def _splat(self, kind: str, x: str, width: int) -> str:
         if not x.startswith("%"):
@@ -153,14 +203,17 @@ class Ahead:
         one = self.function.value(f"insertelement {whole} poison, {kind} {x}, i32 0")
         return self.function.value(f"shufflevector {whole} {one}, {whole} poison, <{width} x i32> zeroinitializer")
 
-    def _work_out(self, values: list[Value], known: dict[Value, str], width: int) -> None:
-        f = self.function
+    def _cone(self, values, stop):
         wanted, stack = set(), list(values)
         while stack:
             x = self.facts.of(stack.pop())
-            if x in self._own and x not in known and x not in wanted:
+            if x in self._own and x not in wanted and not stop(x):
                 wanted.add(x)
                 stack += x.args
+        return [x for x in self.ops if x in wanted]
+
+    def _work_out(self, values: list[Value], known: dict[Value, str], width: int, which, stop) -> None:
+        f = self.function
 
         def name(x: Value) -> str:
             x = self.facts.of(x)
@@ -168,25 +221,27 @@ class Ahead:
                 known[x] = self._splat(type_of(x.dtype), self.names.scalar(x), width)
             return known[x]
 
-        for x in self.ops:
-            if x in wanted:
-                known[x] = operation(self.names, f, x, name, width)
+        for x in self._cone(values, lambda x: x in known or stop(x)):
+            known[x] = operation(self.names, f, x, name, width)
         for x in values:
             kind = in_memory(x.dtype)
-            self._place[x] = f.entry(f"alloca [{width} x {kind}], align {LINE}")
+            self._place[which, x] = f.entry(f"alloca [{width} x {kind}], align {LINE}")
             numbers = known[x]
             if is_bool(x.dtype):
                 numbers = f.value(f"zext {vector(width, 'i1')} {numbers} to {vector(width, 'i8')}")
-            f.line(f"store {vector(width, kind)} {numbers}, ptr {self._place[x]}, align {LINE}")
+            f.line(f"store {vector(width, kind)} {numbers}, ptr {self._place[which, x]}, align {LINE}")
 
     def read(self, value: Value) -> None:
         """Where a value would be worked out: what was worked out of it ahead."""
-        if value not in self._place:
-            return
+        d = self._depends[value]
+        if d.conditions and (d.conditions, value) in self._place:
+            self._read(value, d.conditions)
+
+    def _read(self, value, which) -> None:
         f = self.function
         kind = in_memory(value.dtype)
-        index = self._index[None] if value in self.by_turn.ahead else self._case(self.by_case.leaves[value])
-        at = f.value(f"getelementptr {kind}, ptr {self._place[value]}, i64 {index}")
+        index = self._case(which) if which else self._index[None]
+        at = f.value(f"getelementptr {kind}, ptr {self._place[which, value]}, i64 {index}")
         x = f.value(f"load {kind}, ptr {at}")
         self.names.scalars[value] = f.value(f"trunc i8 {x} to i1") if is_bool(value.dtype) else x
 
