@@ -24,7 +24,7 @@ from jaxrl_tab.lanes.segment import operation
 from jaxrl_tab.lanes.text import Function
 from jaxrl_tab.lanes.types import every, in_memory, is_bool, type_of, vector
 
-TURNS = 64  # for so many turns at once
+TURNS = 32
 CONDITIONS = 5  # at most decide a case
 OFTEN = 32  # turns at least of a loop in which it pays
 LONG = 12  # cycles at least, about, that are not waited for: more than it takes to read a number
@@ -164,7 +164,7 @@ class Ahead:
         return known
 
     def _ordered(self, leaves: frozenset[Value]) -> list[Value]:
-        return [x for x in (*self.loop.body.params, *self.ops) if x in leaves]
+        return sorted([x for x in (*self.loop.body.params, *self.ops) if x in leaves], key=lambda x: x.op!="eq" or x.args[0].dtype.kind!="f")
 
     def turn(self, number: str) -> None:
         """At the beginning of a turn with this number."""
@@ -249,9 +249,26 @@ class Ahead:
         if leaves not in self._index:
             f = self.function
             total = "0"
-            for k, leaf in enumerate(self._ordered(leaves)):
-                bit = f.value(f"zext i1 {self.names.scalar(leaf)} to i64")
-                bit = f.value(f"shl i64 {bit}, {k}") if k else bit
-                total = f.value(f"or i64 {total}, {bit}") if k else bit
+            ordered = self._ordered(leaves)
+            alike = [x for x in ordered if x.op == "eq" and x.args[0].dtype.kind == "f"]
+            if len(alike) == 4:
+                ordered = [x for x in ordered if x not in alike]
+                sides = []
+                for side in range(2):
+                    whole = "poison"
+                    for j, x in enumerate(alike):
+                        whole = f.value(f"insertelement <4 x float> {whole}, float {self.names.scalar(x.args[side])}, i32 {j}")
+                    sides.append(whole)
+                bits = f.value(f"fcmp oeq <4 x float> {sides[0]}, {sides[1]}")
+                total = f.value(f"zext i4 {f.value(f'bitcast <4 x i1> {bits} to i4')} to i64")
+                for k, leaf in enumerate(ordered, 4):
+                    bit = f.value(f"zext i1 {self.names.scalar(leaf)} to i64")
+                    bit = f.value(f"shl i64 {bit}, {k}")
+                    total = f.value(f"or i64 {total}, {bit}")
+            else:
+                for k, leaf in enumerate(ordered):
+                    bit = f.value(f"zext i1 {self.names.scalar(leaf)} to i64")
+                    bit = f.value(f"shl i64 {bit}, {k}") if k else bit
+                    total = f.value(f"or i64 {total}, {bit}") if k else bit
             self._index[leaves] = total
         return self._index[leaves]
