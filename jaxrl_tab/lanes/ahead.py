@@ -30,6 +30,7 @@ OFTEN = 32  # turns at least of a loop in which it pays
 LONG = 12  # cycles at least, about, that are not waited for: more than it takes to read a number
 CYCLES = {"div": 11, "rem": 11, "sqrt": 15}  # of operations, about; of others on real numbers 4, and else 1
 BOTH = True
+BATCH = 2
 
 
 class Depends(NamedTuple):
@@ -156,10 +157,10 @@ class Ahead:
         for conditions, wanted in self.cases.items():
             self._work_out(wanted, self._all_cases(conditions), 2 ** len(conditions), conditions, lambda x: False)
 
-    def _all_cases(self, conditions):
+    def _all_cases(self, conditions, times=1):
         known = {}
         for k, leaf in enumerate(self._ordered(conditions)):
-            bits = ", ".join(f"i1 {'true' if case >> k & 1 else 'false'}" for case in range(2 ** len(conditions)))
+            bits = ", ".join(f"i1 {'true' if case >> k & 1 else 'false'}" for case in range(times * 2 ** len(conditions)))
             known[leaf] = f"<{bits}>"
         return known
 
@@ -181,14 +182,33 @@ class Ahead:
             f.begin(after)
             for x in self.turns:
                 self._read(x, None)
+        if not self.both:
+            return
+        at = f.value(f"and i32 {number}, {BATCH - 1}")
+        self._batch = f.value(f"zext i32 {at} to i64")
+        first, after = f.label("ahead"), f.label("ready")
+        f.line(f"br i1 {f.value(f'icmp eq i32 {at}, 0')}, label %{first}, label %{after}")
+        f.begin(first)
         for conditions, wanted in self.both.items():
-            known = self._all_cases(conditions)
-            width = 2 ** len(conditions)
+            n = 2 ** len(conditions)
+            known = self._all_cases(conditions, BATCH)
+            width = BATCH * n
             for x in self.cases.get(conditions, ()):
-                kind = vector(width, in_memory(x.dtype))
+                kind = vector(n, in_memory(x.dtype))
                 y = f.value(f"load {kind}, ptr {self._place[conditions, x]}, align {LINE}")
-                known[x] = f.value(f"trunc {kind} {y} to {vector(width, 'i1')}") if is_bool(x.dtype) else y
+                mask = ", ".join(f"i32 {k % n}" for k in range(width))
+                y = f.value(f"shufflevector {kind} {y}, {kind} poison, <{width} x i32> <{mask}>")
+                known[x] = f.value(f"trunc {vector(width, in_memory(x.dtype))} {y} to {vector(width, 'i1')}") if is_bool(x.dtype) else y
+            for x in self.turns:
+                kind = vector(BATCH, in_memory(x.dtype))
+                y = f.value(f"getelementptr {in_memory(x.dtype)}, ptr {self._place[None, x]}, i64 {self._index[None]}")
+                y = f.value(f"load {kind}, ptr {y}, align 4")
+                mask = ", ".join(f"i32 {k // n}" for k in range(width))
+                y = f.value(f"shufflevector {kind} {y}, {kind} poison, <{width} x i32> <{mask}>")
+                known[x] = f.value(f"trunc {vector(width, in_memory(x.dtype))} {y} to {vector(width, 'i1')}") if is_bool(x.dtype) else y
             self._work_out(wanted, known, width, conditions, self._is_stop)
+        f.line(f"br label %{after}")
+        f.begin(after)
 
     def _next_turns(self, counter: Value) -> str:
         kind, by = type_of(counter.dtype), int(self._counters[counter].attr)
@@ -241,7 +261,10 @@ class Ahead:
         f = self.function
         kind = in_memory(value.dtype)
         index = self._case(which) if which else self._index[None]
-        at = f.value(f"getelementptr {kind}, ptr {self._place[which, value]}, i64 {index}")
+        place = self._place[which, value]
+        if which and self._depends[value].turn:
+            place = f.value(f"getelementptr [{2**len(which)} x {kind}], ptr {place}, i64 {self._batch}")
+        at = f.value(f"getelementptr {kind}, ptr {place}, i64 {index}")
         x = f.value(f"load {kind}, ptr {at}")
         self.names.scalars[value] = f.value(f"trunc i8 {x} to i1") if is_bool(value.dtype) else x
 
