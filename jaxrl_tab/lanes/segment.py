@@ -317,5 +317,5 @@ def uniform_address(names: Names, writer: Writer, buffer: Buffer, index: Value) 
     if buffer.role in ("input", "output"):
         lane = writer.value(f"mul i64 {names.layout.first_lane}, {buffer.size}")
         start = writer.value(f"getelementptr {kind}, ptr {start}, i64 {lane}")
-    at = writer.value(f"sext i32 {names.scalar(index)} to i64")
+    at = writer.value(f"zext i32 {names.scalar(index)} to i64")
     return writer.value(f"getelementptr {kind}, ptr {start}, i64 {at}")
