@@ -1,20 +1,20 @@
-"""What a loop of one lane alone works out ahead: many numbers at once, which it then reads one by one.
+"""What a loop of one lane alone works out ahead: many numbers at once, of which it then reads one.
 
-Where lanes go side by side, a processor always has something to do. One lane alone waits, as each operation waits
-for the one before. Some numbers need not be waited for:
+Where lanes go side by side there is always something to do. One lane alone waits, each operation for the one before.
+Some numbers need not be waited for:
 
-- What the number of the turn decides, such as random words: worked out for the next turns at once.
-- What a few conditions decide, such as the probabilities of actions of which some are the best: worked out for all
-  cases before the loop.
-- What both decide, such as the action that a word takes by them: worked out for all cases at the beginning of a turn.
+- what the number of the turn decides, such as random words: it is worked out for the next turns at once;
+- what a few conditions decide, such as the probabilities of actions of which some are the best: for all cases, before
+  the loop;
+- what both decide, such as the action that a word takes by these probabilities: for the next turns in all cases.
 
-They are the same operations on the same numbers, in vectors: so they have the same bits.
+Each is a `Table`. The operations are the same as without it, in vectors: so the numbers have the same bits. What was
+worked out for turns that do not come, and for cases that cannot be, is never read.
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
-
-import numpy as np
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from jaxrl_tab.lanes import scalars
 from jaxrl_tab.lanes.code import Loop, Value
@@ -22,15 +22,13 @@ from jaxrl_tab.lanes.layout import LINE
 from jaxrl_tab.lanes.names import Names
 from jaxrl_tab.lanes.segment import operation
 from jaxrl_tab.lanes.text import Function
-from jaxrl_tab.lanes.types import every, in_memory, is_bool, type_of, vector
+from jaxrl_tab.lanes.types import bytes_of, every, in_memory, is_bool, literal, type_of, vector
 
-TURNS = 32
+AT_ONCE = 64  # numbers, a power of two: of a value for so many turns, or for fewer turns in all their cases
 CONDITIONS = 5  # at most decide a case
-OFTEN = 32  # turns at least of a loop in which it pays
+OFTEN = 16  # turns at least of a loop for which it pays
 LONG = 12  # cycles at least, about, that are not waited for: more than it takes to read a number
-CYCLES = {"div": 11, "rem": 11, "sqrt": 15}  # of operations, about; of others on real numbers 4, and else 1
-BOTH = True
-BATCH = 2
+CYCLES = {"div": 11, "sqrt": 15}  # that an operation on real numbers takes, about; others take 4, on whole ones 1
 
 
 class Depends(NamedTuple):
@@ -38,260 +36,270 @@ class Depends(NamedTuple):
 
     Attributes:
         turn: whether it depends on the number of the turn.
-        conditions: the conditions that decide it.
-        cycles: about how long it takes from these conditions on to work it out; or, without them, at all.
+        conditions: which conditions decide it.
+        cycles: how long it takes from when these are known; and without any, how long at all.
     """
 
-    turn: bool
-    conditions: frozenset[Value]
-    cycles: int
+    turn: bool = False
+    conditions: frozenset[Value] = frozenset()
+    cycles: int = 0
+
+
+@dataclass
+class Table:
+    """Values for some turns, and in all cases.
+
+    Attributes:
+        turns: for how many; 1 where they are the same in all.
+        conditions: that decide a case. Their bits make its number, the first being the lowest.
+        values: what is worked out.
+        places: where it lies, case after case, and turn after turn.
+    """
+
+    turns: int
+    conditions: list[Value]
+    values: list[Value] = field(default_factory=list)
+    places: dict[Value, str] = field(default_factory=dict)
 
     @property
-    def is_long(self) -> bool:
-        return (self.turn or bool(self.conditions)) and self.cycles >= LONG
+    def cases(self) -> int:
+        return 2 ** len(self.conditions)
 
-
-NOTHING = Depends(False, frozenset(), 0)
+    @property
+    def size(self) -> int:
+        return self.turns * self.cases
 
 
 class Ahead:
-    """What is worked out ahead in one loop."""
+    """What is worked out ahead in one loop.
 
-    def __init__(self, names: Names, function: Function, value: Value):
-        self.names, self.facts, self.function, self.loop = names, names.facts, function, value.attr
-        self.most = (2 * names.target.width).bit_length() - 1 
-        often = self.facts._turns_of(value) >= OFTEN
-        self.ops = [x for x in self.loop.body.ops if x in self.facts.live] if often else []
-        self._own = {*self.ops, *self.loop.body.params}
-        self._counters = self._found_counters()
+    Attributes:
+        values: that are not worked out in their turn.
+    """
+
+    def __init__(self, names: Names, function: Function, loop: Value):
+        self.names, self.facts, self.function, self.loop = names, names.facts, function, loop.attr
+        often = self.facts.turns_of(loop) >= OFTEN
+        self._ops = [x for x in self.loop.body.ops if often and x in self.facts.live]
+        self._own = {*self._ops, *self.loop.body.params}
+        self._steps = dict(self._counters())
         self._depends: dict[Value, Depends] = {}
-        for x in self.ops:
+        for x in self._ops:
             if (depends := self._found(x)) is not None:
                 self._depends[x] = depends
-        self.values = {x for x, depends in self._depends.items() if depends.is_long}
-        used = {self.facts.of(x) for x in self._used(self.loop, self.values)}
-        self.both = {}  # of each set of conditions, what they and the turn decide
-        self.turns = []
-        self.cases = {}
-        for x in self.ops:
-            if x in self.values:
-                d = self._depends[x]
-                if d.turn and d.conditions and x in used:
-                    self.both.setdefault(d.conditions, []).append(x)
-        for conditions, wanted in self.both.items():
-            for x in self._cone(wanted, self._is_stop):
-                if x in self.values and self._depends[x].turn and self._depends[x].conditions:
-                    used |= {self.facts.of(y) for y in x.args}
-                    for y in map(self.facts.of, x.args):
-                        if y in self.values and not self._depends[y].turn:
-                            self.cases.setdefault(conditions, []).append(y)
-                else:
-                    used |= {self.facts.of(y) for y in x.args}
-        self.both_reads = [x for xs in self.both.values() for x in xs]
-        for x in self.ops:
-            if x in self.values and x in used:
-                d = self._depends[x]
-                if d.turn and not d.conditions:
-                    self.turns.append(x)
-        used = {self.facts.of(x) for x in self._used(self.loop, self.values)}
-        for x in self.ops:
-            if x in self.values and x in used and not self._depends[x].turn:
-                self.cases.setdefault(self._depends[x].conditions, []).append(x)
-        self.cases = {k: list(dict.fromkeys(v)) for k, v in self.cases.items()}
-        self._place: dict[tuple[Any, Value], str] = {}
-        self._index: dict[Any, str] = {}
+        self.values = {x for x, depends in self._depends.items() if _pays(depends)}
+        self._tables: dict[tuple[bool, frozenset[Value]], Table] = {}
+        self._plan()
+        self._turn = ""  # the name of the number of the turn
 
-    def _is_stop(self, x):
-        return x in self.values and not (self._depends[x].turn and self._depends[x].conditions)
+    # --- what depends on what
 
-    def _found_counters(self) -> dict[Value, Value]:
+    def _counters(self) -> Iterator[tuple[Value, int]]:
         """What the loop carries to which a constant is added in each turn, and the constant."""
-        found = {}
         for param, after in zip(self.loop.body.params, self.loop.body.results, strict=True):
-            if param in self.facts.live and after.op == "add" and param.dtype.kind in "iu":
+            if param.dtype.kind in "iu" and after.op == "add":
                 x, y = self.facts.args(after)
-                x, y = (x, y) if x is param else (y, x)
                 if x is param and y.op == "const":
-                    found[param] = y
-        return found
+                    yield param, int(y.attr)
 
     def _of(self, x: Value) -> Depends | None:
-        x = self.facts.of(x)
+        """What a value depends on; None where that is more than the turn and a few conditions."""
         if x in self._depends:
             return self._depends[x]
-        if x in self._counters:
-            return Depends(True, frozenset(), 0)
-        if x in self._own or (x.op == "result" and x.args[0] in self._own):
-            return Depends(False, frozenset([x]), 0) if is_bool(x.dtype) else None
-        return NOTHING
+        if x in self._steps:
+            return Depends(turn=True)
+        changes = x in self._own or (x.op == "result" and x.args[0] in self._own)
+        return _itself(x) if changes else Depends()
 
     def _found(self, x: Value) -> Depends | None:
-        itself = Depends(False, frozenset([x]), 0) if is_bool(x.dtype) else None
-        if x.op not in scalars.OPERATIONS or x.op == "pow":
-            return itself
-        args = [self._of(y) for y in x.args]
-        if None in args:
-            return itself
-        turn = any(y.turn for y in args)
-        conditions = frozenset().union(*(y.conditions for y in args))
-        if len(conditions) > self.most or (turn and conditions and not BOTH):
-            return itself
-        own = CYCLES.get(x.op, 4) if x.args[-1].dtype.kind == "f" or x.dtype.kind == "f" else 1
-        cycles = own + max((y.cycles for y in args if bool(y.conditions) == bool(conditions)), default=0)
-        found = Depends(turn, conditions, cycles)
-        return itself if itself and conditions and not found.is_long else found
+        """The same of an operation of the loop. What is a condition depends on itself, if on nothing that pays."""
+        real = x.dtype.kind == "f" or x.args[-1:] and x.args[-1].dtype.kind == "f"
+        # A division of whole numbers stops the program where one by 0 is worked out, although nobody wants it.
+        if x.op not in scalars.OPERATIONS or x.op == "pow" or (x.op in ("div", "rem") and not real):
+            return _itself(x)
+        args = [depends for y in self.names.operands(x) if (depends := self._of(y)) is not None]
+        conditions = frozenset[Value]().union(*(y.conditions for y in args))
+        if len(args) < len(self.names.operands(x)) or len(conditions) > CONDITIONS:
+            return _itself(x)
+        before = max((y.cycles for y in args if bool(y.conditions) == bool(conditions)), default=0)
+        cycles = before + (CYCLES.get(x.op, 4) if real else 1)
+        found = Depends(any(y.turn for y in args), conditions, cycles)
+        return found if _pays(found) or not conditions else _itself(x) or found
 
-    def _used(self, loop: Loop, ahead: set[Value]) -> Iterator[Value]:
-        """What is used by all but `ahead`."""
-        yield from loop.body.results
-        yield from loop.condition.results
+    def _plan(self) -> None:
+        """Makes the tables of what is used by what is not worked out ahead, and of what they take."""
+        used = {self.facts.of(x) for x in self._used(self.loop)}
+        for x in self._ops:
+            if x in self.values and x in used:
+                self._table(self._depends[x].turn, self._depends[x].conditions).values.append(x)
+        for (turn, conditions), table in list(self._tables.items()):
+            if turn and conditions:
+                for x in self._inputs(table):
+                    depends = self._depends[x]
+                    of = self._table(depends.turn, conditions if depends.conditions else depends.conditions)
+                    of.values += [x] if x not in of.values else []
+
+    def _used(self, loop: Loop) -> Iterator[Value]:
+        """What is used in a loop by what is not worked out ahead."""
         for region in (loop.condition, loop.body):
-            for value in region.ops:
-                if value in self.facts.live and value not in ahead:
-                    yield from value.args
-                    if isinstance(value.attr, Loop):
-                        yield from self._used(value.attr, ahead)
+            yield from region.results
+            for x in region.ops:
+                if x in self.facts.live and x not in self.values:
+                    yield from (*x.args, *self.names.operands(x))
+                    if isinstance(x.attr, Loop):
+                        yield from self._used(x.attr)
 
-    def before(self) -> None:
-        """Before the loop: all cases."""
-        for conditions, wanted in self.cases.items():
-            self._work_out(wanted, self._all_cases(conditions), 2 ** len(conditions), conditions, lambda x: False)
+    def _table(self, turn: bool, conditions: frozenset[Value]) -> Table:
+        if (turn, conditions) not in self._tables:
+            in_order = [x for x in (*self.loop.body.params, *self._ops) if x in conditions]
+            in_order.sort(key=_is_equality, reverse=True)
+            turns = AT_ONCE >> len(in_order) if turn else 1
+            self._tables[turn, conditions] = Table(turns, in_order)
+        return self._tables[turn, conditions]
 
-    def _all_cases(self, conditions, times=1):
-        known = {}
-        for k, leaf in enumerate(self._ordered(conditions)):
-            bits = ", ".join(f"i1 {'true' if case >> k & 1 else 'false'}" for case in range(times * 2 ** len(conditions)))
-            known[leaf] = f"<{bits}>"
-        return known
+    def _is_input(self, x: Value, table: Table) -> bool:
+        """Whether it is read from another table where this one is worked out."""
+        both = table.turns > 1 and bool(table.conditions)
+        return both and x in self.values and not (self._depends[x].turn and self._depends[x].conditions)
 
-    def _ordered(self, leaves: frozenset[Value]) -> list[Value]:
-        return sorted([x for x in (*self.loop.body.params, *self.ops) if x in leaves], key=lambda x: x.op!="eq" or x.args[0].dtype.kind!="f")
+    def _inputs(self, table: Table) -> list[Value]:
+        needed = self._needed(table)
+        return [x for x in self._ops if x in needed and self._is_input(x, table)]
 
-    def turn(self, number: str) -> None:
-        """At the beginning of a turn with this number."""
-        f = self.function
-        if self.turns:
-            place = f.value(f"and i32 {number}, {TURNS - 1}")
-            self._index[None] = f.value(f"zext i32 {place} to i64")
-            first, after = f.label("ahead"), f.label("ready")
-            f.line(f"br i1 {f.value(f'icmp eq i32 {place}, 0')}, label %{first}, label %{after}")
-            f.begin(first)
-            known = {counter: self._next_turns(counter) for counter in self._counters}
-            self._work_out(self.turns, known, TURNS, None, lambda x: False)
-            f.line(f"br label %{after}")
-            f.begin(after)
-            for x in self.turns:
-                self._read(x, None)
-        if not self.both:
-            return
-        at = f.value(f"and i32 {number}, {BATCH - 1}")
-        self._batch = f.value(f"zext i32 {at} to i64")
-        first, after = f.label("ahead"), f.label("ready")
-        f.line(f"br i1 {f.value(f'icmp eq i32 {at}, 0')}, label %{first}, label %{after}")
-        f.begin(first)
-        for conditions, wanted in self.both.items():
-            n = 2 ** len(conditions)
-            known = self._all_cases(conditions, BATCH)
-            width = BATCH * n
-            for x in self.cases.get(conditions, ()):
-                kind = vector(n, in_memory(x.dtype))
-                y = f.value(f"load {kind}, ptr {self._place[conditions, x]}, align {LINE}")
-                mask = ", ".join(f"i32 {k % n}" for k in range(width))
-                y = f.value(f"shufflevector {kind} {y}, {kind} poison, <{width} x i32> <{mask}>")
-                known[x] = f.value(f"trunc {vector(width, in_memory(x.dtype))} {y} to {vector(width, 'i1')}") if is_bool(x.dtype) else y
-            for x in self.turns:
-                kind = vector(BATCH, in_memory(x.dtype))
-                y = f.value(f"getelementptr {in_memory(x.dtype)}, ptr {self._place[None, x]}, i64 {self._index[None]}")
-                y = f.value(f"load {kind}, ptr {y}, align 4")
-                mask = ", ".join(f"i32 {k // n}" for k in range(width))
-                y = f.value(f"shufflevector {kind} {y}, {kind} poison, <{width} x i32> <{mask}>")
-                known[x] = f.value(f"trunc {vector(width, in_memory(x.dtype))} {y} to {vector(width, 'i1')}") if is_bool(x.dtype) else y
-            self._work_out(wanted, known, width, conditions, self._is_stop)
-        f.line(f"br label %{after}")
-        f.begin(after)
-
-    def _next_turns(self, counter: Value) -> str:
-        kind, by = type_of(counter.dtype), int(self._counters[counter].attr)
-        later = ", ".join(f"{kind} {(k * by + 2**31) % 2**32 - 2**31}" for k in range(TURNS))
-        now = self._splat(kind, self.names.scalars[counter], TURNS)
-        return self.function.value(f"add {vector(TURNS, kind)} {now}, <{later}>")
-
-    def _splat(self, kind: str, x: str, width: int) -> str:
-        if not x.startswith("%"):
-            return every(width, kind, x)
-        whole = vector(width, kind)
-        one = self.function.value(f"insertelement {whole} poison, {kind} {x}, i32 0")
-        return self.function.value(f"shufflevector {whole} {one}, {whole} poison, <{width} x i32> zeroinitializer")
-
-    def _cone(self, values, stop):
-        wanted, stack = set(), list(values)
+    def _needed(self, table: Table) -> set[Value]:
+        """The operations that lead to the values of a table, and its inputs."""
+        needed: set[Value] = set()
+        stack = list(table.values)
         while stack:
             x = self.facts.of(stack.pop())
-            if x in self._own and x not in wanted and not stop(x):
-                wanted.add(x)
-                stack += x.args
-        return [x for x in self.ops if x in wanted]
+            if x in self._own and x not in needed and x not in table.conditions:
+                needed.add(x)
+                if not self._is_input(x, table) and x not in self._steps:
+                    stack += self.names.operands(x)
+        return needed
 
-    def _work_out(self, values: list[Value], known: dict[Value, str], width: int, which, stop) -> None:
-        f = self.function
+    # --- how it is written
+
+    def before(self) -> None:
+        """Before the loop: what is the same in all turns."""
+        for (turn, _), table in self._tables.items():
+            if not turn:
+                self._work_out(table)
+
+    def begin(self, turn: str) -> None:
+        """At the beginning of a turn with this number: what is wanted in the next turns, if it is time."""
+        f, self._turn = self.function, turn
+        for (_, conditions), table in sorted(self._tables.items(), key=lambda x: bool(x[0][1])):
+            if table.turns == 1:
+                continue
+            first, after = f.label("ahead"), f.label("ready")
+            is_first = f.value(f"icmp eq i32 {self._turn_in(table)}, 0")
+            f.line(f"br i1 {is_first}, label %{first}, label %{after}")
+            f.begin(first)
+            self._work_out(table)
+            f.line(f"br label %{after}")
+            f.begin(after)
+
+    def read(self, x: Value) -> None:
+        """Where a value would be worked out: it is read, if somebody uses it."""
+        depends = self._depends[x]
+        table = self._tables.get((depends.turn, depends.conditions))
+        if table is not None and x in table.places:
+            of_turn = f"mul i32 {self._turn_in(table)}, {table.cases}"
+            place = self.function.value(f"add i32 {self.function.value(of_turn)}, {self._case(table)}")
+            self.names.scalars[x] = self._loaded(table, x, place, 0)
+
+    def _turn_in(self, table: Table) -> str:
+        """The place of this turn among those of a table."""
+        return self.function.value(f"and i32 {self._turn}, {table.turns - 1}") if table.turns > 1 else "0"
+
+    def _case(self, table: Table) -> str:
+        """The number of the case that is there."""
+        f, names = self.function, self.names
+        case, alike = "0", [x for x in table.conditions if _is_equality(x)]
+        if alike:  # several numbers are compared at once: fewer bits to put together
+            sides = []
+            for side in range(2):
+                sides.append("poison")
+                for k, x in enumerate(alike):
+                    of = f"<{len(alike)} x float> {sides[-1]}, float {names.scalar(x.args[side])}, i32 {k}"
+                    sides[-1] = f.value(f"insertelement {of}")
+            bits = f.value(f"fcmp oeq <{len(alike)} x float> {sides[0]}, {sides[1]}")
+            bits = f.value(f"bitcast <{len(alike)} x i1> {bits} to i{len(alike)}")
+            case = f.value(f"zext i{len(alike)} {bits} to i32")
+        for k, x in enumerate(table.conditions[len(alike) :], len(alike)):
+            bit = f.value(f"zext i1 {names.scalar(x)} to i32")
+            case = f.value(f"or i32 {case}, {f.value(f'shl i32 {bit}, {k}')}")
+        return case
+
+    def _work_out(self, table: Table) -> None:
+        f, size = self.function, table.size
+        needed, vectors = self._needed(table), {}
 
         def name(x: Value) -> str:
-            x = self.facts.of(x)
-            if x not in known:
-                known[x] = self._splat(type_of(x.dtype), self.names.scalar(x), width)
-            return known[x]
+            if (x := self.facts.of(x)) not in vectors:
+                vectors[x] = self._leaf(x, table)
+            return vectors[x]
 
-        for x in self._cone(values, lambda x: x in known or stop(x)):
-            known[x] = operation(self.names, f, x, name, width)
-        for x in values:
-            kind = in_memory(x.dtype)
-            self._place[which, x] = f.entry(f"alloca [{width} x {kind}], align {LINE}")
-            numbers = known[x]
+        for x in self._ops:
+            if x in needed and not self._is_input(x, table):
+                vectors[x] = operation(self.names, f, x, name, size)
+        for x in table.values:
+            kind, numbers = vector(size, in_memory(x.dtype)), vectors[x]
             if is_bool(x.dtype):
-                numbers = f.value(f"zext {vector(width, 'i1')} {numbers} to {vector(width, 'i8')}")
-            f.line(f"store {vector(width, kind)} {numbers}, ptr {self._place[which, x]}, align {LINE}")
+                numbers = f.value(f"zext {vector(size, 'i1')} {numbers} to {kind}")
+            table.places[x] = f.entry(f"alloca {kind}, align {LINE}")
+            f.line(f"store {kind} {numbers}, ptr {table.places[x]}, align {LINE}")
 
-    def read(self, value: Value) -> None:
-        """Where a value would be worked out: what was worked out of it ahead."""
-        d = self._depends[value]
-        if d.conditions and (d.conditions, value) in self._place:
-            self._read(value, d.conditions)
+    def _leaf(self, x: Value, table: Table) -> str:
+        """The vector of a value that is there before a table is worked out."""
+        f, size, kind = self.function, table.size, type_of(x.dtype)
+        if x.op == "const":
+            return every(size, kind, literal(x.attr))
+        if x in table.conditions:
+            place = table.conditions.index(x)
+            return _vector("i1", ["true" if k >> place & 1 else "false" for k in range(size)])
+        if x in self._depends and self._is_input(x, table):
+            depends = self._depends[x]
+            other = self._table(depends.turn, frozenset(table.conditions) if depends.conditions else frozenset())
+            count = table.cases if depends.conditions else table.turns
+            some = self._loaded(other, x, self._turn_in(other), count)
+            places = [k % count if depends.conditions else k // table.cases for k in range(size)]
+        else:
+            some, count, places = self.names.scalar(x), 1, [0] * size
+            some = f.value(f"insertelement {vector(1, kind)} poison, {kind} {some}, i32 0")
+        mask, of = _vector("i32", places), vector(count, kind)
+        some = f.value(f"shufflevector {of} {some}, {of} poison, {vector(size, 'i32')} {mask}")
+        if x not in self._steps:
+            return some
+        later = [(k // table.cases * self._steps[x] + 2**31) % 2**32 - 2**31 for k in range(size)]
+        return f.value(f"add {vector(size, kind)} {some}, {_vector(kind, later)}")
 
-    def _read(self, value, which) -> None:
-        f = self.function
-        kind = in_memory(value.dtype)
-        index = self._case(which) if which else self._index[None]
-        place = self._place[which, value]
-        if which and self._depends[value].turn:
-            place = f.value(f"getelementptr [{2**len(which)} x {kind}], ptr {place}, i64 {self._batch}")
-        at = f.value(f"getelementptr {kind}, ptr {place}, i64 {index}")
-        x = f.value(f"load {kind}, ptr {at}")
-        self.names.scalars[value] = f.value(f"trunc i8 {x} to i1") if is_bool(value.dtype) else x
+    def _loaded(self, table: Table, x: Value, place: str, count: int) -> str:
+        """So many numbers of a value from a place of its table on, as a vector; or, for 0, the one number there."""
+        f, kind = self.function, in_memory(x.dtype)
+        at = f.value(f"zext i32 {place} to i64")
+        at = f.value(f"getelementptr {kind}, ptr {table.places[x]}, i64 {at}")
+        numbers = f.value(f"load {vector(count, kind)}, ptr {at}, align {bytes_of(x.dtype)}")
+        if not is_bool(x.dtype):
+            return numbers
+        return f.value(f"trunc {vector(count, kind)} {numbers} to {vector(count, 'i1')}")
 
-    def _case(self, leaves: frozenset[Value]) -> str:
-        if leaves not in self._index:
-            f = self.function
-            total = "0"
-            ordered = self._ordered(leaves)
-            alike = [x for x in ordered if x.op == "eq" and x.args[0].dtype.kind == "f"]
-            if len(alike) == 4:
-                ordered = [x for x in ordered if x not in alike]
-                sides = []
-                for side in range(2):
-                    whole = "poison"
-                    for j, x in enumerate(alike):
-                        whole = f.value(f"insertelement <4 x float> {whole}, float {self.names.scalar(x.args[side])}, i32 {j}")
-                    sides.append(whole)
-                bits = f.value(f"fcmp oeq <4 x float> {sides[0]}, {sides[1]}")
-                total = f.value(f"zext i4 {f.value(f'bitcast <4 x i1> {bits} to i4')} to i64")
-                for k, leaf in enumerate(ordered, 4):
-                    bit = f.value(f"zext i1 {self.names.scalar(leaf)} to i64")
-                    bit = f.value(f"shl i64 {bit}, {k}")
-                    total = f.value(f"or i64 {total}, {bit}")
-            else:
-                for k, leaf in enumerate(ordered):
-                    bit = f.value(f"zext i1 {self.names.scalar(leaf)} to i64")
-                    bit = f.value(f"shl i64 {bit}, {k}") if k else bit
-                    total = f.value(f"or i64 {total}, {bit}") if k else bit
-            self._index[leaves] = total
-        return self._index[leaves]
+
+def _pays(depends: Depends) -> bool:
+    return (depends.turn or bool(depends.conditions)) and depends.cycles >= LONG
+
+
+def _itself(x: Value) -> Depends | None:
+    """What a condition depends on, if it is nothing else."""
+    return Depends(conditions=frozenset([x])) if is_bool(x.dtype) else None
+
+
+def _is_equality(x: Value) -> bool:
+    """Whether it says that two real numbers are equal."""
+    return x.op == "eq" and x.args[0].dtype.kind == "f"
+
+
+def _vector(kind: str, numbers: list) -> str:
+    """A vector of known numbers."""
+    return f"<{', '.join(f'{kind} {x}' for x in numbers)}>"

@@ -147,13 +147,13 @@ class Facts:
         """How often an operation is done, so far as the loops around it tell."""
         times = 1
         while (loop := self._around.get(value)) is not None:
-            times *= self._turns_of(loop)
+            times *= self.turns_of(loop)
             value = loop
         return times
 
     def ends_soon(self, loop: Value) -> bool:
         """Whether a loop has few turns for sure."""
-        return self.counter(loop) is not None and self._turns_of(loop) <= SOON
+        return self.counter(loop) is not None and self.turns_of(loop) <= SOON
 
     def is_within_another(self, loop: Value) -> bool:
         """Whether a loop stands in another one."""
@@ -167,7 +167,8 @@ class Facts:
             for param, after in zip(loop.attr.condition.params, loop.attr.body.results, strict=True)
         )
 
-    def _turns_of(self, loop: Value) -> int:
+    def turns_of(self, loop: Value) -> int:
+        """How many turns a loop has: at most, or, if nothing is known, as is usual."""
         if self.is_branch(loop):
             return 1
         if (counter := self.counter(loop)) is None:

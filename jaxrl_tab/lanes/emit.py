@@ -153,7 +153,7 @@ class _Emitter:
         f.line(f"br i1 {condition}, label %{body}, label %{after}")
         f.begin(body)
         if ahead:
-            ahead.turn(turn)
+            ahead.begin(turn)
         self.region(loop.body, ahead)
         self.fill(params, results, varying)
         self.close()

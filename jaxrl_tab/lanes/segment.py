@@ -286,9 +286,9 @@ def going_on(writer: Writer, condition: str) -> str:
 
 def operation(names: Names, writer: Writer, value: Value, name, width: int) -> str:
     """Writes an operation of `scalars`; `name` gives the names of its arguments."""
-    product = names.product_in(value)
-    args = names.facts.args(value)
-    site = operations.Site(writer, names.facts, value, [name(x) for x in args], width)
+    product, args = names.product_in(value), names.facts.args(value)
+    named = [name(x) for k, x in enumerate(args) if product is None or k != product[0]]
+    site = operations.Site(writer, names.facts, value, named, width)
     if product is None:
         return operations.write(site)
     place, factors = product
