@@ -248,7 +248,7 @@ class Ahead:
             kind, numbers = vector(size, in_memory(x.dtype)), vectors[x]
             if is_bool(x.dtype):
                 numbers = f.value(f"zext {vector(size, 'i1')} {numbers} to {kind}")
-            table.places[x] = f.entry(f"alloca {kind}, align {LINE}")
+            table.places[x] = self.names.layout.room(size * bytes_of(x.dtype))
             f.line(f"store {kind} {numbers}, ptr {table.places[x]}, align {LINE}")
 
     def _leaf(self, x: Value, table: Table) -> str:
