@@ -26,7 +26,7 @@ from jaxrl_tab.lanes.types import bytes_of, every, in_memory, is_bool, literal, 
 
 AT_ONCE = 64  # numbers, a power of two: of a value for so many turns, or for fewer turns in all their cases
 CONDITIONS = 5  # at most decide a case
-OFTEN = 16  # turns at least of a loop for which it pays
+OFTEN = 8  # turns at least of a loop for which it pays
 LONG = 12  # cycles at least, about, that are not waited for: more than it takes to read a number
 CYCLES = {"div": 11, "sqrt": 15}  # that an operation on real numbers takes, about; others take 4, on whole ones 1
 
