@@ -164,7 +164,7 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
     inputs = [np.broadcast_to(x, (lanes, *x.shape)) for x in map(_plain, jax.tree.leaves(arguments[:-1]))]
     # As many steps take as long as they took before; nobody knows how long episodes are.
     is_quick = budget.num_steps is not None and kernel.seconds < ASK_SECONDS / 2
-    results = (kernel if is_quick else functools.partial(_called, kernel))(*inputs)
+    results = kernel(*inputs) if is_quick else _called(kernel, *inputs)
     outputs = _as_jax(*(x[0] for x in results))
     (_, log), learner = jax.tree.unflatten(_structure(budget, of_run), outputs)
     return learner, log
@@ -172,6 +172,7 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
 
 @jax.jit
 def _as_jax(*arrays: Any) -> tuple[Any, ...]:
+    """Arrays of NumPy as JAX has them: all at once that takes a fifth of what it takes one by one."""
     return arrays
 
 

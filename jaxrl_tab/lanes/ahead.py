@@ -28,7 +28,10 @@ AT_ONCE = 64  # numbers, a power of two: of a value for so many turns, or for fe
 CONDITIONS = 5  # at most decide a case
 OFTEN = 8  # turns at least of a loop for which it pays
 LONG = 12  # cycles at least, about, that are not waited for: more than it takes to read a number
-CYCLES = {"div": 11, "sqrt": 15}  # that an operation on real numbers takes, about; others take 4, on whole ones 1
+CYCLES = {
+    "div": 11,
+    "sqrt": 15,
+}  # that an operation on real numbers takes, about; others take 4, on whole ones 1
 
 
 class Depends(NamedTuple):
@@ -71,16 +74,18 @@ class Table:
 
 
 class Ahead:
-    """What is worked out ahead in one loop.
+    """What is worked out ahead in one loop: nothing where lanes go side by side, or it has few turns.
 
     Attributes:
         values: that are not worked out in their turn.
+        turn: the name of the number of the turn.
     """
 
     def __init__(self, names: Names, function: Function, loop: Value):
         self.names, self.facts, self.function, self.loop = names, names.facts, function, loop.attr
-        often = self.facts.turns_of(loop) >= OFTEN
-        self._ops = [x for x in self.loop.body.ops if often and x in self.facts.live]
+        pays = self.facts.alone and self.facts.turns_of(loop) >= OFTEN
+        self.turn = function.fresh("turn")
+        self._ops = [x for x in self.loop.body.ops if pays and x in self.facts.live]
         self._own = {*self._ops, *self.loop.body.params}
         self._steps = dict(self._counters())
         self._depends: dict[Value, Depends] = {}
@@ -90,7 +95,6 @@ class Ahead:
         self.values = {x for x, depends in self._depends.items() if _pays(depends)}
         self._tables: dict[tuple[bool, frozenset[Value]], Table] = {}
         self._plan()
-        self._turn = ""  # the name of the number of the turn
 
     # --- what depends on what
 
@@ -113,7 +117,7 @@ class Ahead:
 
     def _found(self, x: Value) -> Depends | None:
         """The same of an operation of the loop. What is a condition depends on itself, if on nothing that pays."""
-        real = x.dtype.kind == "f" or x.args[-1:] and x.args[-1].dtype.kind == "f"
+        real = "f" in (x.dtype.kind, *(y.dtype.kind for y in x.args[-1:]))
         # A division of whole numbers stops the program where one by 0 is worked out, although nobody wants it.
         if x.op not in scalars.OPERATIONS or x.op == "pow" or (x.op in ("div", "rem") and not real):
             return _itself(x)
@@ -186,10 +190,12 @@ class Ahead:
             if not turn:
                 self._work_out(table)
 
-    def begin(self, turn: str) -> None:
-        """At the beginning of a turn with this number: what is wanted in the next turns, if it is time."""
-        f, self._turn = self.function, turn
-        for (_, conditions), table in sorted(self._tables.items(), key=lambda x: bool(x[0][1])):
+    def begin(self) -> None:
+        """At the beginning of a turn: what is wanted in it and the next ones, if it is time."""
+        f = self.function
+        for table in sorted(
+            self._tables.values(), key=lambda x: x.cases
+        ):  # words before what is made of them
             if table.turns == 1:
                 continue
             first, after = f.label("ahead"), f.label("ready")
@@ -211,7 +217,7 @@ class Ahead:
 
     def _turn_in(self, table: Table) -> str:
         """The place of this turn among those of a table."""
-        return self.function.value(f"and i32 {self._turn}, {table.turns - 1}") if table.turns > 1 else "0"
+        return self.function.value(f"and i32 {self.turn}, {table.turns - 1}") if table.turns > 1 else "0"
 
     def _case(self, table: Table) -> str:
         """The number of the case that is there."""
@@ -261,7 +267,9 @@ class Ahead:
             return _vector("i1", ["true" if k >> place & 1 else "false" for k in range(size)])
         if x in self._depends and self._is_input(x, table):
             depends = self._depends[x]
-            other = self._table(depends.turn, frozenset(table.conditions) if depends.conditions else frozenset())
+            other = self._table(
+                depends.turn, frozenset(table.conditions) if depends.conditions else frozenset()
+            )
             count = table.cases if depends.conditions else table.turns
             some = self._loaded(other, x, self._turn_in(other), count)
             places = [k % count if depends.conditions else k // table.cases for k in range(size)]

@@ -130,9 +130,8 @@ class _Emitter:
         self.fill(params, value.args, varying)
         self.close()
         first = [self.names.scalar(value.args[k]) for k in uniform]
-        ahead = Ahead(self.names, f, value) if self.facts.alone else None
-        if ahead:
-            ahead.before()
+        ahead = Ahead(self.names, f, value)
+        ahead.before()
         head, body, end, after = (f.label(name) for name in ("head", "body", "end", "done"))
         before = f.block
         f.line(f"br label %{head}")
@@ -142,9 +141,8 @@ class _Emitter:
             kind = type_of(params[k].dtype)
             f.line(f"{names[k]} = phi {kind} [ {x}, %{before} ], [ {names[k]}.next, %{end} ]")
             self.names.scalars[params[k]] = names[k]
-        turn = f.fresh("turn")
-        if ahead:
-            f.line(f"{turn} = phi i32 [ 0, %{before} ], [ {turn}.next, %{end} ]")
+        if ahead.values:
+            f.line(f"{ahead.turn} = phi i32 [ 0, %{before} ], [ {ahead.turn}.next, %{end} ]")
         self.region(loop.condition)
         self.close()
         condition = self.names.scalar(loop.condition.results[0])
@@ -152,8 +150,7 @@ class _Emitter:
             condition = going_on(f, condition)
         f.line(f"br i1 {condition}, label %{body}, label %{after}")
         f.begin(body)
-        if ahead:
-            ahead.begin(turn)
+        ahead.begin()
         self.region(loop.body, ahead)
         self.fill(params, results, varying)
         self.close()
@@ -162,8 +159,8 @@ class _Emitter:
         for k in uniform:  # a new name for what may be a literal or an older name
             kind, x = type_of(params[k].dtype), self.names.scalar(results[k])
             f.line(f"{names[k]}.next = select i1 true, {kind} {x}, {kind} {x}")
-        if ahead:
-            f.line(f"{turn}.next = add i32 {turn}, 1")
+        if ahead.values:
+            f.line(f"{ahead.turn}.next = add i32 {ahead.turn}, 1")
         f.line(f"br label %{head}")
         f.begin(after)
 

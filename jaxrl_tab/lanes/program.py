@@ -113,11 +113,8 @@ def compile(
     """
     target = target or host()
     code = lower(closed, varying, others or [None] * len(varying), results)
-    facts = Facts(code.region)
-    width, groups = block(code, facts, target, lanes)
-    if width * groups == 1:
-        facts = Facts(code.region, alone=True)
-    emitted = emit(code, facts, target, width, groups)
+    facts = Facts(code.region, alone=lanes == 1 and not code.calls)
+    emitted = emit(code, facts, target, *block(code, facts, target, lanes))
     of = lambda variables: [(v.aval.shape, np.dtype(v.aval.dtype)) for v in variables]
     return Program(
         machine.object_code(emitted.text, target),
