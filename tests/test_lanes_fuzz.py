@@ -43,7 +43,7 @@ def test_the_bits_do_not_depend_on_the_width_of_the_vectors(seed):
 def test_one_lane_alone_gives_the_same(seeds, monkeypatch):
     """All that can be is worked out ahead, in loops of any length, whether it pays or not.
 
-    Broken once: whole numbers are divided ahead -> a floating point exception.
+    Broken once: the conditions of a case are in another order where it is read -> fails.
     """
     monkeypatch.setattr(ahead, "OFTEN", 1)
     monkeypatch.setattr(ahead, "LONG", 1)

@@ -154,19 +154,18 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
     if backend.asked() == "auto" and (budget.record or budget.exact) and rows > MEASURED_ROWS:
         return None
     arguments = program_arguments(budget, key, None, algorithm, env)
-    of_run = signature(arguments)
     try:
-        kernel = _kernel(budget, of_run, _Shared(arguments), None, 1)
+        kernel, structure = _of_one(budget, signature(arguments), _Shared(arguments))
     except Unsupported as reason:
         backend.fall_back(algorithm, env, reason)
         return None
     lanes = kernel.program.lanes
-    inputs = [np.broadcast_to(x, (lanes, *x.shape)) for x in map(_plain, jax.tree.leaves(arguments[:-1]))]
+    inputs = [np.repeat(_plain(x)[None], lanes, axis=0) for x in jax.tree.leaves(arguments[:-1])]
     # As many steps take as long as they took before; nobody knows how long episodes are.
     is_quick = budget.num_steps is not None and kernel.seconds < ASK_SECONDS / 2
     results = kernel(*inputs) if is_quick else _called(kernel, *inputs)
     outputs = _as_jax(*(x[0] for x in results))
-    (_, log), learner = jax.tree.unflatten(_structure(budget, of_run), outputs)
+    (_, log), learner = jax.tree.unflatten(structure, outputs)
     return learner, log
 
 
@@ -177,15 +176,16 @@ def _as_jax(*arrays: Any) -> tuple[Any, ...]:
 
 
 @functools.lru_cache(maxsize=64)
-def _structure(budget: Budget, signature: Signature) -> Any:
-    """Of all that a run gives: ((table, Log), state of the learner)."""
+def _of_one(budget: Budget, signature: Signature, shared: "_Shared") -> tuple[Kernel, Any]:
+    """The program for a run alone, and the structure of all that it gives: ((table, Log), state of the learner)."""
     _, _, (algorithm, _), (env, _) = signature.arguments
 
     def learner(algorithm: Algorithm, env: Environment) -> Any:
         return init_learner(restricted(algorithm, available_actions(env)), env)
 
     results = needs_of_program(budget, signature).results
-    return jax.tree.structure((results, jax.eval_shape(learner, algorithm, env)))
+    structure = jax.tree.structure((results, jax.eval_shape(learner, algorithm, env)))
+    return _kernel(budget, signature, shared, None, 1), structure
 
 
 def _called(kernel: Kernel, *inputs: np.ndarray) -> list[np.ndarray]:
