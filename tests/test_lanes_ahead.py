@@ -195,6 +195,22 @@ def test_truth_values_that_a_turn_decides(tables):
     assert tables == [(True, 0)]
 
 
+def test_a_condition_that_an_inner_loop_leaves():
+    """It is known behind that loop. Broken once: it is taken for a condition as any other -> fails."""
+
+    def function(q, key):
+        def turn(k, carried):
+            s, total = carried
+            on = lambda x: (x[0] % 5 != 0) & x[1]
+            _, odd = lax.while_loop(on, lambda x: (x[0] // 2, x[0] % 3 != 0), (word(key, s), k > 0))
+            number = jnp.where(odd, 0.3, 1.7) / jnp.where(q[s, 0] > 0, 0.9, 1.1)
+            return (s * 7 + odd + 1) % 30, total + number / 3.3
+
+        return lax.fori_loop(0, 50, turn, (0, 0.0))
+
+    assert_as_xla(function, Q, KEYS, lanes=1)
+
+
 def test_nothing_is_worked_out_ahead_where_lanes_go_side_by_side(tables):
     found = by_lanes(walk, Q, EPSILON, KEYS, STARTS)
     assert tables == []

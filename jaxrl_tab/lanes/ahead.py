@@ -112,8 +112,9 @@ class Ahead:
             return self._depends[x]
         if x in self._steps:
             return Depends(turn=True)
-        changes = x in self._own or (x.op == "result" and x.args[0] in self._own)
-        return _itself(x) if changes else Depends()
+        if x.op == "result" and x.args[0] in self._own:
+            return None
+        return _itself(x) if x in self._own else Depends()
 
     def _found(self, x: Value) -> Depends | None:
         """The same of an operation of the loop. What is a condition depends on itself, if on nothing that pays."""
@@ -140,7 +141,7 @@ class Ahead:
             if turn and conditions:
                 for x in self._inputs(table):
                     depends = self._depends[x]
-                    of = self._table(depends.turn, conditions if depends.conditions else depends.conditions)
+                    of = self._table(depends.turn, conditions if depends.conditions else frozenset())
                     of.values += [x] if x not in of.values else []
 
     def _used(self, loop: Loop) -> Iterator[Value]:
@@ -193,9 +194,8 @@ class Ahead:
     def begin(self) -> None:
         """At the beginning of a turn: what is wanted in it and the next ones, if it is time."""
         f = self.function
-        for table in sorted(
-            self._tables.values(), key=lambda x: x.cases
-        ):  # words before what is made of them
+        # Words before what is made of them.
+        for table in sorted(self._tables.values(), key=lambda x: x.cases):
             if table.turns == 1:
                 continue
             first, after = f.label("ahead"), f.label("ready")
