@@ -1,7 +1,6 @@
 """Pictures that a process beside this one draws: the same, whatever happens to it."""
 
 import contextlib
-import os
 import signal
 import subprocess
 import sys
@@ -44,9 +43,10 @@ def here(monkeypatch):
 @pytest.fixture
 def beside(monkeypatch):
     """The process beside this one, within which block it is."""
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(painter, "cores", lambda: 2)
     with painter.beside():
         process = painter._beside.get()
+        assert process and process.stdin
         yield process
     assert process.returncode is not None and process.stdin.closed
 
@@ -107,7 +107,7 @@ def test_where_something_else_fails_it_ends_and_leaves_nothing(tmp_path, beside,
 
 
 def test_on_one_core_there_is_none(monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    monkeypatch.setattr(painter, "cores", lambda: 1)
     with painter.beside():
         assert painter._beside.get() is None
 
@@ -116,7 +116,7 @@ def test_it_ends_when_nobody_is_left_to_ask_it():
     """The process that started it is killed. Broken once: its own end of the pipe is left to it -> it waits."""
     program = (
         "import os; from jaxrl_tab.experiment import painter\n"
-        "os.sched_getaffinity = lambda _: {0, 1}\n"
+        "painter.cores = lambda: 2\n"
         "with painter.beside(): print(painter._beside.get().pid, flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)

@@ -17,6 +17,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from jaxrl_tab.core.cores import cores
+
 if TYPE_CHECKING:
     from jaxrl_tab.stats.columns import Methods
 
@@ -45,8 +47,7 @@ _beside: ContextVar["subprocess.Popen[bytes] | None"] = ContextVar("painter", de
 @contextlib.contextmanager
 def beside() -> Iterator[None]:
     """Within the block there is a process that draws the pictures of one experiment, where there is a core for it."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if cores < 2:
+    if cores() < 2:
         yield
         return
     # In a session of its own, since it is this process that Ctrl-C is for; it ends when its input does.
@@ -71,20 +72,25 @@ def beside() -> Iterator[None]:
 @contextlib.contextmanager
 def drawing(what: Sequence[Drawing]) -> Iterator[None]:
     """At the end of the block all is drawn: beside it where that is possible, or else after it."""
-    process, sent = _beside.get(), None
+    process, sent = _beside.get(), False
     if process and process.poll() is None and what and (data := _packed(what)):
-        sent = threading.Thread(target=_send, args=(process, data), daemon=True)
-        sent.start()
+        sent = True
+        threading.Thread(target=_send, args=(process, data), daemon=True).start()
     try:
         yield
+        if not (process and sent and _has_drawn(process)):
+            for one in what:
+                one.draw()
     except BaseException:
         if process:
             process.kill()  # before the folder goes that it draws into
             process.wait()
         raise
-    if process is None or sent is None or process.wait() != 0:
-        for one in what:
-            one.draw()
+
+
+def _has_drawn(process: "subprocess.Popen[bytes]") -> bool:
+    """Waits until the process has ended. Whether it has drawn all."""
+    return process.wait() == 0
 
 
 def _packed(what: Sequence[Drawing]) -> bytes | None:
