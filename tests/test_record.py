@@ -11,6 +11,7 @@ from keeping import forget
 import jaxrl_tab as rl
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.engine import traced
 from jaxrl_tab.envs.base import FixedStart
 
 METHOD = rl.Sarsa(alpha=0.5, epsilon=0.25)
