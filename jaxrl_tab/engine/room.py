@@ -209,17 +209,19 @@ class Needs(NamedTuple):
 
 def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Needs:
     """What one run of this method needs of memory. Its hyperparameters are arrays, whose values do not matter."""
-    return needs_of_program(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
+    needs = needs_of_program(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
+    return needs._replace(call=needs.call._replace(shared=needs.call.shared + _tables(env)))
 
 
 @functools.lru_cache(maxsize=1024)
 def needs_of_program(budget: Budget, signature: Signature) -> Needs:
+    """The same, but for the tables of the environment's outcomes, whose size is not in the signature."""
     root, seed, algorithm, envs = signature.arguments
     env, _ = envs
     shapes = jax.eval_shape(lambda algorithm, env: gives(algorithm, env, budget), algorithm[0], env)
     results, others, waiting = shapes
     call = memory.Call(
-        shared=memory.size((root, envs)) + _tables(*_hashable(env)),
+        shared=memory.size((root, envs)),
         kept=memory.size((seed, algorithm, results)),
         working=_working(env, budget, memory.size((results, others))) + memory.size(waiting),
     )
@@ -242,19 +244,13 @@ def traced_program(budget: Budget, signature: Signature) -> Any:
     return jax.jit(one).trace(*signature.arguments)
 
 
-def _hashable(tree: Any) -> tuple[Any, tuple]:
-    leaves, treedef = jax.tree.flatten(tree)
-    return treedef, tuple(leaves)
-
-
-@functools.lru_cache(maxsize=64)  # many programs have the same environment
-def _tables(treedef: Any, avals: tuple) -> int:
+def _tables(env: Environment) -> int:
     """The bytes of all outcomes of a finite environment, which its step reads from tables."""
-    env = jax.tree.unflatten(treedef, avals)
     if not isinstance(env, FiniteEnvironment):
         return 0
-    model = jax.eval_shape(planning.enumerate_model, env)
-    return memory.size((model.prob, model.reward, model.s_next))
+    model = planning.exact_model(env)  # in float64
+    real = jax.dtypes.canonicalize_dtype(float).itemsize
+    return real * (model.prob.size + model.reward.size) + model.s_next.nbytes
 
 
 def _working(env: Environment, budget: Budget, carried: int) -> int:
