@@ -1,27 +1,28 @@
 """Pictures of learning curves and of sensitivity to hyperparameters."""
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.transforms import ScaledTranslation, Transform
 
 from jaxrl_tab import stats
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.show import words
-from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal, tidy
+from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal, room, tidy, width_of
 from jaxrl_tab.show.words import label_of, shortened, significant, text_of
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
 from jaxrl_tab.stats.measures import error_interval, has_errors
 from jaxrl_tab.stats.settings import Settings
 
+Labels: TypeAlias = Mapping[str, str]  # what methods are called instead of their names
+
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
 FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has its tick on an axis
-MOST_MARKS = 24  # kinds of marks in a picture; beyond them nobody can tell which is which
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 
@@ -52,7 +53,7 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None
     tidy(ax, "time steps", "episodes finished")
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=0)
-    legend(ax, loc="upper left")
+    legend(ax)
 
 
 def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **setting: Any) -> None:
@@ -128,22 +129,28 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
             parts = [part.expand_dims(parameter) for part in parts]
         series[name] = label, ds[parameter].values, parts
     place = _places(ax, [x for _, x, _ in series.values()])
+    few = len(np.unique(np.concatenate([place(x) for _, x, _ in series.values()]))) <= FEW_TICKS
     shown, incomplete = [], False
     for name, style in zip(datasets, line_styles(), strict=False):
         if name not in series:
             continue
         label, x, parts = series[name]
+        if few:
+            style["transform"] = _aside(ax, list(series).index(name), len(series))
         x, (*interval, _, late) = place(x), (part.values for part in parts)
         # Where runs diverged the interval may be infinite, and its bar would have no end.
         mean, low, high = (np.where(np.isfinite(part), part, np.nan) for part in interval)
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
-        ax.errorbar(
-            x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, color=style["color"]
-        )
+        alike = {key: style[key] for key in ("color", "transform") if key in style}
+        if between and not few:
+            ax.fill_between(x, low, high, alpha=0.2, lw=0, **alike)
+        else:
+            ax.errorbar(x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, **alike)
         ax.plot(x, mean, lw=1.8, ms=5.5, label=literal(label), **style)
         late &= np.isfinite(mean)
-        ax.plot(x[late], mean[late], ls="none", ms=3, marker=style["marker"], color="white", zorder=5)
+        hollow = {**style, "ls": "none", "color": "white"}
+        ax.plot(x[late], mean[late], ms=3, zorder=5, **hollow)
         shown += [mean, low, high]
         incomplete |= bool(late.any())
     if incomplete:
@@ -168,6 +175,11 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
         x = np.unique(np.concatenate(tried).astype(float))
         if x.min() > 0 and x.max() > 10 * x.min():
             ax.set_xscale("log")
+            margin = (x.max() / x.min()) ** 0.06
+            ax.set_xlim(x.min() / margin, x.max() * margin)
+        else:
+            margin = 0.06 * np.ptp(x) or 0.5
+            ax.set_xlim(x.min() - margin, x.max() + margin)
         if len(x) <= FEW_TICKS:
             ax.set_xticks(x, [f"{v:g}" for v in x])
             ax.xaxis.set_minor_locator(NullLocator())
@@ -177,11 +189,21 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
             ax.xaxis.set_minor_locator(NullLocator())
         return lambda x: x.astype(float)
     names = list(dict.fromkeys(text_of(v) for x in tried for v in x.tolist()))
+    shown = [shortened(name) for name in names]
     # Longer names would run into one another.
-    tilt = {"rotation": 20, "ha": "right"} if sum(map(len, names)) > 30 else {}
-    ax.set_xticks(range(len(names)), [literal(shortened(name)) for name in names], **tilt)
+    tilt = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"}
+    too_long = (width_of(shown) + SMALL) * len(names) > room(ax)
+    ax.set_xticks(range(len(names)), map(literal, shown), **tilt if too_long else {})
     ax.set_xlim(-0.5, len(names) - 0.5)
     return lambda x: np.array([names.index(text_of(v)) for v in x.tolist()])
+
+
+def _aside(ax: Axes, i: int, count: int) -> Transform:
+    """Data, moved to the side by some points: so that marks at the same place, of methods 0, 1 ..., can be seen."""
+    assert ax.figure is not None
+    step = min(4, 24 / count)
+    points = ScaledTranslation((i - (count - 1) / 2) * step / 72, 0, ax.figure.dpi_scale_trans)
+    return ax.transData + points
 
 
 def _error_axis(ax: Axes, means: list[np.ndarray]) -> None:
@@ -224,12 +246,14 @@ def _readable_curve(own: Settings, points: int = MOST_POINTS) -> tuple[int, stat
     return _readable_curve(own, points // 2)
 
 
-def at_setting(datasets: Datasets, held: Mapping[str, Any]) -> Iterable[tuple[str, Settings]]:
+def at_setting(
+    datasets: Datasets, held: Mapping[str, Any], labels: Labels | None = None
+) -> Iterable[tuple[str, Settings]]:
     """(label, one combination of hyperparameters) for each method: what is `held`, and else its best."""
     for name in held:
         if not any(name in stats.hyperparameters(ds) for ds in datasets.values()):
             raise InputError(f"no method swept {name!r}")
-    for name, own in Methods.of(datasets).settings.items():
+    for name, own in Methods.of(datasets).renamed(labels or {}).settings.items():
         own_held = {key: value for key, value in held.items() if key in stats.hyperparameters(own.ds)}
         setting = stats.best(own.ds, **own_held) if own_held else own.best
         yield (
@@ -262,14 +286,11 @@ def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float)
     """
     values = np.concatenate([*shown, [optimum, soft]])
     values = values[np.isfinite(values)]
-    lines = (("exact optimum", optimum, (0, (5, 3)), 2, "bottom"), ("best ε-soft", soft, ":", -2, "top"))
-    for name, y, style, offset, side in lines:
+    if np.isclose(soft, optimum):
+        soft = np.nan
+    for name, y, style in (("exact optimum", optimum, (0, (5, 3))), ("best ε-soft", soft, ":")):
         if np.isfinite(y):
-            ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1)
-            text = f"{name} {significant(y, 4)}"
-            at = {"xytext": (0, offset), "xycoords": ax.get_yaxis_transform(), "textcoords": "offset points"}
-            label = ax.annotate(text, (0.02, y), **at, va=side, fontsize=SMALL, zorder=6)
-            label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
+            ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1, label=f"{name} {significant(y, 4)}")
     if not values.size:
         return
     low, high = values.min(), values.max()
