@@ -192,7 +192,7 @@ def _quiver(
 def _draw_ends(ax: Axes, env: Grid, reached: bool = False) -> None:
     """The letters of the start and the goal; in a corner of a cell whose middle has an arrow, or is `reached`."""
     style = {"size": SMALL, "weight": "bold", "color": INK, "zorder": 6}
-    aside, middle = (0.29, 0.4), (0.0, 0.5)
+    aside, middle = (0.27, 0.5), (0.0, 0.5)
     ends = ((env.start, "S", aside), (env.goal, "G", aside if reached else middle))
     for (row, column), letter, (corner, part) in ends:
         text = InCell(column - corner, row - corner, letter, (part, part), **style)

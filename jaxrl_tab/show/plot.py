@@ -9,7 +9,6 @@ figure is wider than `WIDTH`, a column of text, so that its type can be read whe
 Datasets are those of `SweepResult.to_xarray`, one for each method, by the name that the legend shows.
 """
 
-import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -55,7 +54,6 @@ from jaxrl_tab.show.style import (
     DPI,
     GREY,
     INK,
-    LINE,
     MARKERS,
     NARROW,
     SMALL,
@@ -310,14 +308,9 @@ def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, *, inter
     names = dict.fromkeys(shortened(title_of(str(ds.attrs["environment"]))) for ds in datasets.values())
     first, *others = [stats.fixed(ds) for ds in datasets.values()]
     common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
-    # Lines that fit the figure, broken between settings and not within.
-    settings = [setting.replace(" ", "\xa0") for setting in [*names, *unusual(env), *in_words(common)]]
-    line = int(LINE * figure.get_figwidth() / WIDTH)
-    lines = textwrap.wrap(", ".join(settings), line, break_on_hyphens=False)
-    lines += (
-        [f"mean over {seeds_in_words(datasets)}, and its 95% interval at each point"] if intervals else []
-    )
-    head(figure, "\n".join(lines).replace("\xa0", " "))
+    what = ", ".join([*names, *unusual(env), *in_words(common)])
+    over = f"mean over {seeds_in_words(datasets)}, and its 95% interval at each point" if intervals else ""
+    head(figure, f"{what}\n{over}")
 
 
 def __dir__() -> list[str]:

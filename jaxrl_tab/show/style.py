@@ -25,7 +25,7 @@ TITLE, TYPE, SMALL, CELL = 10, 9, 8, 7  # font sizes, points; the last is of the
 WIDTH, NARROW = 7.2, 6.0  # inches: of a figure, and of one with a single curve
 DPI = 200
 LEAST = 4.5  # points: of what is in cells, if they are too small for those sizes
-LINE, CHARACTER, DIGIT = 84, 0.58, 0.64  # characters in a line over a figure; widths for a font size of 1
+LINE, CHARACTER, DIGIT = 84, 0.6, 0.64  # characters in a line over a figure; widths for a font size of 1
 MOST_NAMED = 12  # curves in a legend: as many as there are markers
 
 
@@ -107,11 +107,17 @@ def literal(text: str) -> str:
     return f"\u200b{shown}" if shown.startswith("_") else shown  # a space of no width
 
 
+def _wrapped(text: str, longest: int) -> str:
+    """`text` in lines of at most so many characters, broken between settings and not within."""
+    lines = text.replace(" = ", "\xa0=\xa0").splitlines()
+    wrapped = (textwrap.wrap(line, longest, break_on_hyphens=False) for line in lines)
+    return "\n".join(itertools.chain(*wrapped)).replace("\xa0", " ")
+
+
 def axes_title(ax: Axes, text: str) -> None:
     """A title over axes, in as many lines as it needs."""
-    longest = int((room(ax) + 3 * SMALL) / (CHARACTER * TYPE))
-    lines = (textwrap.wrap(line, longest, break_on_hyphens=False) for line in text.splitlines())
-    ax.set_title(literal("\n".join(itertools.chain(*lines))), fontsize=TYPE)
+    longest = int(room(ax) / (CHARACTER * TYPE))
+    ax.set_title(literal(_wrapped(text, longest)), fontsize=TYPE)
 
 
 def color_bar(
@@ -169,7 +175,7 @@ class InCell(Text):
         points = 72 / ax.figure.dpi
         fits = min(self._sizes[0] * abs(x1 - x0), self._sizes[1] * abs(y1 - y0)) * points
         self.set_fontsize(min(self._largest, fits))
-        return fits >= LEAST
+        return bool(fits >= LEAST)
 
     def draw(self, renderer: Any) -> None:
         if self._fit():
@@ -212,8 +218,7 @@ def head(figure: Figure, text: str, seeds: int | None = None) -> None:
     """The title of a whole figure; in a line of its own over how many seeds its means and intervals are."""
     over = "" if seeds is None else f"\nmean and pointwise 95% interval over {seeds} seeds"
     longest = int(LINE * figure.get_figwidth() / WIDTH)
-    lines = (textwrap.wrap(line, longest, break_on_hyphens=False) for line in (text + over).splitlines())
-    figure.suptitle(literal("\n".join(itertools.chain(*lines))), fontsize=TITLE)
+    figure.suptitle(literal(_wrapped(text + over, longest)), fontsize=TITLE)
 
 
 def exact_line(ax: Axes, value: float, label: str, **line: Any) -> None:
