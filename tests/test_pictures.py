@@ -65,6 +65,8 @@ def check(figure, monkeypatch):
         for legend in (child for child in ax.get_children() if isinstance(child, Legend)):
             box = legend.get_window_extent()
             assert not overlap(box, ax.get_window_extent())
+            own = {legend.get_title(), *legend.get_texts()}
+            assert not [text for text in boxes if text not in own and overlap(box, boxes[text])]
             for line in ax.get_lines():
                 points = line.get_transform().transform(np.column_stack(line.get_data()).astype(float))
                 assert not [point for point in points if box.contains(*point)], line
@@ -273,6 +275,33 @@ def test_wrong_labels_are_refused(control, windy):
         plot.overview(control, windy, labels={"sarse": "Ours"})
     with pytest.raises(rl.InputError, match="two methods cannot both be called 'sarsa'"):
         plot.overview(control, windy, labels={"q-learning": "sarsa"})
+
+
+def test_ticks_that_are_too_near_have_no_name(control, monkeypatch):
+    """On a logarithmic axis 1.8 and 1.9 lie at the same place. Broken once: without `_thin_out` -> fails."""
+    figure = plot.canvas(COLUMN)
+    ax = figure.subplots()
+    plot.sensitivity(ax, {"sarsa": control["sarsa"].assign_coords(alpha=[0.1, 1.8, 1.9])})
+    check(figure, monkeypatch)
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["0.1", "1.8", ""]
+
+
+def test_millions_of_episodes_leave_the_legend_alone(control, monkeypatch):
+    """Broken once: with a power of ten above the axis -> fails."""
+    figure = plot.canvas(COLUMN)
+    ds = control["sarsa"].assign(episodes=control["sarsa"].episodes * 1_000_000)
+    plot.episodes_against_steps(figure.subplots(), {"sarsa": ds})
+    check(figure, monkeypatch)
+
+
+def test_long_names_of_settings_are_tilted_and_all_there(control):
+    """Broken once: not tilted, so that every other one is left out -> fails."""
+    figure = plot.canvas(COLUMN)
+    ax = figure.subplots()
+    plot.sensitivity(ax, with_schedules(control))
+    style.lay_out(figure)
+    names = ["harmonic:100:visit", "sample-average", "0.5"]
+    assert [label.get_text() for label in ax.get_xticklabels()] == names
 
 
 def test_lines_are_told_apart_where_they_lie_at_the_same_place(control):

@@ -14,6 +14,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
+from matplotlib.ticker import ScalarFormatter
 
 from jaxrl_tab.show.layout import Layout
 
@@ -34,6 +35,10 @@ def tidy(ax: Axes, xlabel: str, ylabel: str) -> None:
     ax.set_xlabel(literal(xlabel), fontsize=TYPE)
     ax.set_ylabel(literal(ylabel), fontsize=TYPE)
     ax.tick_params(labelsize=SMALL)
+    if isinstance(formatter := ax.yaxis.get_major_formatter(), ScalarFormatter):
+        # A power of ten would stand above the axis, where the legend begins.
+        formatter.set_useOffset(False)
+        formatter.set_powerlimits((-6, 9))
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(alpha=0.25, lw=0.6)
     ax.set_axisbelow(True)
