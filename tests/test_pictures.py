@@ -312,3 +312,47 @@ def test_lines_are_told_apart_where_they_lie_at_the_same_place(control):
     lines = [line for line in ax.get_lines() if isinstance(line, Line2D) and line.get_label() in same]
     one, other = (line.get_transform().transform(np.column_stack(line.get_data())) for line in lines)
     assert (np.hypot(*(one - other).T) > 3).all()
+
+
+# --- what is drawn, and by what it is coloured ---------------------------------------------------------
+
+
+def test_another_measure_is_drawn_as_the_report_has_it(control):
+    """The mean length of episodes, at the points of the report; worked out anew. Broken once: rewards -> fails."""
+    ax = Figure().subplots()
+    plot.learning_curves(ax, {"sarsa": control["sarsa"]}, measure="length", alpha=0.9)
+    (line,) = ax.get_lines()
+    ds = control["sarsa"].sel(alpha=0.9)
+    length = (ds.lengths / ds.episodes.where(ds.episodes > 0)).mean("seed")
+    enough = (ds.episodes > 0).mean("seed") >= 0.9
+    np.testing.assert_allclose(line.get_ydata(), length.where(enough))
+    assert ax.get_ylabel() == "mean length of an episode"
+
+
+def test_a_curve_for_each_value_of_a_hyperparameter(control):
+    """Each has a colour, a mark and a name of its own. Broken once: the values of all as the first -> fails."""
+    ax = Figure().subplots()
+    plot.episodes_against_steps(ax, {"sarsa": control["sarsa"]}, color_by="alpha")
+    lines = ax.get_lines()
+    assert [line.get_label() for line in lines] == [f"Sarsa, α = {alpha}" for alpha in (0.05, 0.2, 0.9)]
+    for line, alpha in zip(lines, (0.05, 0.2, 0.9), strict=True):
+        finished = control["sarsa"].episodes.sel(alpha=alpha).sum("row").mean("seed")
+        assert line.get_ydata()[-1] == pytest.approx(float(finished))
+    assert len({tuple(line.get_color()) for line in lines}) == 3
+    assert len({line.get_marker() for line in lines}) == 3
+
+
+def test_sensitivity_has_a_curve_for_each_value_of_another_hyperparameter(control):
+    ds = control["sarsa"].expand_dims(n=[1, 4])
+    ax = Figure().subplots()
+    plot.sensitivity(ax, {"n-step-sarsa": ds, "sarsa": control["sarsa"]}, "alpha", color_by="n")
+    names = [line.get_label() for line in ax.get_lines() if not line.get_label().startswith("_")]
+    assert names[:3] == ["n-step Sarsa, n = 1", "n-step Sarsa, n = 4", "Sarsa"]
+
+
+def test_wrong_measures_and_colours_are_refused(control):
+    ax = Figure().subplots()
+    with pytest.raises(rl.InputError, match=r"the measure 'lenght' is unknown; did you mean 'length'\?"):
+        plot.learning_curves(ax, control, measure="lenght")
+    with pytest.raises(rl.InputError, match=r"no method swept 'alhpa'; did you mean 'alpha'\?"):
+        plot.sensitivity(ax, control, color_by="alhpa")

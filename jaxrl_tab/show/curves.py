@@ -1,8 +1,10 @@
 """Pictures of learning curves and of sensitivity to hyperparameters."""
 
-from collections.abc import Callable, Iterable, Mapping
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -10,10 +12,23 @@ from matplotlib.ticker import LogLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation, Transform
 
 from jaxrl_tab import stats
-from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.errors import InputError, check_choice, nearest
 from jaxrl_tab.show import words
-from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal, room, tidy, width_of
-from jaxrl_tab.show.words import label_of, shortened, significant, text_of
+from jaxrl_tab.show.explorer.measures import STATISTICS, Flat, measures_of, statistics
+from jaxrl_tab.show.style import (
+    DASHES,
+    GREY,
+    INK,
+    MARKERS,
+    SMALL,
+    legend,
+    line_styles,
+    literal,
+    room,
+    tidy,
+    width_of,
+)
+from jaxrl_tab.show.words import label_of, shortened, significant, text_of, written
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
 from jaxrl_tab.stats.measures import error_interval, has_errors
@@ -26,7 +41,14 @@ FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has i
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 
-def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None:
+def episodes_against_steps(
+    ax: Axes,
+    datasets: Datasets,
+    *,
+    labels: Labels | None = None,
+    color_by: str | None = None,
+    **setting: Any,
+) -> None:
     """Episodes finished against time steps, mean and 95% interval over seeds (book, example 6.5).
 
     The slope is the pace: one episode in so many steps. Where episodes were the budget, the mean and its
@@ -35,12 +57,16 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None
     Args:
         ax: where to draw.
         datasets: a sweep for each method.
+        labels: what methods are called instead of their names; of some of them, or of all.
+        color_by: a hyperparameter that was swept; there is a curve for each of its values.
         setting: hyperparameters to hold, such as `alpha=0.5`; otherwise each method's best (`stats.best`).
 
     Raises:
-        InputError: no method swept the hyperparameter, or one that did not at this value.
+        InputError: no method swept the hyperparameter, or one that did not at this value; or there is no such
+            method as a label names.
     """
-    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+    lines, styles = _lines(datasets, labels, color_by)
+    for (label, own), style in zip(at_setting(lines, setting), styles, strict=True):
         by_steps = "num_steps" in own.ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
         interval = own.once(stats.progress_interval, spread)
@@ -56,17 +82,38 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None
     legend(ax)
 
 
-def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **setting: Any) -> None:
+def learning_curves(
+    ax: Axes,
+    datasets: Datasets,
+    *,
+    soft: float = np.nan,
+    measure: str | None = None,
+    labels: Labels | None = None,
+    color_by: str | None = None,
+    **setting: Any,
+) -> None:
     """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
 
     Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
     drawn at the end of its rows, and only where `MOST_SEEDS` of the seeds finished an episode in them: at
     first only the quick episodes are over, and their mean would flatter. Of methods of prediction the RMS
-    error of V is drawn, at the end of every row. Arguments and errors as in `episodes_against_steps`.
+    error of V is drawn, at the end of every row. Other arguments and errors as in `episodes_against_steps`.
+
+    Args:
+        soft: what the best policy is worth that explores as much; a dotted line unless NaN.
+        measure: what is drawn instead, by its name in the address of the report: "length" of episodes,
+            "reward" per step, or what was recorded, such as "greedy_value" or "q_error". Where it may be
+            infinite, its median is drawn.
     """
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
+    datasets, styles = _lines(datasets, labels, color_by)
+    if measure not in (None, "v_error" if has_errors(*datasets.values()) else "return"):
+        _curves_of(ax, measure, at_setting(datasets, setting), styles)
+        ax.set_xlabel("time steps" if by_steps else "episodes")
+        legend(ax)
+        return
     if has_errors(*datasets.values()):
-        for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+        for (label, own), style in zip(at_setting(datasets, setting), styles, strict=True):
             x = (own.ds.steps if by_steps else own.ds.episodes).mean("seed").cumsum("row")
             line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
             interval_curve(ax, x, own.once(error_interval), label, **line)
@@ -76,7 +123,7 @@ def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **set
         legend(ax)
         return
     shown, end = [], 0
-    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+    for (label, own), style in zip(at_setting(datasets, setting), styles, strict=True):
         points, interval, enough = _readable_curve(own)
         curve = stats.episode_curve(stats.merge_rows(own.ds.isel(seed=0), points))
         x = curve["time_steps" if "num_steps" in own.ds.attrs else "episodes"].values
@@ -93,7 +140,37 @@ def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **set
     legend(ax)
 
 
-def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft: float = np.nan) -> None:
+def _curves_of(
+    ax: Axes, measure: str, settings: Iterable[tuple[str, Settings]], styles: Sequence[dict[str, Any]]
+) -> None:
+    """The curve of a measure for each of some settings, as the report has it."""
+    least, title = 0.0, ""
+    for (label, own), style in zip(settings, styles, strict=True):
+        measures = {one.key: one for one in measures_of(own.ds)}
+        check_choice(None, "the measure", measure, measures)
+        flat, one = Flat(own.ds), measures[measure]
+        numbers = dict(zip(STATISTICS, statistics(flat, [one], [0], [[]])[0, 0], strict=True))
+        bounds = ("low", "high") if one.middle == "mean" else ("median_low", "median_high")
+        low, high = (np.where(np.isfinite(x), x, np.nan) for x in (numbers[bound] for bound in bounds))
+        ax.plot(flat.x, numbers[one.middle], lw=1.7, ms=3.5, label=literal(label), **style)
+        ax.fill_between(flat.x, low, high, color=style["color"], alpha=0.2, lw=0)
+        title = one.title if one.middle == "mean" else f"{one.title}, median"
+        least = min(least, np.nanmin(numbers[one.middle], initial=0))
+    tidy(ax, "", title)
+    ax.set_xlim(left=0)
+    if least >= 0:
+        ax.set_ylim(bottom=0)
+
+
+def sensitivity(
+    ax: Axes,
+    datasets: Datasets,
+    parameter: str = "alpha",
+    *,
+    soft: float = np.nan,
+    labels: Labels | None = None,
+    color_by: str | None = None,
+) -> None:
     """Mean return of the last tenth against a hyperparameter, with 95% intervals and the exact optimum.
 
     Of methods of prediction it is the mean RMS error of V over all rows. Other swept hyperparameters stay at
@@ -105,12 +182,14 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
 
     Args:
         soft: as in `learning_curves`.
+        labels, color_by: as in `episodes_against_steps`.
 
     Raises:
-        InputError: no method swept the parameter.
+        InputError: no method swept the parameter, or `color_by`; or there is no such method as a label names.
     """
     if not any(parameter in stats.hyperparameters(ds) + stats.drawn(ds) for ds in datasets.values()):
         raise InputError(f"no method swept {parameter!r}")
+    datasets, styles = _lines(datasets, labels, color_by)
     prediction = has_errors(*datasets.values())
     series, drawn = {}, set()
     for name, own in Methods.of(datasets).settings.items():
@@ -131,7 +210,7 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     place = _places(ax, [x for _, x, _ in series.values()])
     few = len(np.unique(np.concatenate([place(x) for _, x, _ in series.values()]))) <= FEW_TICKS
     shown, incomplete = [], False
-    for name, style in zip(datasets, line_styles(), strict=False):
+    for name, style in zip(datasets, styles, strict=True):
         if name not in series:
             continue
         label, x, parts = series[name]
@@ -164,6 +243,35 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
         tidy(ax, what, "mean return, last tenth")
         _return_axis(ax, shown, common_optimum(datasets), soft)
     legend(ax)
+
+
+def _lines(
+    datasets: Datasets, labels: Labels | None, color_by: str | None
+) -> tuple[Methods, list[dict[str, Any]]]:
+    """What there is a line for, by its name, and how each is drawn: each method, or each value of `color_by`."""
+    methods = Methods.of(datasets).renamed(labels or {})
+    if color_by is None:
+        return methods, list(itertools.islice(line_styles(), len(methods)))
+    swept = {name: None for ds in methods.values() for name in stats.hyperparameters(ds)}
+    if color_by not in swept:
+        hint = f"; {nearest(color_by, swept)}" if swept else ""
+        raise InputError(f"no method swept {color_by!r}{hint}")
+    having = [ds for ds in methods.values() if color_by in ds.dims]
+    values = list(dict.fromkeys(v for ds in having for v in ds[color_by].values.tolist()))
+    values = values if any(isinstance(v, str) for v in values) else sorted(values)
+    colors = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(values)))
+    parts, styles = {}, []
+    for i, (name, ds) in enumerate(methods.items()):
+        dash = DASHES[i % len(DASHES)]
+        if color_by not in ds.dims:
+            parts[name] = ds
+            styles.append({"color": GREY, "marker": MARKERS[i % len(MARKERS)], "ls": dash})
+            continue
+        for value in ds[color_by].values.tolist():
+            j = values.index(value)
+            parts[f"{name}, {words.symbol(color_by)} = {written(value)}"] = ds.sel({color_by: value})
+            styles.append({"color": colors[j], "marker": MARKERS[(i + j) % len(MARKERS)], "ls": dash})
+    return Methods(parts), styles
 
 
 def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:

@@ -13,7 +13,7 @@ from jaxrl_tab import stats
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
-from jaxrl_tab.show.curves import MOST_TICKS, at_setting, interval_curve
+from jaxrl_tab.show.curves import MOST_TICKS, Labels, at_setting, interval_curve
 from jaxrl_tab.show.style import (
     CELL,
     COLORS,
@@ -145,7 +145,9 @@ def action_values(ax: Axes, env: Environment, q: np.ndarray) -> None:
         legend(ax, title=marked[0], title_fontsize=SMALL, alignment="left")
 
 
-def state_values(ax: Axes, datasets: Datasets, env: Environment, **setting: Any) -> None:
+def state_values(
+    ax: Axes, datasets: Datasets, env: Environment, *, labels: Labels | None = None, **setting: Any
+) -> None:
     """The V that methods of prediction learned, mean and 95% interval over seeds, beside the exact v_pi.
 
     States that are terminal or out of reach are left out. v_pi is drawn where pi is the policy in which all
@@ -153,7 +155,7 @@ def state_values(ax: Axes, datasets: Datasets, env: Environment, **setting: Any)
     """
     model = planning.exact_model(env)
     states = np.flatnonzero(planning.reachable(model) & ~planning.terminal_states(model))
-    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+    for (label, own), style in zip(at_setting(datasets, setting, labels), line_styles(), strict=False):
         interval_curve(ax, states, own.once(_values_learned, tuple(states.tolist())), label, **style)
     if (exact := uniform_values(datasets, env)) is not None:
         ax.plot(states, exact[states], color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=1)

@@ -188,8 +188,9 @@ def save_all(
     return list(files)
 
 
-def save(figure: Figure, file: Path) -> None:
+def save(figure: Figure, file: Path | str) -> None:
     """Writes a figure as the ending of `file` says: .png, .pdf or .svg. The same figure gives the same bytes."""
+    file = Path(file)
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     lay_out(figure)
     # Journals take fonts of kind 42 (TrueType) alone.
