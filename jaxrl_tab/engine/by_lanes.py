@@ -62,7 +62,7 @@ def target() -> Target:
 
     That is so where XLA is told not to use such instructions, or not to optimise.
     """
-    apart = provenance.is_left_out("fma") or provenance.settings()["jax_disable_most_optimizations"]
+    apart = provenance.is_left_out("fma") or jax.config.read(provenance.UNOPTIMISED)
     return host().without("fma") if apart else host()
 
 
