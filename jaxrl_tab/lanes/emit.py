@@ -206,7 +206,8 @@ class _Emitter:
 
     def uniform_store(self, value: Value) -> None:
         f, kind = self.function, in_memory(value.dtype)
-        address, x = uniform_address(self.names, f, value), self.names.scalar(value.args[1])
+        address = uniform_address(self.names, f, value.attr, value.args[0])
+        x = self.names.scalar(value.args[1])
         x = f.value(f"zext i1 {x} to i8") if value.dtype == bool else x
         f.line(f"store {kind} {x}, ptr {address}")
 

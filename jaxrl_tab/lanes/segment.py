@@ -297,18 +297,23 @@ def operation(names: Names, writer: Writer, value: Value, name, width: int) -> s
 
 
 def uniform(names: Names, writer: Writer, value: Value) -> str:
-    """Writes an operation that is the same in all lanes: for one number."""
-    if value.op != "load":
-        if value.op in ("row", "part"):
-            raise Unsupported("a row that is the same in all lanes")
+    """Writes an operation that is the same in all lanes: for one number. Of a row it gives the address."""
+    if value.op not in ("load", "row", "part"):
         return operation(names, writer, value, names.scalar, 0)
-    x = writer.value(f"load {in_memory(value.dtype)}, ptr {uniform_address(names, writer, value)}")
+    if value.op == "row":
+        return uniform_address(names, writer, value.attr[0], value.args[0])
+    kind = in_memory(value.dtype)
+    if value.op == "part":
+        address = writer.value(f"getelementptr {kind}, ptr {names.scalar(value.args[0])}, i32 {value.attr}")
+    else:
+        address = uniform_address(names, writer, value.attr, value.args[0])
+    x = writer.value(f"load {kind}, ptr {address}")
     return writer.value(f"trunc i8 {x} to i1") if value.dtype == bool else x
 
 
-def uniform_address(names: Names, writer: Writer, value: Value) -> str:
-    """Where the entry lies that a load or a store wants, of a buffer that is the same in all lanes."""
-    index = writer.value(f"sext i32 {names.scalar(value.args[0])} to i64")
+def uniform_address(names: Names, writer: Writer, buffer: Buffer, index: Value) -> str:
+    """Where an entry lies, of a buffer that is the same in all lanes."""
+    at = writer.value(f"sext i32 {names.scalar(index)} to i64")
     return writer.value(
-        f"getelementptr {in_memory(value.dtype)}, ptr {names.layout.place(value.attr)}, i64 {index}"
+        f"getelementptr {in_memory(buffer.dtype)}, ptr {names.layout.place(buffer)}, i64 {at}"
     )
