@@ -148,9 +148,13 @@ def _change(name: str, before: Any, after: Any) -> str:
 def sources() -> str:
     """The digest of this package's sources, as they were when it was first asked for."""
     digest = hashlib.sha256()
-    for file in sorted(PACKAGE.rglob("*.py")):
-        data = file.read_bytes()
-        digest.update(f"{file.relative_to(PACKAGE).as_posix()} {len(data)}\n".encode() + data)
+    for folder, folders, names in os.walk(PACKAGE):  # twice as fast as by `Path`: each start does it
+        folders.sort()
+        for file in (os.path.join(folder, name) for name in sorted(names) if name.endswith(".py")):
+            with open(file, "rb") as opened:
+                data = opened.read()
+            place = file.removeprefix(f"{PACKAGE}{os.sep}").replace(os.sep, "/")
+            digest.update(f"{place} {len(data)}\n".encode() + data)
     return digest.hexdigest()[:16]
 
 
