@@ -27,6 +27,7 @@ from jaxrl_tab.engine import backend
 from jaxrl_tab.lanes import machine
 
 PACKAGE = Path(__file__).parent.parent
+UNOPTIMISED = "jax_disable_most_optimizations"
 SETTINGS = (
     "jax_enable_x64",
     "jax_default_prng_impl",
@@ -36,7 +37,7 @@ SETTINGS = (
     "jax_default_matmul_precision",
     "jax_numpy_dtype_promotion",
     "jax_optimization_level",
-    "jax_disable_most_optimizations",
+    UNOPTIMISED,
 )
 BACKEND = "backend"  # the name of that setting which is not JAX's
 # It says how many devices the CPU is, and no number depends on that.
@@ -55,6 +56,7 @@ _ABOVE = {
 def settings() -> dict[str, Any]:
     """The settings that change numbers, JAX's and the backend, as they are in this thread: name -> plain value."""
     values = {name: getattr(jax.config, name) for name in SETTINGS if hasattr(jax.config, name)}
+    values[UNOPTIMISED] = jax.config.read(UNOPTIMISED)  # of which JAX makes no attribute
     values[BACKEND] = backend.chosen()
     return {name: x.value if isinstance(x, enum.Enum) else x for name, x in values.items()}
 
