@@ -1,6 +1,6 @@
 """Sarsa(lambda), the backward view: eligibility traces (book, section 12.7; Silver, lecture 5)."""
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,6 +9,7 @@ from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.core import clock, tables
 from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core.credited import Credited
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
 
@@ -17,17 +18,20 @@ class SarsaLambdaState(NamedTuple):
     """A learner with traces, and what some kinds of them need besides.
 
     Attributes:
-        q, clock, z, decay: as in `traces.TraceState`.
+        values, clock: as in `traces.TraceState`; off-line, `values` are those of the start of the episode.
         q_old: Q(S', A') as the last update found it, float []; with dutch traces, else None.
-        q_end: Q as it will be when the episode ends here, float [S, A]; off-line, else None.
+        at_end: the values as they will be when the episode ends here, with their traces; off-line, else None.
     """
 
-    q: Float[Array, "S A"]
+    values: Credited
     clock: Clock
-    z: Float[Array, "S A"]
-    decay: Float[Array, ""]
     q_old: Float[Array, ""] | None
-    q_end: Float[Array, "S A"] | None
+    at_end: Credited | None
+
+    @property
+    def q(self) -> Float[Any, "... S A"]:
+        """Q, float [S, A]; of a batch [..., S, A]."""
+        return self.values.q
 
 
 @pytree
@@ -69,26 +73,29 @@ class SarsaLambda(TraceControl):
             raise InputError(problem, who=type(self).__name__, field="offline")
 
     def init(self, num_states: int, num_actions: int) -> SarsaLambdaState:
-        start = super().init(num_states, num_actions)
+        values, clock = super().init(num_states, num_actions)
         return SarsaLambdaState(
-            *start,
-            q_old=jnp.zeros_like(start.decay) if self.trace == "dutch" else None,
-            q_end=start.q if self.offline else None,
+            values,
+            clock,
+            q_old=jnp.zeros_like(values.credit) if self.trace == "dutch" else None,
+            at_end=values if self.offline else None,
         )
 
     def update(self, key, state: SarsaLambdaState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        q, q_next = tables.entry(state.q, t.s, t.a), tables.entry(state.q, t.s_next, a_next)
+        q, q_next = state.values.entry(t.s, t.a), tables.entry(state.values.row(t.s_next), a_next)
         delta = t.r + t.discount * q_next - q
-        if state.q_end is not None:  # off-line
-            end = self.learn(state._replace(q=state.q_end), t, delta)
-            return end._replace(q=jnp.where(t.last, end.q, state.q), q_end=end.q), a_next
-        learned = self.learn(state, t, delta)
+        if state.at_end is not None:  # off-line
+            end = self.learn(state._replace(values=state.at_end), t, delta)
+            q = jnp.where(
+                t.last, end.q, state.values.base
+            )  # the values at the start of an episode have no traces
+            return end._replace(values=state.values._replace(base=q), at_end=end.values), a_next
         if state.q_old is not None:  # dutch
-            # Q(S, A) is no longer what the last error counted on: all pairs but this step's own are told.
-            # In the first step of an episode there are none, so q_old may be anything.
+            # Q(S, A) is no longer what the last error counted on: the pairs of the steps before are told. In the
+            # first step of an episode there are none, so q_old may be anything.
             alpha = clock.step_size(self.alpha, state.clock, t.s, t.a)
-            earlier = tables.add(learned.z, t.s, t.a, -jnp.ones_like(delta))
-            learned = learned._replace(q=learned.q + alpha * (q - state.q_old) * earlier, q_old=q_next)
-        return learned, a_next
+            values = state.values.credited(alpha * (q - state.q_old))
+            state = state._replace(values=values, q_old=q_next)
+        return self.learn(state, t, delta), a_next
