@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
-from benchmarks import growth, machine, problems, report
+from benchmarks import command, growth, machine, problems, report
 from benchmarks.rounds import Task, cores_in_words, measure
 from benchmarks.tasks import FULL, QUICK, ROWS, SLOW
 
@@ -66,6 +66,8 @@ def _compare(tasks: Sequence[Task], rounds: int) -> tuple[dict[str, Any], list[s
     rows = [row for task in tasks for row in report.rows(task, records)]
     differences = [line for task in tasks for line in report.disagreements(task, records)]
     Console(width=None if sys.stdout.isatty() else WIDTH).print(report.table(rows, rounds))
+    if any("command" in party.call for task in tasks for party in task.parties):
+        _say(f"where the time of a second start goes:\n{command.phases()}")
     for line in differences:
         _say(f"NOT THE SAME LEARNING: {line}")
     compared = {

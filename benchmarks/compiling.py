@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 
-from benchmarks import cold
+from benchmarks.command import ROOT, folder
 from benchmarks.rounds import Round, Timing
 
 METHOD, LANES, STEPS = "q-learning", 64, 1000
@@ -29,10 +29,10 @@ def again(backend: str) -> Round:
 
 def _start(backend: str, number: int) -> dict[str, float]:
     """What a fresh process spends, CPU seconds and seconds."""
-    cache = cold.folder(number) / backend
+    cache = folder(number) / backend
     environment = os.environ | {"JAXRL_TAB_BACKEND": backend, "JAX_COMPILATION_CACHE_DIR": str(cache)}
     command = [sys.executable, "-m", "benchmarks.compiling"]
-    done = subprocess.run(command, cwd=cold.ROOT, env=environment, check=True, stdout=subprocess.PIPE)
+    done = subprocess.run(command, cwd=ROOT, env=environment, check=True, stdout=subprocess.PIPE)
     return json.loads(done.stdout)
 
 

@@ -4,10 +4,12 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from benchmarks.command import SHORT
 from benchmarks.rounds import Party, Target, Task, fresh
 
 OURS, BY_XLA = "jaxrl_tab", "jaxrl_tab by XLA"
 LANE_BY_LANE, ABREAST, ALONE = "Numba, lane by lane", "Numba, 4 lanes abreast", "Numba, one run"
+IMPORTS = "imports of JAX, pyplot, xarray, scipy.stats"
 METHODS = ("q-learning", "sarsa")
 BACKENDS = ("lanes", "xla")
 
@@ -154,12 +156,20 @@ def compiling(size: Size, cores: int) -> list[Task]:
 
 
 def command(size: Size, cores: int) -> list[Task]:
-    """The README's command from a cold start, and again."""
-    first, again, basis = "empty cache", "filled cache", "imports and steps"
-    functions = {first: "with_empty_cache", again: "with_filled_cache", basis: "imports_and_steps"}
-    parties = {name: _party(name, f"cold:{function}", {}) for name, function in functions.items()}
-    targets = Target(first, basis, least=2.0, times=True), Target(again, basis, least=1.2, times=True)
-    return [_task("the README's sweep", cores, {}, parties, *targets)._replace(unit="starts", outcome=None)]
+    """The README's command and shorter ones, each in a fresh process, beside what cannot be spared: imports."""
+    starts = {
+        "first start": ("first_start", 3.0, 2.0),
+        "second start": ("second_start", 1.5, 1.0),
+        "the table is shown": ("table_shown", 0.7, 0.5),
+    }
+    at_once = {name: (0.5, None) if "--dry-run" in words else (0.15, None) for name, words in SHORT.items()}
+    basis = _party(IMPORTS, "command:imports", {})
+    parties = {name: _party(name, f"command:{function}", {}) for name, (function, *_) in starts.items()}
+    parties |= {name: _party(name, "command:short", {"command": SHORT[name]}) for name in SHORT}
+    promised = {name: promise for name, (_, *promise) in starts.items()} | at_once
+    targets = [Target(name, IMPORTS, *promised[name], times=True) for name in parties]
+    task = _task("the README's sweep, and shorter commands", cores, {}, parties | {IMPORTS: basis}, *targets)
+    return [task._replace(unit="starts", outcome=None)]
 
 
 def _windy(method: str, size: Size, cores: int, promise: tuple[float, float], *others: Peer) -> Task:

@@ -6,151 +6,36 @@
     result = rl.sweep(env, rl.Sarsa, {"alpha": [0.1, 0.5]}, num_seeds=200, num_steps=8000)
     result.to_xarray()
 
-Importing the package asks XLA for faster loops, as long as JAX has not started: see `batch`.
+Importing the package asks XLA for faster loops, as long as JAX has not started: see `core.flags`. What is in it is
+imported, with JAX, when the first of it is used (see `api`); so the command line can say what is wrong before.
 """
 
 import importlib
-from typing import Any
+import importlib.util
+from typing import TYPE_CHECKING, Any
 
-from jaxrl_tab import algorithms, envs, interop
-from jaxrl_tab.algorithms import (
-    ALGORITHMS,
-    DoubleQLearning,
-    ExpectedSarsa,
-    ManyTargets,
-    MonteCarlo,
-    NStepSarsa,
-    OffPolicyMonteCarlo,
-    QLambda,
-    QLearning,
-    Sarsa,
-    SarsaLambda,
-    SarsaLambdaForward,
-    TargetQLearning,
-    bridge,
-    prediction,
-)
-from jaxrl_tab.algorithms.prediction import PREDICTION
-from jaxrl_tab.core import policies, schedules, tables
-from jaxrl_tab.core.checks import InputError, RunError
-from jaxrl_tab.core.experience import Experience
-from jaxrl_tab.core.names import register
-from jaxrl_tab.core.pytree import field, pytree, static
-from jaxrl_tab.core.types import Outcome, Transition
+from jaxrl_tab.core import flags
 from jaxrl_tab.core.version import __version__ as __version__
-from jaxrl_tab.engine import batch, offline
-from jaxrl_tab.engine.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
-from jaxrl_tab.engine.by_xla import use_all_cores
-from jaxrl_tab.engine.log import Log
-from jaxrl_tab.engine.offline import collect, learn, replay
-from jaxrl_tab.engine.results import SweepResult
-from jaxrl_tab.engine.sweep import sweep
-from jaxrl_tab.engine.train import train
-from jaxrl_tab.envs import (
-    ENVS,
-    Blackjack,
-    CliffWalking,
-    Easy21,
-    FiniteMDP,
-    InfiniteVariance,
-    KArmedTestbed,
-    MaximizationBias,
-    RandomWalk,
-    TraceGridworld,
-    TwoDoors,
-    WindyGridworld,
-    make,
-)
-from jaxrl_tab.exact import importance, planning
-from jaxrl_tab.experiment import executors
-from jaxrl_tab.experiment.runner import resume, run
-from jaxrl_tab.experiment.spec import Experiment
 
-# Imported when they are first used, because they take a second: name -> where it is.
-_LATER = {
-    "export": "stats.export",
-    "figures": "figures",
-    "plot": "show.plot",
-    "report": "show.report",
-    "stats": "stats",
-}
+_API = f"{__name__}.api"
+
+if TYPE_CHECKING:
+    from jaxrl_tab.api import *  # noqa: F403
+
+flags.set_flags()
 
 
 def __getattr__(name: str) -> Any:
-    if name in _LATER:
-        return importlib.import_module(f"jaxrl_tab.{_LATER[name]}")
-    raise AttributeError(f"module 'jaxrl_tab' has no attribute {name!r}")
+    if name.startswith("__") and name != "__all__":  # what Python and its tools ask every module for
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = f"{__name__}.{name}"
+    if importlib.util.find_spec(module):  # `from jaxrl_tab import stats` must not import everything
+        value = importlib.import_module(module)
+    else:
+        value = getattr(importlib.import_module(_API), name)
+    globals()[name] = value  # found at once from now on
+    return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, *_LATER])
-
-
-__all__ = [
-    "ALGORITHMS",
-    "ENVS",
-    "PREDICTION",
-    "Blackjack",
-    "Choice",
-    "CliffWalking",
-    "DoubleQLearning",
-    "Easy21",
-    "ExpectedSarsa",
-    "Experience",
-    "Experiment",
-    "FiniteMDP",
-    "InfiniteVariance",
-    "InputError",
-    "Integers",
-    "KArmedTestbed",
-    "LinearGrid",
-    "Log",
-    "LogGrid",
-    "LogUniform",
-    "ManyTargets",
-    "MaximizationBias",
-    "MonteCarlo",
-    "NStepSarsa",
-    "OffPolicyMonteCarlo",
-    "Outcome",
-    "QLambda",
-    "QLearning",
-    "RandomWalk",
-    "RunError",
-    "Sarsa",
-    "SarsaLambda",
-    "SarsaLambdaForward",
-    "SweepResult",
-    "TargetQLearning",
-    "TraceGridworld",
-    "Transition",
-    "TwoDoors",
-    "Uniform",
-    "WindyGridworld",
-    "algorithms",
-    "batch",
-    "bridge",
-    "collect",
-    "envs",
-    "executors",
-    "field",
-    "importance",
-    "interop",
-    "learn",
-    "make",
-    "offline",
-    "planning",
-    "policies",
-    "prediction",
-    "pytree",
-    "register",
-    "replay",
-    "resume",
-    "run",
-    "schedules",
-    "static",
-    "sweep",
-    "tables",
-    "train",
-    "use_all_cores",
-]
+    return dir(importlib.import_module(_API))

@@ -12,7 +12,8 @@ import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn, Self, get_type_hints
+from types import CodeType
+from typing import Any, NoReturn, Self, get_args, get_type_hints
 
 import jax
 import jaxtyping
@@ -30,6 +31,9 @@ class WrongArgument(BeartypeCallHintParamViolation):
     """
 
     called = False
+
+
+DIMENSIONS = jaxtyping.jaxtyped("context")  # in which the name of a dimension stands for one size
 
 
 @functools.cache
@@ -51,37 +55,70 @@ def checked(definition: Any) -> Any:
         if "__dataclass_fields__" in vars(definition):
             definition.__init__ = _and_fields(definition)
         return definition
-
-    @functools.cache
-    def strict() -> Callable:  # made in the first call: then all that the annotations name exists
-        definition.__annotations__ = _hints(definition)
-        return beartype(conf=_rules(float | int | np.number))(definition)
+    if not definition.__annotations__:
+        return definition
+    strict = None
 
     @functools.wraps(definition)
     def call(*args: Any, **kwargs: Any) -> Any:
-        with jaxtyping.jaxtyped("context"):  # in which the name of a dimension stands for one size
-            try:
-                return strict()(*args, **kwargs)
-            except WrongArgument as violation:
-                _refuse(violation, lambda: definition(*args, **kwargs))
-            except ValueError as error:
-                if "integer string conversion" not in str(error):
-                    raise
-                return definition(*args, **kwargs)  # a number too long for the message of beartype
+        nonlocal strict
+        strict = strict or _strict_of(definition)  # made in the first call: then all that it names exists
+        try:
+            return strict(*args, __beartype_func=definition, **kwargs)
+        except WrongArgument as violation:
+            _refuse(violation, lambda: definition(*args, **kwargs))
+        except ValueError as error:
+            if "integer string conversion" not in str(error):
+                raise
+            return definition(*args, **kwargs)  # a number too long for the message of beartype
 
     @functools.wraps(definition)
     def generate(*args: Any, **kwargs: Any) -> Any:
         try:
-            return (yield from strict()(*args, **kwargs))
+            return (yield from _strict_of(definition)(*args, __beartype_func=definition, **kwargs))
         except WrongArgument as violation:
             _refuse(violation, lambda: next(definition(*args, **kwargs)))
 
     return generate if inspect.isgeneratorfunction(definition) else call
 
 
+_strict: dict[tuple[str, CodeType], Callable] = {}
+
+
+def _strict_of(definition: Any) -> Callable:
+    """What checks the calls of a function, which it takes as `__beartype_func`.
+
+    A function within a function is a new one in each call of that; what checks it is made once, for that is slow.
+    """
+    key = definition.__module__, definition.__code__
+    if key not in _strict:
+        definition.__annotations__ = _hints(definition)
+        _strict[key] = _make_strict(definition)
+    return _strict[key]
+
+
+def _make_strict(definition: Any) -> Callable:
+    strict = beartype(conf=_rules(float | int | np.number))(definition)
+    if strict is definition:  # there is nothing to check
+        return lambda *args, __beartype_func, **kwargs: __beartype_func(*args, **kwargs)
+    if not any(map(_of_arrays, definition.__annotations__.values())):
+        return strict
+
+    def with_dimensions(*args: Any, **kwargs: Any) -> Any:
+        with DIMENSIONS:
+            return strict(*args, **kwargs)
+
+    return strict if inspect.isgeneratorfunction(definition) else with_dimensions
+
+
+def _of_arrays(hint: Any) -> bool:
+    """Whether jaxtyping checks it, or a part of it."""
+    return getattr(hint, "__module__", "").startswith("jaxtyping") or any(map(_of_arrays, get_args(hint)))
+
+
 def _refuse(violation: WrongArgument, call: Callable[[], Any]) -> NoReturn:
     """Raises the error of a function that was called with a wrong argument: its own, where it refuses that."""
-    from jaxrl_tab.core.checks import InputError, RunError
+    from jaxrl_tab.core.errors import InputError, RunError
 
     if not violation.called:
         violation.called = True
@@ -99,22 +136,20 @@ def _and_fields(cls: Any) -> Callable:
     init = cls.__init__
 
     @functools.cache
-    def fields() -> dict[str, Any]:
+    def fields() -> tuple[dict[str, Any], BeartypeConf]:
         hints = _hints(cls)
-        return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
+        # A leaf that is a number may be one of each run of a batch.
+        rules = _rules(float | int | np.number | np.ndarray | jax.Array)
+        return {field.name: hints[field.name] for field in dataclasses.fields(cls)}, rules
 
     @functools.wraps(init)
     def __init__(self: Any, *args: Any, **kwargs: Any) -> None:
         init(self, *args, **kwargs)
         if type(self) is cls:
-            with jaxtyping.jaxtyped("context"):
-                for name, hint in fields().items():
-                    # A leaf that is a number may be one of each run of a batch.
-                    die_if_unbearable(
-                        getattr(self, name),
-                        hint,
-                        conf=_rules(float | int | np.number | np.ndarray | jax.Array),
-                    )
+            hints, rules = fields()
+            with DIMENSIONS:
+                for name, hint in hints.items():
+                    die_if_unbearable(getattr(self, name), hint, conf=rules)
 
     return __init__
 

@@ -1,5 +1,6 @@
 """Strict numerics, two devices, one compilation cache: set before JAX starts."""
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -20,14 +21,44 @@ import pytest
 
 annotations.check()
 
-from keeping import programs_folder, said  # noqa: F401  Fixtures of several files.
+from exploring import explored  # noqa: F401  A fixture of several files.
+from keeping import programs_folder, said, unoptimised  # noqa: F401  Fixtures of several files.
 
 import jaxrl_tab as rl
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_key_reuse", False)
 jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parent.parent / ".pytest_cache" / "jax"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+# What is imported stays; and what is compiled has many small objects, among which there is little garbage.
+gc.freeze()
+gc.set_threshold(20_000, 20, 20)
+
+# The files that take longest, which are begun first, so that no worker is left with one of them in the end.
+LONG = (
+    "lanes_same_bits",
+    "survive",
+    "cli",
+    "own",
+    "lanes_rules",
+    "memory",
+    "ray",
+    "exact",
+    "interop_gymnax",
+    "lanes_backend",
+    "offline",
+    "traces",
+    "examples",
+    "contract",
+    "plot",
+    "lanes_covered",
+)
+
+
+def pytest_collection_modifyitems(items):
+    order = {f"test_{name}": k for k, name in enumerate(LONG)}
+    items.sort(key=lambda item: order.get(item.path.stem, len(LONG)))
 
 
 @pytest.fixture(scope="session")

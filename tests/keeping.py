@@ -1,8 +1,9 @@
 """For the tests of what outlives the process."""
 
+import jax
 import pytest
 
-from jaxrl_tab.engine import by_xla, programs, room
+from jaxrl_tab.engine import by_lanes, by_xla, programs, room
 
 
 def forget():
@@ -34,6 +35,24 @@ def thing(name="a", value=b"compiled" * 20):
 def plant(file, data):
     """Puts it there as if it had been written here: with the key."""
     programs._write(file, (file.parent / "key").read_bytes(), data)
+
+
+@pytest.fixture(scope="module")
+def unoptimised():
+    """XLA compiles the programs of a file without optimising them: in two thirds of the time, but with other bits.
+
+    For files in which nothing is compared with what `lanes` gives, to the last bit.
+    """
+
+    def optimise(chosen):
+        forget()
+        by_lanes._kernel.cache_clear()  # parts of which XLA compiled
+        jax.clear_caches()
+        jax.config.update("jax_disable_most_optimizations", not chosen)
+
+    optimise(False)
+    yield
+    optimise(True)
 
 
 @pytest.fixture

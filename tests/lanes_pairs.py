@@ -1,9 +1,9 @@
-"""Every method in one environment, compiled by `lanes` but for what LLVM does, which takes longest.
+"""Every method in some environments, compiled by `lanes` but for what LLVM does, which takes longest.
 
-    python lanes_pairs.py ENVIRONMENT
+    python lanes_pairs.py ENVIRONMENT ...
 
-prints a line for each pair that is not compiled as it should be, and how many are. It is a process of its own, for
-in the tests each call is checked against its annotations, and this makes many.
+prints a line for each pair that is not compiled as it should be, and how many are, each after the environment. It is
+a process of its own, for in the tests each call is checked against its annotations, and this makes many.
 """
 
 import math
@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from lanes_runs import runs_of
 
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.runs import Runs
@@ -64,15 +64,16 @@ def problems(runs: Runs) -> Iterator[str]:
 if __name__ == "__main__":
     machine.object_code = lambda text, target: b""
     by_lanes.Kernel = Unloaded
-    env, compiled = sys.argv[1], 0
-    for method, by in pairs(env):
-        try:
-            runs = runs_of(env, method, BUDGETS[by])
-        except InputError as refused:
-            if "action" not in str(refused):
-                print(f"{method} by {by}: {refused}")
-            continue
-        compiled += 1
-        for problem in problems(runs):
-            print(f"{method} by {by}: {problem}")
-    print(compiled)
+    for env in sys.argv[1:]:
+        compiled = 0
+        for method, by in pairs(env):
+            try:
+                runs = runs_of(env, method, BUDGETS[by])
+            except InputError as refused:
+                if "action" not in str(refused):
+                    print(f"{env} {method} by {by}: {refused}")
+                continue
+            compiled += 1
+            for problem in problems(runs):
+                print(f"{env} {method} by {by}: {problem}")
+        print(env, compiled)

@@ -37,7 +37,7 @@ def make_quick() -> None:
     plot.save_all = picture
 
 
-def picture(_datasets, _env, folder):
+def picture(_datasets, _env, folder, _formats):
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "overview.png").write_bytes(b"a picture")
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 
 
 def refused(run, *messages):

@@ -6,7 +6,7 @@ import xarray as xr
 from scipy import stats
 
 import jaxrl_tab as rl
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.sweep import configurations
 

@@ -18,12 +18,13 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning, plot, stats
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
-from jaxrl_tab.cli import main, options, screen
+from jaxrl_tab.cli import main, screen
 from jaxrl_tab.cli import sweep as sweep_module
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Sweep
+from jaxrl_tab.cli.typed import flag_of
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import shards
@@ -299,7 +300,9 @@ def test_without_a_folder_ctrl_c_leaves_nothing(stopped, tmp_path, capsys):
     assert capsys.readouterr() == ("", "jaxrl-tab: interrupted\n")
 
 
-def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeypatch, tmp_path):
+def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeypatch, tmp_path, capsys):
+    """The table is shown before. Broken once: shown when `run` has returned -> fails."""
+
     def fail(*_):
         raise RuntimeError("no ink")
 
@@ -309,6 +312,43 @@ def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeyp
         main(["sweep", "windy-gridworld", "sarsa", *TINY, "--out", str(out)])
     assert error.value.__notes__ == [f"what is finished is kept, `jaxrl-tab resume {out}` goes on"]
     assert {file.name for file in out.iterdir()} == {"results.nc", "summary.csv"} | KEPT
+    table = capsys.readouterr().out
+    assert "│ sarsa" in table
+    assert "results.nc" not in table
+
+
+def test_where_nobody_reads_the_table_the_files_are_written(tmp_path):
+    """As with `| head -0`. Broken once: `show` lets the error through -> fails."""
+    command = [sys.executable, "-m", "jaxrl_tab", "sweep", "windy-gridworld", "sarsa", *TINY, "--out", "run"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path)
+    assert process.stdout and process.stderr
+    process.stdout.close()
+    assert (process.stderr.read(), process.wait()) == (b"", 1)
+    process.stderr.close()
+    assert {"results.nc", "summary.csv", "overview.png", "report.html"} <= {
+        file.name for file in (tmp_path / "run").iterdir()
+    }
+
+
+@pytest.mark.parametrize(
+    ("options", "endings"),
+    [
+        ("--formats svg pdf", {".svg", ".pdf"}),
+        ("--no-pictures", set()),
+        ("--formats svg --no-pictures", set()),
+    ],
+)
+def test_pictures_are_of_the_formats_that_are_wanted(options, endings, tmp_path, monkeypatch):
+    """And what is resumed has those that are wanted then. Broken once: the formats are not handed on -> fails."""
+    monkeypatch.setattr(plot, "save", lambda figure, file: file.touch())
+    out = tmp_path / "run"
+    call("sweep windy-gridworld sarsa", *TINY, "--quiet", "--out", str(out), *options.split())
+    pictures = {file.suffix for file in out.iterdir()} & {".png", ".svg", ".pdf"}
+    assert pictures == endings
+    assert {"results.nc", "summary.csv", "report.html"} <= {file.name for file in out.iterdir()}
+    (out / "results.nc").unlink()
+    call("resume", str(out), "--quiet")
+    assert (out / "overview.png").exists()
 
 
 # --- refusals ----------------------------------------------------------------------------------------
@@ -318,7 +358,7 @@ REFUSALS = {
     "resume nowhere": "there is no folder nowhere",
     "resume nowhere --memory x": "memory must be a number with a unit",
     "swep": "did you mean 'sweep'?",
-    "nonsense": "choose one of list, solve, sweep, resume, figure",
+    "nonsense": "choose one of list, solve, watch, sweep, resume, figure",
     "list --jsn": "did you mean '--json'?",
     "solve": "name an environment: windy-gridworld",
     "solve windy-gridwrld": "did you mean 'windy-gridworld'?",
@@ -363,6 +403,7 @@ REFUSALS = {
     "resume nowhere --executor ray --num-cpus 0": "num_cpus must be a whole number of at least 1, not 0",
     "list --json=1": "--json: ignored explicit argument '1'",
     "sweep windy-gridworld sarsa --seeds": "--seeds: expected one argument",
+    "sweep windy-gridworld sarsa --formats png gif": "formats 'gif' is unknown; choose one of png, svg, pdf",
     "sweep windy-gridworld sarsa --steps 0": "steps must be a whole number of at least 1, not 0",
     "sweep windy-gridworld sarsa --episodes -1": "episodes must be a whole number of at least 1, not -1",
     "sweep windy-gridworld sarsa --log-every 0": "log_every must be a whole number of at least 1, not 0",
@@ -477,7 +518,7 @@ def test_no_two_options_have_the_same_name(command):
     groups = [ENVS, METHODS] if command is Sweep else [ENVS]
     own = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(command)}
     for registry in groups:
-        names = {options.option_of(p) for cls in registry.values() for p in describe.parameters(cls)}
+        names = {flag_of(p) for cls in registry.values() for p in describe.parameters(cls)}
         assert not names & own
         own |= names
 
@@ -632,7 +673,7 @@ def test_help_and_version(capsys):
         assert "jaxrl-tab sweep windy-gridworld sarsa q-learning" in capsys.readouterr().out
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"jaxrl-tab {rl.__version__}\n"
-    for command in ("list", "solve", "sweep", "resume", "figure"):
+    for command in ("list", "solve", "watch", "sweep", "resume", "figure"):
         with pytest.raises(SystemExit) as stop:
             main([command, "--help"])
         assert not stop.value.code

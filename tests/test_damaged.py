@@ -16,7 +16,7 @@ import pytest
 import tiny
 
 import jaxrl_tab as rl
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.experiment import runner, storage
 
 TRIALS = 40

@@ -15,7 +15,7 @@ import pytest
 import shards
 
 from jaxrl_tab import executors
-from jaxrl_tab.core.checks import RunError
+from jaxrl_tab.core.errors import RunError
 from jaxrl_tab.engine import provenance
 
 PROGRAM = """

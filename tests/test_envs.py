@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import FiniteEnvironment, Outcome
 from jaxrl_tab.envs import ENVS, CliffWalking, FiniteMDP, RandomWalk, WindyGridworld, make
 from jaxrl_tab.envs.base import Finite

@@ -14,7 +14,7 @@ from scipy import integrate, stats
 import jaxrl_tab as rl
 from jaxrl_tab import planning
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Outcome
 
 UP, RIGHT, DOWN, LEFT = range(4)

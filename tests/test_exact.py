@@ -15,6 +15,8 @@ from jaxrl_tab import planning
 from jaxrl_tab.engine.traced import _restored, in_full
 from jaxrl_tab.exact.values import iterate_policies
 
+pytestmark = pytest.mark.usefixtures("unoptimised")
+
 S, A = 6, 2
 GAMMAS = 0.0, 0.5, 0.9, 0.99, 1.0
 SUM = np.vectorize(Fraction)

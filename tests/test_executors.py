@@ -10,7 +10,7 @@ import pytest
 import shards
 
 from jaxrl_tab import executors
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.experiment.executors import base
 

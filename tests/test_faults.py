@@ -17,7 +17,7 @@ import pytest
 import tiny
 
 import jaxrl_tab as rl
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.experiment import runner
 
 STEP = 17
@@ -72,9 +72,10 @@ class Faults:
                 raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
             if self._now(f"read or write {file} {mode}"):
                 raw = Failing(file, mode.replace("b", "").replace("t", ""))
-                binary = io.BufferedReader(raw) if "r" in mode and "+" not in mode else io.BufferedRandom(raw)
                 if "w" in mode or "x" in mode:
                     binary = io.BufferedWriter(raw)
+                else:
+                    binary = io.BufferedReader(raw) if "+" not in mode else io.BufferedRandom(raw)
                 return binary if "b" in mode else io.TextIOWrapper(binary)
         return self.open(file, mode, *args, **kwargs)
 

@@ -11,7 +11,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import policies, schedules
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.envs import ENVS
 
 REGISTERED = [*ENVS.values(), *METHODS.values()]

@@ -29,13 +29,13 @@ import xarray as xr
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning, policies, schedules, stats
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.cli import figure, sweep
+from jaxrl_tab.cli import figure, sweep, watch
 from jaxrl_tab.cli.figure import Figure
-from jaxrl_tab.cli.listing import List
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Resume, Sweep
+from jaxrl_tab.cli.watch import Watch
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import axes
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import runner
@@ -158,20 +158,29 @@ WORDS = [
 
 def options_of(command):
     """The options of a command as they are spelled."""
+    if command is None:
+        return ["--json"]
     own = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(command)]
-    classes = [*ENVS.values(), *METHODS.values()] if command in (Sweep, Solve) else []
+    classes = [*ENVS.values(), *METHODS.values()] if command in (Sweep, Solve, Watch) else []
     return [*own, *("--" + p.name.replace("_", "-") for cls in classes for p in describe.parameters(cls))]
 
 
 COMMANDS = {
-    "list": List,
+    "list": None,
     "solve": Solve,
+    "watch": Watch,
     "sweep": Sweep,
     "resume": Resume,
     "figure": Figure,
 }
 OPTIONS = {name: options_of(command) for name, command in COMMANDS.items()}
-NAMES = {"solve": list(ENVS), "figure": list(FIGURES), "sweep": list(ENVS), "list": [], "resume": ["."]}
+NAMES = {
+    "solve": list(ENVS),
+    "watch": list(ENVS),
+    "figure": list(FIGURES),
+    "sweep": list(ENVS),
+    "resume": ["."],
+}
 
 
 def some_words(draw):
@@ -180,8 +189,8 @@ def some_words(draw):
     words = [name]
     if names := NAMES.get(name, []):
         words.append(draw.choice(names))
-    if name == "sweep":
-        words += draw.choices(list(METHODS), k=draw.randint(1, 2))
+    if name in ("sweep", "watch"):
+        words += draw.choices(list(METHODS), k=draw.randint(1, 2 if name == "sweep" else 1))
     for _ in range(draw.randint(0, 3)):
         words.append(draw.choice(OPTIONS.get(name, WORDS)))
         words += draw.choices(WORDS, k=draw.choice([0, 1, 1, 1, 2]))
@@ -230,8 +239,15 @@ def make_idle(put):
         raise InputError("so far it was right")
 
     put(sweep, "_conduct", stop)
+    put(watch, "watch", stop)
     put(figure, "make_runs", stop)
-    put(rl.executors, "get", stop)
+    get = rl.executors.get
+
+    def get_or_stop(name, **given):
+        executor = get(name, **given)
+        return executor if name == "local" else stop()  # or no sweep would be read any further
+
+    put(rl.executors, "get", get_or_stop)
     for name in ("policy_iteration", "epsilon_soft"):
         put(planning, name, stop)
 
@@ -490,6 +506,11 @@ def called():
         given = {"num_steps": 10}
         batch = rl.Sarsa(alpha=np.ones(2))
         yield f"train {name}", lambda x, n=name, b=batch, g=given: rl.train(key, b, WINDY, **g | {n: x})
+    yield "watch env", lambda x: rl.watch(x, rl.Sarsa(), at=0)
+    yield "watch algorithm", lambda x: rl.watch(WINDY, x, at=0)
+    for name in ("num_episodes", "at", "seed", "root_seed"):
+        given = {"root_seed": -1} if name != "root_seed" else {"seed": -1}
+        yield f"watch {name}", lambda x, n=name, g=given: rl.watch(WINDY, rl.Sarsa(), **g | {n: x})
     yield "load", Experiment.load
     yield "from_data", Experiment.from_data
     whole = {"environment": "windy-gridworld", "method": "sarsa", "steps": 10}

@@ -22,6 +22,7 @@ FLOORS = [
     ["algorithms", "interop", "show"],
     ["engine"],
     ["experiment", "figures"],
+    ["api"],
     ["__init__"],
     ["cli"],
     ["__main__"],

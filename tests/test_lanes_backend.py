@@ -20,7 +20,7 @@ from lanes_tools import assert_same_bits
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch, cli
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import backend, by_lanes, provenance
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.experiment.executors.base import Job

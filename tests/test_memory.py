@@ -12,7 +12,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes, by_xla, room
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.experiment import shards
@@ -97,8 +97,24 @@ def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, widths, caplog)
             np.testing.assert_array_equal(x, y)
 
 
-def test_what_is_free_in_the_machine_is_asked_of_psutil(monkeypatch):
-    """On macOS and Windows as well. Broken once: what there is in all taken for what is free -> fails."""
+def test_what_is_free_in_the_machine_is_asked_of_linux(monkeypatch, tmp_path):
+    """Broken once: MemFree, or MemTotal, or kilobytes taken for bytes -> fails."""
+    monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
+    memory.MEMINFO.write_text("MemTotal:  9 kB\nMemFree:  2 kB\nMemAvailable:  5 kB\nHugePages_Total: 0\n")
+    assert memory.free() == memory.free(jax.devices("cpu")) == 5 * 1024
+
+
+@pytest.mark.parametrize(
+    "text", [None, "MemTotal: 9 kB\nMemFree: 2 kB\n", "MemTotal: 9 kB\nMemAvailable: 10 kB\n"]
+)
+def test_where_linux_does_not_say_what_is_free_psutil_is_asked(text, monkeypatch, tmp_path):
+    """On macOS and Windows, on an old kernel, and in a container in which there is more than in all.
+
+    Broken once: what there is in all taken for what is free -> fails; psutil asked only without a file -> fails.
+    """
+    monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
+    if text is not None:
+        memory.MEMINFO.write_text(text)
     monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(total=9000, available=5000))
     assert memory.free() == memory.free(jax.devices("cpu")) == 5000
     device = SimpleNamespace(platform="gpu", memory_stats=lambda: {"bytes_limit": 700, "bytes_in_use": 300})

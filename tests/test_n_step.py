@@ -12,6 +12,8 @@ from test_reference import STEPS, env_and_task, task_of, words_of
 import jaxrl_tab as rl
 from jaxrl_tab import schedules
 
+pytestmark = pytest.mark.usefixtures("unoptimised")
+
 LONG = 200  # more steps than any of these episodes has
 
 

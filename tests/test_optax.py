@@ -15,7 +15,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import schedules
 from jaxrl_tab.cli import main
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.experiment.spec import Experiment
 

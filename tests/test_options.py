@@ -7,7 +7,8 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import policies, schedules
-from jaxrl_tab.cli import main, options
+from jaxrl_tab.cli import main
+from jaxrl_tab.cli import typed as options
 from jaxrl_tab.cli.common import HYPERPARAMETERS
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxrl_tab import planning
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs import CliffWalking, FiniteMDP, RandomWalk, WindyGridworld

@@ -60,3 +60,16 @@ def test_a_bar_below_the_cell_of_a_notebook(monkeypatch):
     with reporting(None) as report:
         report(Progress("<mine>", 1, 2))
     assert updates == ['<progress value="1" max="2"></progress> &lt;mine&gt; 1/2 runs', ""]
+
+
+def test_an_experiment_tells_of_the_runs_within_a_shard():
+    """Broken once: `Job` hands no progress on -> fails."""
+    reports = []
+    rl.run(rl.Experiment("windy-gridworld", "q-learning", seeds=2000, steps=100), progress=reports.append)
+    done = [report.done for report in reports]
+    assert done == sorted(done)
+    assert (done[0], done[-1]) == (0, 2000)
+    assert len(set(done)) > 3  # and there is one shard
+    within = [report for report in reports if 0 < report.done < 2000]
+    assert all(report.steps == 100 * report.done and report.left > 0 for report in within)
+    assert all(report.seconds > 0 and report.label == "windy-gridworld/q-learning" for report in within)

@@ -15,7 +15,7 @@ import quick
 import jaxrl_tab as rl
 from jaxrl_tab import plot
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import provenance, room
 from jaxrl_tab.experiment import shards as splitting
 from jaxrl_tab.experiment import storage

@@ -20,7 +20,7 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, executors, export, plot
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.experiment.executors import ray as ray_executor
 from jaxrl_tab.experiment.shards import _shards
 

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 import jaxrl_tab as rl
+from jaxrl_tab.cli import main
 
 ROOT = Path(rl.__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -41,6 +42,20 @@ def test_the_sarsa_that_is_shown_is_the_sarsa_that_runs():
         .replace("state: TDState, t: Transition", "state, t")
         .split()
     )
+
+
+def test_what_is_watched_is_what_is_shown(capsys):
+    """Line by line, in this order; dots stand for lines that are left out.
+
+    Broken once: two lines exchanged -> fails.
+    """
+    (command,) = [block for block in blocks("console") if "watch" in block]
+    assert main(command.partition("#")[0].split()[1:]) == 0
+    printed = iter([" ".join(line.split()) for line in capsys.readouterr().out.splitlines()])
+    (shown,) = blocks("text")
+    for line in shown.splitlines():
+        is_rule = line.startswith("──")
+        assert line in ("", "...") or is_rule or " ".join(line.split()) in printed, line
 
 
 def test_ci_runs_the_commands():

@@ -16,7 +16,7 @@ import quick
 import jaxrl_tab as rl
 from jaxrl_tab import cli, export, plot
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.experiment import plan, shards
 
 OWN = """
@@ -86,7 +86,7 @@ def test_killed_and_resumed_the_same_and_the_same_in_the_file(here):
     whole = rl.run(experiment(), "whole", progress=False).datasets["windy-gridworld/sarsa"]
 
     def kill(state):
-        if state.done:
+        if list(Path("run/shards").glob("*.npz")):  # some runs are told of before their shard is written
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

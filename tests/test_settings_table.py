@@ -10,7 +10,7 @@ import pytest
 from made_up import ALPHAS, make_result
 
 import jaxrl_tab as rl
-from jaxrl_tab import plot, report
+from jaxrl_tab import plot
 from jaxrl_tab.cli import screen
 from jaxrl_tab.experiment import files
 from jaxrl_tab.experiment.storage import Store
@@ -34,7 +34,6 @@ def kept(tmp_path, monkeypatch):
     """A folder for an experiment's files, in which pictures are made, but not rendered."""
     monkeypatch.setattr(files, "_about", lambda *_: {})
     monkeypatch.setattr(plot, "save", lambda figure, file: file.touch())
-    monkeypatch.setattr(report, "embedded", lambda *_: "data:image/png,")
     return Mock(spec=Store, path=tmp_path, keep_files=list)
 
 

@@ -189,6 +189,9 @@ def test_area_under_a_curve():
     width = xr.DataArray([10, 10, 10, 20], dims="row")
     np.testing.assert_allclose(stats.area_under_curve(CURVE, width), [-136 / 5, -150 / 5, nan])
     np.testing.assert_allclose(stats.area_under_curve(CURVE.T, width), [-136 / 5, -150 / 5, nan])
+    labelled = CURVE.assign_coords(row=[0, 1, 2, 3])  # as in every dataset; once it raised IndexError
+    widths = width.assign_coords(row=[0, 1, 2, 3])
+    np.testing.assert_allclose(stats.area_under_curve(labelled, widths), [-136 / 5, -150 / 5, nan])
     with pytest.raises(rl.InputError, match="no dimension 'row'"):
         stats.area_under_curve(CURVE.rename(row="step"))
 

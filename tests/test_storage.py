@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.experiment.storage import Store
 

@@ -21,7 +21,9 @@ def small():
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(shards, "SHARD_STEPS", 64 * 20)
         patched.setattr(plot, "save_all", quick.picture)
-        patched.setattr(report, "write", lambda folder, *_: (folder / "report.html").write_text("a report"))
+        patched.setattr(
+            report, "write_methods", lambda folder, *_: (folder / "report.html").write_text("a report")
+        )
         shards._shards.cache_clear()
         yield
     shards._shards.cache_clear()

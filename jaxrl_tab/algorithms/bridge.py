@@ -25,8 +25,8 @@ from jaxtyping import Array, Float, Int
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import InputError, shown
 from jaxrl_tab.core.declared import Learns, of_method
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.policies import choose
 from jaxrl_tab.core.types import Environment, Transition, available_actions, init_learner, restricted
 from jaxrl_tab.exact import planning

@@ -11,9 +11,11 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import coverage, policies, tables
-from jaxrl_tab.core.checks import InputError, as_array, first, is_distribution, shown, unfit
+from jaxrl_tab.core.checks import as_array, first, is_distribution
 from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.declared import LearnsFrom
+from jaxrl_tab.core.errors import InputError, shown, unfit
+from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Available, Transition, restricted
@@ -32,7 +34,7 @@ class ManyTargetsState(NamedTuple):
 
 
 @pytree
-class ManyTargets:
+class ManyTargets(Shown):
     """Learns about P target policies at once, while one behaviour policy acts.
 
     For every p (Expected Sarsa, book, equation 6.9):

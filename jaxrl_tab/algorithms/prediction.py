@@ -24,10 +24,11 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
 from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
 from jaxrl_tab.core import names, policies, tables
-from jaxrl_tab.core.checks import InputError, nearest, unfit
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.declared import Learns, LearnsFrom, of_method
+from jaxrl_tab.core.errors import InputError, nearest, unfit
+from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
@@ -69,7 +70,7 @@ class ValueState(NamedTuple):
 
 
 @pytree
-class Prediction:
+class Prediction(Shown):
     """What all methods of prediction share.
 
     Each names its method of control, and passes on the hyperparameters that both have.

@@ -7,9 +7,9 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.core import clock, tables
-from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.clock import Clock
 from jaxrl_tab.core.credited import Credited
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
 

@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import clock, policies, tables
-from jaxrl_tab.core.checks import InputError, concrete
+from jaxrl_tab.core.checks import concrete
 from jaxrl_tab.core.clock import Clock, Rate
+from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Available, Transition, restricted
@@ -42,7 +44,7 @@ class TDState(NamedTuple):
 
 
 @pytree
-class TDControl:
+class TDControl(Shown):
     """One-step control with an epsilon-greedy, or any other, behaviour policy. A method adds its `update`."""
 
     alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")

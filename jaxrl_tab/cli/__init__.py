@@ -1,23 +1,30 @@
-"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, sweep, resume, figure.
+"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, watch, sweep, resume, figure.
 
 Options for environments and methods are made from the registries: a new entry's parameters are options with
 no edit here. All that a person can get wrong is refused before anything is compiled, with exit code 2 and
-one line. Tables and JSON go to stdout, progress and errors to stderr.
+one line; most of it even before JAX is imported (see `front`). Tables and JSON go to stdout, progress and errors
+to stderr.
 """
 
+import importlib
 import os
 import sys
 from collections.abc import Sequence
 
-from jaxrl_tab.cli.common import PROG, checked_name
-from jaxrl_tab.cli.figure import figure_command
-from jaxrl_tab.cli.listing import list_command
-from jaxrl_tab.cli.solve import solve_command
-from jaxrl_tab.cli.streams import complain, give_up, prepare_streams
-from jaxrl_tab.cli.sweep import resume_command, sweep_command
-from jaxrl_tab.core.checks import InputError, RunError, as_path, one_line, reason
+from jaxrl_tab.cli.options import checked_name
+from jaxrl_tab.cli.streams import PROG, complain, give_up, prepare_streams
+from jaxrl_tab.core.errors import InputError, RunError, as_path, one_line, reason
 from jaxrl_tab.core.version import __version__
 
+# Command -> the module that it is in, imported when it is asked for: they take a second.
+MODULES = {
+    "list": "listing",
+    "solve": "solve",
+    "watch": "watch",
+    "sweep": "sweep",
+    "resume": "sweep",
+    "figure": "figure",
+}
 TRACEBACK = "JAXRL_TAB_TRACEBACK"
 HELP = f"""\
 usage: {PROG} COMMAND ...
@@ -28,6 +35,7 @@ optimum.
 commands:
   list      the environments and the methods, with their parameters
   solve     the exact values and an optimal policy of an environment
+  watch     an episode of a method, step by step, while it learns
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
   resume    go on with a sweep that was interrupted
   figure    make published figures again, and check their numbers
@@ -35,6 +43,7 @@ commands:
 examples:
   {PROG} list
   {PROG} solve windy-gridworld --moves king
+  {PROG} watch windy-gridworld sarsa --alpha 0.5
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
   {PROG} sweep --write-template experiment.toml
   {PROG} resume runs/windy
@@ -84,17 +93,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _dispatch(argv: list[str]) -> int:
     for typed in argv:
         as_path("what is typed", typed)  # so that it can name a file, if it should
-    commands = {
-        "list": list_command,
-        "solve": solve_command,
-        "sweep": sweep_command,
-        "resume": resume_command,
-        "figure": figure_command,
-    }
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(HELP, end="")
         return 0
     if argv[0] == "--version":
         print(f"{PROG} {__version__}")
         return 0
-    return commands[checked_name("a command", argv[0], commands)](argv[1:])
+    name, rest = checked_name("a command", argv[0], MODULES), argv[1:]
+    load = lambda module: importlib.import_module(f"jaxrl_tab.cli.{module}")
+    if name != "list":  # which needs no more than the front does
+        load("front").answer(name, rest)
+    return getattr(load(MODULES[name]), f"{name}_command")(rest)

@@ -3,33 +3,39 @@
 import contextlib
 import itertools
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax
 
-from jaxrl_tab import envs
+from jaxrl_tab import envs, interop  # noqa: F401  interop adds the libraries that it imports from
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHOD, METHODS, PREDICTION
-from jaxrl_tab.cli.options import Group
+from jaxrl_tab.cli.typed import Classes
 from jaxrl_tab.core import names
-from jaxrl_tab.core.checks import InputError, nearest, one_line, shown
+from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.engine import by_xla, programs
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.experiment import storage
-
-PROG = "jaxrl-tab"
+from jaxrl_tab.experiment import executors, storage
 
 ALPHAS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # the step sizes of a sweep that names none
 SEEDS, STEPS = 100, 8000
-ENVIRONMENT = Group(ENVS, "Parameters of the environment.", kind=envs.ENVIRONMENT)
-HYPERPARAMETERS = Group(
+ENVIRONMENT = Classes(ENVS, "Parameters of the environment.", kind=envs.ENVIRONMENT)
+HYPERPARAMETERS = Classes(
     METHODS,
     "Of the methods; several values make a grid.",
     kind=METHOD,
     grids=True,
     defaults={"alpha": ALPHAS},
     parts={"the methods of control": ALGORITHMS, "the methods of prediction": PREDICTION},
+)
+OF_ONE_METHOD = HYPERPARAMETERS._replace(help="Of the method.", grids=False, defaults={})
+# Some parameters of the executors are called otherwise here, where they stand beside options of other things.
+EXECUTOR = Classes(
+    executors.EXECUTORS,
+    "Of the executor. The address is that of a Ray cluster, or of process 0 of a distributed job.",
+    spelled={"num_processes": "processes", "process_id": "process", "parameters": "slurm"},
+    noun="an executor",
 )
 
 
@@ -47,16 +53,7 @@ def start_jax() -> None:
         raise InputError(f"JAX cannot start: {one_line(str(error))}") from None
 
 
-def checked_name(kind: str, name: str, choices: Collection[str]) -> str:
-    """`name`, which must be one of `choices`."""
-    if not name:
-        raise InputError(f"name {kind}: {', '.join(choices)}")
-    if name not in choices:
-        raise InputError(f"{shown(name)} is not {kind}; {nearest(name, choices)}")
-    return name
-
-
-def with_own(group: Group, words: Sequence[str]) -> Group:
+def with_own(group: Classes, words: Sequence[str]) -> Classes:
     """The group with the classes from outside of its registry that some words name, before the others."""
     assert group.kind
     own = {}
@@ -76,7 +73,7 @@ def named_in(argv: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
     return words, words
 
 
-def find(group: Group, name: str) -> type:
+def find(group: Classes, name: str) -> type:
     """The class that a word names, which must be of the kind of this group."""
     assert group.kind
     if not name:

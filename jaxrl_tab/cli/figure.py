@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 from rich.table import Table
 
-from jaxrl_tab.cli.common import PROG, checked_name, new_folder, prepare, start_jax
-from jaxrl_tab.cli.options import parse, word
-from jaxrl_tab.cli.screen import busy, console, print_json, say_where
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.cli.common import new_folder, prepare, start_jax
+from jaxrl_tab.cli.options import checked_name
+from jaxrl_tab.cli.screen import busy, say_where
+from jaxrl_tab.cli.streams import PROG, console, print_json
+from jaxrl_tab.cli.typed import parse, word
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import checked_dataclass
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine.results import save

@@ -1,92 +1,81 @@
 """`jaxrl-tab list`: the environments and the methods, with their parameters."""
 
-import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
-from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.algorithms.prediction import PREDICTION
-from jaxrl_tab.cli.common import HYPERPARAMETERS
-from jaxrl_tab.cli.options import about, option_of, parameters, parse, words
-from jaxrl_tab.cli.screen import console, print_json
-from jaxrl_tab.core import describe, names
-from jaxrl_tab.core.pytree import checked_dataclass
-from jaxrl_tab.engine.results import label
-from jaxrl_tab.envs import ENVS
-from jaxrl_tab.figures import FIGURES
+from jaxrl_tab.cli.catalogue import everything
+from jaxrl_tab.cli.options import Command, Entry, Option, parse
+from jaxrl_tab.cli.streams import console, print_json
+
+HEADINGS = {
+    "environments": "environments",
+    "methods": "methods of control",
+    "prediction": "methods of prediction, of the policy in which all actions are equally likely",
+}
 
 
-@checked_dataclass
-class List:
-    """The environments and the methods, with their parameters, defaults, and one line each; the figures.
+LIST = Command(
+    "list",
+    """\
+The environments and the methods, with their parameters, defaults, and one line each; the figures.
 
-    Examples:
-      jaxrl-tab list
-      jaxrl-tab list --json
-
-    Attributes:
-        json: Print JSON.
-    """
-
-    json: bool = False
+Examples:
+  jaxrl-tab list
+  jaxrl-tab list --json""",
+    places=(),
+    options=(Option("--json", "json", "Print JSON.", metavar=""),),
+)
 
 
 def list_command(argv: list[str]) -> int:
-    options, _ = parse(List, argv)
-    complaints = [line for kind in names.KINDS for line in names.add_entry_points(kind)]
-    registries = {"environments": ENVS, "methods": ALGORITHMS, "prediction": PREDICTION}
-    figures = {name: f"{figure.title} ({figure.source})" for name, figure in FIGURES.items()}
-    if options.json:
-        facts = {kind: {name: _facts(cls) for name, cls in r.items()} for kind, r in registries.items()}
-        print_json(facts | {"figures": {name: {"summary": text} for name, text in figures.items()}})
+    _, typed = parse(LIST, argv, {})
+    catalogue = everything()
+    if "--json" in typed["options"]:
+        print_json(
+            catalogue.facts | {"figures": {name: {"summary": x} for name, x in catalogue.figures.items()}}
+        )
         return 0
     out = console()
-    headings = {
-        "environments": "environments",
-        "methods": "methods of control",
-        "prediction": "methods of prediction, of the policy in which all actions are equally likely",
-    }
-    for kind, registry in registries.items():
-        out.print(f"[bold]{headings[kind]}[/]")
-        if shared := _shared(registry):
+    for kind, entries in catalogue.listed.items():
+        out.print(f"[bold]{HEADINGS[kind]}[/]")
+        if shared := _shared(entries):
             out.print("\n  unless said otherwise, all have")
-            out.print(_parameter_table(shared))
-        for name, cls in registry.items():
-            out.print(f"\n  [bold cyan]{name}[/]  {escape(describe.summary(cls))}")
-            if own := [p for p in parameters(cls) if p not in shared]:
-                out.print(_parameter_table(own))
+            out.print(_table(shared))
+        for name, entry in entries.items():
+            out.print(f"\n  [bold cyan]{name}[/]  {escape(entry.summary)}")
+            if own := [option for option in entry.options if _key(option) not in map(_key, shared)]:
+                out.print(_table(own))
         out.print()
-    out.print(escape(about(HYPERPARAMETERS)), "\n", soft_wrap=True)
+    out.print(escape(catalogue.groups["methods"].help), "\n", soft_wrap=True)
     out.print("[bold]figures[/]\n")
-    for name, title in figures.items():
+    for name, title in catalogue.figures.items():
         out.print(f"  [bold cyan]{name}[/]  {escape(title)}")
-    for complaint in complaints:
+    for complaint in catalogue.unavailable:
         out.print(escape(f"\nnot available: {complaint}"), soft_wrap=True)
     return 0
 
 
-def _shared(registry: Mapping[str, type]) -> list[describe.Parameter]:
-    """The parameters that all entries have, in the form that most of them have."""
-    everywhere = [parameters(cls) for cls in registry.values()]
-    names = [{p.name for p in ps} for ps in everywhere]
-    counts = Counter(p for ps in everywhere for p in ps)
+def _shared(entries: Mapping[str, Entry]) -> list[Option]:
+    """The options that all entries have, in the form that most of them have."""
+    names = [{option.name for option in entry.options} for entry in entries.values()]
+    counts = Counter(_key(option) for entry in entries.values() for option in entry.options)
+    options = {_key(option): option for entry in entries.values() for option in entry.options}
     return [
-        p for p, n in counts.items() if 2 * n > len(registry) and all(p.name in of_one for of_one in names)
+        options[key]
+        for key, n in counts.items()
+        if 2 * n > len(entries) and all(options[key].name in of_one for of_one in names)
     ]
 
 
-def _parameter_table(shown: Sequence[describe.Parameter]) -> Table:
+def _key(option: Option) -> tuple[str, str, str]:
+    return option.flag, option.default, option.help
+
+
+def _table(shown: Sequence[Option]) -> Table:
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
-    for p in shown:
-        table.add_row(f"    [green]{option_of(p)}[/]", escape(words(p.default)), escape(p.help))
+    for option in shown:
+        table.add_row(f"    [green]{option.flag}[/]", escape(option.default), escape(option.help))
     return table
-
-
-def _facts(cls: type) -> dict[str, Any]:
-    default = lambda p: None if p.default is dataclasses.MISSING else label(p.default)
-    facts = {p.name: {"default": default(p), "help": p.help} for p in describe.parameters(cls)}
-    return {"summary": describe.summary(cls), "parameters": facts}

@@ -1,66 +1,97 @@
-"""From the fields of classes to command-line options, and from what was typed back to values.
+"""What can be typed: the options of the commands, of environments and of methods, as data, and how it is parsed.
 
-The options of a command are the fields of its class; those of environments, methods and executors are the
-parameters of theirs. A parameter `max_steps` is the option `--max-steps`, a switch `stochastic` is
-`--stochastic`, and one that is on by default is `--no-...`. The options of all entries of a registry stand side
-by side in one parser; which of them the chosen entry has is checked afterwards, so the error can say who has
-what.
+A parameter `max_steps` is the option `--max-steps`, a switch `stochastic` is `--stochastic`, and one that is on
+by default is `--no-...`. The options of all entries of a registry stand side by side in one parser; which of them
+the chosen entry has is checked afterwards, so the error can say who has what.
+
+Nothing here knows a class: `typed` makes these data of classes, `catalogue` keeps them, so that help and errors
+need neither JAX nor any of the classes.
 """
 
 import argparse
 import contextlib
-import dataclasses
-import inspect
+import math
 import re
 import shutil
+import sys
 import textwrap
-import tomllib
 from collections.abc import Collection, Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from jaxrl_tab.core import describe, names, policies, schedules
-from jaxrl_tab.core.checks import InputError, build, but_none, nearest, one_line, shown
+from jaxrl_tab.core.errors import (
+    LIMITS,
+    InputError,
+    check_choice,
+    in_words,
+    nearest,
+    one_line,
+    shown,
+    unfit,
+    whole,
+)
 
 Typed = dict[str, tuple[str, ...]]
 """The options that were typed, each with its words; none for a switch."""
-PAIRS = Mapping[str, Any]  # the type of a parameter that is typed as KEY=VALUE ...
-METAVARS = {int: "N", float: "X", str: "X", Path: "DIR", PAIRS: "KEY=VALUE"}
+NONE = "–"  # stands where there is no default
+
+
+class Option(NamedTuple):
+    """A parameter as it is typed.
+
+    Attributes:
+        flag: how it is typed.
+        name: of the parameter.
+        help: what it is and what it takes.
+        default: its value where it is not typed, in words.
+        metavar: stands for its value in the help; empty for a switch, which takes none.
+        several: whether its value is made of several words.
+        takes: "int" or "float", where each word is a number; "rate", where it may be a schedule as well; else
+            empty.
+        limits: of a number, as `pytree.field` has them; None where any will do, or more is checked than each word.
+        choices: the words that it takes; empty for any.
+    """
+
+    flag: str
+    name: str
+    help: str
+    default: str = NONE
+    metavar: str = "X"
+    several: bool = False
+    takes: str = ""
+    limits: Mapping[str, float] | None = None
+    choices: Collection[str] = ()
+
+
+class Entry(NamedTuple):
+    """An entry of a registry: what it is, in one line, and its options."""
+
+    summary: str
+    options: Sequence[Option]
+
+    @property
+    def by_flag(self) -> dict[str, Option]:
+        return {option.flag: option for option in self.options}
 
 
 class Group(NamedTuple):
-    """Options for the parameters of the classes of a registry.
+    """Options for the entries of a registry.
 
     Attributes:
-        registry: name -> class.
+        entries: name -> entry.
         help: what they are, one line.
-        kind: of the classes, where they can come from outside.
+        noun: what an entry is called, with its article.
         grids: whether every option takes any number of values, to be tried one by one.
-        defaults: parameter -> values, instead of the one number that the classes have.
         parts: what people call parts of the registry -> the names in it.
-        spelled: parameter -> what it is called on the command line, where that is not its name.
+        entry_points: the group of entry points by which other packages add entries; empty where they cannot.
     """
 
-    registry: Mapping[str, type]
+    entries: Mapping[str, Entry]
     help: str
-    kind: names.Kind | None = None
+    noun: str = ""
     grids: bool = False
-    defaults: Mapping[str, tuple[Any, ...]] = MappingProxyType({})
     parts: Mapping[str, Collection[str]] = MappingProxyType({})
-    spelled: Mapping[str, str] = MappingProxyType({})
-
-    def options(self, name: str) -> dict[str, describe.Parameter]:
-        """The options of an entry of the registry, with the parameters that they are for."""
-        owned = parameters(self.registry[name])
-        return {option_of(p._replace(name=self.spelled.get(p.name, p.name))): p for p in owned}
-
-    def default(self, parameter: describe.Parameter) -> Any:
-        """The value of a parameter that is not given; a tuple of several where they make a grid."""
-        is_number = isinstance(parameter.default, int | float)
-        return self.defaults.get(parameter.name, parameter.default) if is_number else parameter.default
+    entry_points: str = ""
 
     def owners(self, names: Sequence[str]) -> str:
         """Names of the registry in few words: the name of a part instead of all that are in it."""
@@ -72,23 +103,37 @@ class Group(NamedTuple):
         return ", ".join(in_words + remaining)
 
 
-def word(metavar: str, many: bool = False) -> Any:
-    """A field of a command that is not an option: a word, or any number of words, in its place."""
-    return dataclasses.field(default=() if many else "", metadata={"metavar": metavar})
+class Place(NamedTuple):
+    """A word, or any number of words, that a command takes in its place and not as an option."""
+
+    name: str
+    metavar: str
+    help: str
+    many: bool
 
 
-def parse(command: type, argv: Sequence[str], **groups: Group) -> tuple[Any, dict[str, Typed]]:
-    """An instance of the class `command` from `argv`, and for each group the options that were typed.
+class Command(NamedTuple):
+    """A command: its name, what it does (of several paragraphs), its words and its options."""
+
+    name: str
+    about: str
+    places: Sequence[Place]
+    options: Sequence[Option]
+
+
+def parse(
+    command: Command, argv: Sequence[str], groups: Mapping[str, Group]
+) -> tuple[dict[str, Any], dict[str, Typed]]:
+    """The words in their places, and for each group the options that were typed.
 
     What was typed for the command itself is there as well, under "options".
 
     Raises:
-        InputError: `argv` cannot be understood, or a value of the command's own is wrong.
+        InputError: `argv` cannot be understood.
         SystemExit: help was asked for, and printed.
     """
-    name = command.__name__.lower()
-    own = {"options": Group({name: command}, "")}
-    parser, flags = _parser(name, command, own | groups)
+    own = {"options": Group({command.name: Entry("", command.options)}, "")}
+    parser, flags = _parser(command, own | dict(groups))
     # As people type them: --log_every=10 is --log-every 10.
     spelled = [re.sub("^--[^=]*", lambda flag: flag[0].replace("_", "-"), word) for word in argv]
     try:
@@ -109,8 +154,7 @@ def parse(command: type, argv: Sequence[str], **groups: Group) -> tuple[Any, dic
         group: {flag: as_words(read[flag]) for flag in of_group if flag in read}
         for group, of_group in flags.items()
     }
-    places = {key: tuple(x) if isinstance(x, list) else x for key, x in read.items() if "-" not in key}
-    return build(command, name, places | values_of(name, typed["options"], own["options"])), typed
+    return {key: tuple(x) if isinstance(x, list) else x for key, x in read.items() if "-" not in key}, typed
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
@@ -121,14 +165,13 @@ class _Help(argparse.RawDescriptionHelpFormatter):
 
 
 def _parser(
-    name: str, command: type, groups: Mapping[str, Group]
+    command: Command, groups: Mapping[str, Group]
 ) -> tuple[argparse.ArgumentParser, dict[str, list[str]]]:
     """The parser of a command, and the options of each group. Whatever is typed stays text, in words."""
-    places = [f for f in dataclasses.fields(command) if "metavar" in f.metadata]
     parser = argparse.ArgumentParser(
-        prog=f"jaxrl-tab {name}",
-        usage=" ".join(["%(prog)s [OPTIONS]", *(f.metadata["metavar"] for f in places)]),
-        description=inspect.cleandoc(command.__doc__ or "").partition("\n\nAttributes:")[0],
+        prog=f"jaxrl-tab {command.name}",
+        usage=" ".join(["%(prog)s [OPTIONS]", *(place.metavar for place in command.places)]),
+        description=command.about,
         formatter_class=_Help,
         argument_default=argparse.SUPPRESS,
         allow_abbrev=False,
@@ -138,152 +181,101 @@ def _parser(
     parser.add_argument("-h", "--help", dest="--help", action="store_true", help="Show this text, and stop.")
     # A word such as -1e5 or -inf is a value. argparse itself would take only -1 and -0.5 for numbers.
     parser._negative_number_matcher = re.compile(r"-(\.?\d|inf|nan)")
-    for f in places:
-        count = "*" if f.default == () else "?"
-        parser.add_argument(f.name, nargs=count, metavar=f.metadata["metavar"], help=f.metadata.get("help"))
+    for place in command.places:
+        count = "*" if place.many else "?"
+        parser.add_argument(place.name, nargs=count, metavar=place.metavar, help=place.help)
     width = max(40, shutil.get_terminal_size().columns - 4)
     flags: dict[str, list[str]] = {}
     for title, group in groups.items():
-        about_it = textwrap.fill(about(group), width, break_on_hyphens=False)
-        section = parser.add_argument_group(title, about_it) if group.help else parser
-        owners: dict[str, dict[str, describe.Parameter]] = {}
-        for entry in group.registry:
-            for option, parameter in group.options(entry).items():
-                owners.setdefault(option, {})[entry] = parameter
-        for option, owned in owners.items():
+        about = textwrap.fill(group.help, width, break_on_hyphens=False)
+        section = parser.add_argument_group(title, about) if group.help else parser
+        owners: dict[str, dict[str, Option]] = {}
+        for name, entry in group.entries.items():
+            for option in entry.options:
+                owners.setdefault(option.flag, {})[name] = option
+        for flag, owned in owners.items():
             try:
-                section.add_argument(option, dest=option, **_argument(owned, group))
+                section.add_argument(flag, dest=flag, **_argument(owned, group))
             except argparse.ArgumentError:
                 raise InputError(
-                    f"{group.owners(list(owned))} cannot have {option} on the command line, where it means "
+                    f"{group.owners(list(owned))} cannot have {flag} on the command line, where it means "
                     "something else: set it in a file"
                 ) from None
         flags[title] = list(owners)
     return parser, flags
 
 
-def _argument(owned: Mapping[str, describe.Parameter], group: Group) -> dict[str, Any]:
+def _argument(owned: Mapping[str, Option], group: Group) -> dict[str, Any]:
     """How argparse takes an option that these entries have."""
-    parameter = next(iter(owned.values()))
-    help = " ".join(filter(None, [parameter.help, _hint(owned, group)])).replace("%", "%%")
-    if _is_switch(parameter):
+    option = next(iter(owned.values()))
+    help = " ".join(filter(None, [option.help, _hint(owned, group)])).replace("%", "%%")
+    if not option.metavar:
         return {"action": "store_const", "const": (), "help": help}
-    count = {"nargs": "+"} if group.grids or _is_several(parameter) else {}
-    return count | {"metavar": METAVARS.get(but_none(parameter.type), "X"), "help": help}
+    count = {"nargs": "+"} if group.grids or option.several else {}
+    return count | {"metavar": option.metavar, "help": help}
 
 
-def _hint(owned: Mapping[str, describe.Parameter], group: Group) -> str:
-    """Whose parameter it is where not all have it, and its defaults: the most usual first."""
-    notes = [] if len(owned) == len(group.registry) else [f"of {group.owners(list(owned))}"]
+def _hint(owned: Mapping[str, Option], group: Group) -> str:
+    """Whose option it is where not all have it, and its defaults: the most usual first."""
+    notes = [] if len(owned) == len(group.entries) else [f"of {group.owners(list(owned))}"]
     entries: dict[str, list[str]] = {}
-    for entry, parameter in owned.items():
-        default = "" if _is_switch(parameter) else words(group.default(parameter))
-        entries.setdefault(default, []).append(entry)
+    for entry, option in owned.items():
+        entries.setdefault(option.default if option.metavar else "", []).append(entry)
     usual, *others = sorted(entries, key=lambda default: -len(entries[default]))
-    if usual not in ("", words(None)):
+    if usual not in ("", NONE):
         notes += [f"default: {usual}", *(f"{other} for {group.owners(entries[other])}" for other in others)]
     return f"({'; '.join(notes)})" if notes else ""
 
 
-def values(names: Sequence[str], typed: Typed, group: Group) -> dict[str, dict[str, list[Any]]]:
-    """For each of these entries of a registry the parameters that are not left alone, with their values.
+def checked_name(kind: str, name: str, choices: Collection[str]) -> str:
+    """`name`, which must be one of `choices`."""
+    if not name:
+        raise InputError(f"name {kind}: {', '.join(choices)}")
+    if name not in choices:
+        raise InputError(f"{shown(name)} is not {kind}; {nearest(name, choices)}")
+    return name
 
-    An option goes to all of them that have it.
 
-    Raises:
-        InputError: none of them has such a parameter, or what was typed is of the wrong kind.
-    """
-    options = {name: group.options(name) for name in names}
-    for option in typed:
-        if not any(option in of_entry for of_entry in options.values()):
-            owners = [other for other in group.registry if option in group.options(other)]
+def check_owners(names: Sequence[str], typed: Typed, group: Group) -> None:
+    """Raises InputError where none of these entries has an option that was typed; it says who has it."""
+    flags = {name: group.entries[name].by_flag for name in names}
+    for flag in typed:
+        if not any(flag in of_entry for of_entry in flags.values()):
+            owners = [other for other, entry in group.entries.items() if flag in entry.by_flag]
             who, *others = names
             has_no = f"none of {', '.join(names)} has" if others else f"{who} has no"
-            hint = "" if others or not options[who] else f"; {who} has {', '.join(options[who])}"
-            raise InputError(f"{has_no} {option}, which belongs to {group.owners(owners)}{hint}")
-    return {name: _values(of_entry, typed, group) for name, of_entry in options.items()}
+            hint = "" if others or not flags[who] else f"; {who} has {', '.join(flags[who])}"
+            raise InputError(f"{has_no} {flag}, which belongs to {group.owners(owners)}{hint}")
 
 
-def values_of(name: str, typed: Typed, group: Group) -> dict[str, Any]:
-    """The parameters of one entry of a registry that were typed, each with its value."""
-    types = {p.name: p for p in parameters(group.registry[name])}
-    return {
-        key: dict(x) if types[key].type == PAIRS else tuple(x) if _is_several(types[key]) else x[0]
-        for key, x in values([name], typed, group)[name].items()
-    }
+def check_words(who: str, option: Option, words: Sequence[str]) -> None:
+    """Raises InputError where a word is plainly no value of an option of `who`.
 
-
-def _values(options: Mapping[str, describe.Parameter], typed: Typed, group: Group) -> dict[str, list[Any]]:
-    chosen = {p.name: list(group.default(p)) for p in options.values() if group.default(p) is not p.default}
-    for option in typed:
-        if parameter := options.get(option):
-            read = [_value(option, text, parameter) for text in typed[option]]
-            chosen[parameter.name] = [not parameter.default] if _is_switch(parameter) else read
-    return chosen
-
-
-def _value(option: str, text: str, parameter: describe.Parameter) -> Any:
-    """A text as a value of the kind that the parameter takes."""
-    if parameter.type == describe.Plain:  # as in TOML; a text needs no quotes
-        with contextlib.suppress(tomllib.TOMLDecodeError):
-            return tomllib.loads(f"value = {text}")["value"]
-        return text
-    if parameter.type == PAIRS:
-        key, equals, value = text.partition("=")
-        if not equals:
-            raise InputError(f"{option} takes KEY=VALUE, not {shown(text)}")
-        return key, int(value) if value.isdecimal() and len(value) < 20 else value
-    read: Any = text
-    if (kind := describe.kind(parameter)) in (int, float):
+    What needs more than the word to tell, such as a schedule, passes.
+    """
+    for word in words:
+        if option.choices:
+            check_choice(who, option.name, word, option.choices)
+        if option.takes not in NUMBERS or len(word) > 300:
+            continue
+        make, wanted = NUMBERS[option.takes]
+        number = None
         with contextlib.suppress(ValueError):
-            read = kind(text)
-    return describe.value(option, read, parameter)
+            number = make(word)
+        if number is None and option.takes != "rate":
+            raise InputError(f"{option.flag} takes {wanted}, not {shown(word)}")
+        if number is None or option.limits is None:
+            continue
+        if option.takes == "int":
+            whole(who, option.name, number, int(option.limits["at_least"]))
+        elif not _within(option.limits, float(number)):
+            raise unfit(who, option.name, in_words(option.limits) or "a number", number)
 
 
-def parameters(cls: type) -> list[describe.Parameter]:
-    """The parameters of a class that can be typed: all but tables, which have no default, and places of words."""
-    typed = lambda p: (
-        p.default is not None
-        or describe.takes_policy(p)
-        or p.type == describe.Plain
-        or but_none(p.type) in METAVARS
-    )
-    places = {f.name for f in dataclasses.fields(cls) if "metavar" in f.metadata}
-    return [p for p in describe.parameters(cls) if typed(p) and p.name not in places]
+NUMBERS = {"int": (int, "a whole number"), "float": (float, "a number"), "rate": (float, "a number")}
 
 
-def option_of(parameter: describe.Parameter) -> str:
-    """How a parameter is given on the command line."""
-    is_on = _is_switch(parameter) and parameter.default
-    return f"--{'no-' if is_on else ''}{parameter.name.replace('_', '-')}"
-
-
-def words(value: Any) -> str:
-    """A value as it is typed; a dash where there is none."""
-    if value is None or value is dataclasses.MISSING:
-        return "–"
-    if isinstance(value, bool | np.bool_):
-        return "on" if value else "off"
-    if isinstance(value, tuple):
-        return " ".join(words(x) for x in value)
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def about(group: Group) -> str:
-    """What the group is, and how a schedule and a policy are typed if some parameter takes one."""
-    in_it = [p for cls in group.registry.values() for p in parameters(cls)]
-    sentences = [group.help]
-    if any(map(describe.takes_schedule, in_it)):
-        sentences.append(f"A schedule is {schedules.forms()}.")
-    if any(map(describe.takes_policy, in_it)):
-        sentences.append(f"A policy is one of {', '.join(map(policies.form, policies.POLICIES))}.")
-    return " ".join(sentences)
-
-
-def _is_switch(parameter: describe.Parameter) -> bool:
-    return isinstance(parameter.default, bool) and parameter.type != describe.Plain
-
-
-def _is_several(parameter: describe.Parameter) -> bool:
-    """Whether its value is made of several words."""
-    return isinstance(parameter.default, tuple) or parameter.type == PAIRS
+def _within(limits: Mapping[str, float], number: float) -> bool:
+    """Whether a number is finite and within the limits, as `checks.within` tells of arrays."""
+    in_size = abs(number) <= sys.float_info.max if not math.isnan(number) else False
+    return in_size and all(LIMITS[name][1](number, limit) for name, limit in limits.items())

@@ -2,7 +2,6 @@
 
 import contextlib
 import json as jsonlib
-import sys
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,7 +12,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from jaxrl_tab.cli.options import words
+from jaxrl_tab.cli.streams import console, print_json
+from jaxrl_tab.cli.typed import words
 from jaxrl_tab.experiment import files, storage
 from jaxrl_tab.show.words import cell, decimals_for, edge_warning, six_digits, symbol, title_of
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 PATIENCE = 2.0  # seconds of silence, at most
 
 
-def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> int:
+def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> None:
     """Prints what came out: tables for people, or JSON."""
     if options.json:
         summary = {"folder": folder and str(folder), "summary": _records(outcome.summary)}
         chosen = {"selection": _records(outcome.selection)} if outcome.fresh else {}
         print_json(summary | chosen)
-        return 0
+        return
     if options.quiet:
-        return 0
+        return
     for environment, methods in outcome.methods.items():
         with busy("summing up"):
             _ = methods.rows  # worked out now, while the line is shown; kept for the tables
@@ -43,10 +43,6 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> i
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
         why = "a number became infinite, or NaN, or grew beyond any possible return."
         console().print(f"{diverged} of {runs} runs diverged: {why}")
-    if folder:
-        name = next(iter(outcome.datasets))
-        say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])
-    return 0
 
 
 def _records(table: "pd.DataFrame") -> Any:
@@ -198,16 +194,6 @@ def say_where(folder: Path, group: str | None = None) -> None:
     if group:
         how = f'xarray.open_datatree("{folder / storage.DATA}")["{group}"]'
         out.print(f"Read the data with {how}", markup=False, soft_wrap=True)
-
-
-def console() -> Console:
-    """Where tables are printed. Text such as :100: is no emoji; a pipe or a file has room for all columns."""
-    return Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 160)
-
-
-def print_json(value: Any) -> None:
-    utf8 = (sys.stdout.encoding or "utf-8").lower().startswith("utf")
-    print(jsonlib.dumps(value, ensure_ascii=not utf8, indent=1))
 
 
 @contextlib.contextmanager

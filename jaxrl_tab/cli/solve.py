@@ -1,23 +1,24 @@
 """`jaxrl-tab solve`: the exact values and an optimal policy of an environment."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
 from jaxrl_tab.cli.common import ENVIRONMENT, find, named_in, new_folder, start_jax, with_own
-from jaxrl_tab.cli.options import parse, values_of, word, words
-from jaxrl_tab.cli.screen import busy, console, print_json, say_where
+from jaxrl_tab.cli.screen import busy, say_where
+from jaxrl_tab.cli.streams import console, print_json
+from jaxrl_tab.cli.tables import best_actions, tables
+from jaxrl_tab.cli.typed import parse, values_of, word, words
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.pytree import checked_dataclass, field
-from jaxrl_tab.envs.base import Grid, Panel
+from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.exact import planning
-from jaxrl_tab.show.words import short_number, six_digits
+from jaxrl_tab.show.words import six_digits
 
 
 @checked_dataclass
@@ -78,7 +79,7 @@ def solve_command(argv: list[str]) -> int:
             f"[bold]{options.env}[/], gamma {words(options.gamma)}, {title}: "
             f"value from the start [bold]{six_digits(planning.start_value(env, v))}[/]"
         )
-        for table in _pictures(env, v, q):
+        for table in tables(env, v, q):
             out.print(table)
     if (mean_value := of_environment(env).mean_optimal_value) is not None:
         mean = escape(six_digits(mean_value(options.gamma)))
@@ -86,56 +87,6 @@ def solve_command(argv: list[str]) -> int:
     if options.out:
         say_where(options.out)
     return 0
-
-
-MANY_STATES = 500  # the rows of a table that people look through, at most
-
-
-def _pictures(env: Any, v: np.ndarray, q: np.ndarray) -> list[Table]:
-    """Values and best actions: where people see the states in tables in their places, else as a list."""
-    model, declared = planning.exact_model(env), of_environment(env)
-    visited, terminal = planning.reachable(model), planning.terminal_states(model)
-    between = "" if isinstance(env, Grid) else " "
-    best = lambda s: between.join(declared.action_names[a] for a in _best_actions(q[s]))
-    if not declared.panels() or env.num_states > MANY_STATES:
-        choice = env.num_actions > 1
-        table = Table("state", "value", *(["best actions"] if choice else []))
-        listed = np.flatnonzero(visited & ~terminal)
-        for s in listed[:MANY_STATES]:
-            table.add_row(str(s), six_digits(float(v[s])), *([best(s)] if choice else []))
-        if (more := len(listed) - MANY_STATES) > 0:
-            table.caption = f"and {more} more states: --json prints them all"
-        return [table]
-    marks = {env.start_state: "[bold reverse]S[/] "} if isinstance(env, Grid) else {}
-    cells = [f"{short_number(v[s])}\n{marks.get(s, '')}[cyan]{best(s)}[/]" for s in range(env.num_states)]
-    for s in np.flatnonzero(terminal | ~visited):
-        cells[s] = ""
-    if isinstance(env, Grid):
-        cells[env.state(env.goal)] = "[bold green]G[/]"
-    tables = [_panel(panel, cells, declared.wind) for panel in declared.panels()]
-    if not (visited | terminal).all():
-        tables[-1].caption = "empty: out of reach from the start"
-    return tables
-
-
-def _panel(panel: Panel, cells: Sequence[str], wind: Any) -> Table:
-    """The `cells` of the states in a panel; below its columns the wind, where there is any."""
-    axes = f"{panel.down} ↓, {panel.along} →" if panel.down else ""
-    title = ": ".join(filter(None, [panel.title, axes]))
-    table = Table("", *panel.columns, title=title or None, show_lines=True, padding=0)
-    table.show_footer = wind is not None
-    footers = ["wind", *([""] * len(panel.columns) if wind is None else wind)]
-    for column, footer in zip(table.columns, footers, strict=True):
-        column.footer, column.justify, column.no_wrap, column.min_width = str(footer), "center", True, 5
-    table.columns[0].min_width = None
-    for name, row in zip(panel.rows, panel.states, strict=True):
-        table.add_row(name, *(cells[int(s)] for s in row))
-    return table
-
-
-def _best_actions(q: np.ndarray) -> np.ndarray:
-    """The actions whose values are maximal but for rounding, int [n], from values [A]."""
-    return np.flatnonzero(q >= q.max() - 1e-9 * abs(q[q > policies.UNAVAILABLE]).max())
 
 
 def _draw_solutions(env: Any, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:
@@ -148,7 +99,7 @@ def _draw_solutions(env: Any, solutions: Mapping[str, tuple[np.ndarray, ...]], f
     if of_environment(env).panels() and not isinstance(env, Grid):
         figure, grid = plot.panels_canvas(env, len(solutions))
         for row, title, (_, v, q) in zip(grid, titles, solutions.values(), strict=True):
-            best = np.array([np.isin(np.arange(env.num_actions), _best_actions(x)) for x in q])
+            best = np.array([np.isin(np.arange(env.num_actions), best_actions(x)) for x in q])
             plot.panels(row, env, v, best, title)
         plot.save(figure, folder / "values.png")
         return

@@ -3,11 +3,14 @@
 import codecs
 import contextlib
 import io
+import json
 import os
 import sys
-from typing import TextIO
+from typing import Any, TextIO
 
-from jaxrl_tab.cli.common import PROG
+from rich.console import Console
+
+PROG = "jaxrl-tab"
 
 
 def prepare_streams() -> None:
@@ -20,6 +23,16 @@ def prepare_streams() -> None:
             stream.reconfigure(errors="lookalikes" if name == "stdout" else "backslashreplace")
 
 
+def console() -> Console:
+    """Where tables are printed. Text such as :100: is no emoji; a pipe or a file has room for all columns."""
+    return Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 160)
+
+
+def print_json(value: Any) -> None:
+    utf8 = (sys.stdout.encoding or "utf-8").lower().startswith("utf")
+    print(json.dumps(value, ensure_ascii=not utf8, indent=1))
+
+
 LOOKALIKES = {"↑": "^", "→": ">", "↓": "v", "←": "<", "↗": "ne", "↘": "se", "↙": "sw", "↖": "nw", "·": "."}
 LOOKALIKES |= {
     "–": "-",
@@ -30,6 +43,9 @@ LOOKALIKES |= {
     "α": "alpha",
     "λ": "lambda",
     "γ": "gamma",
+    "δ": "delta",
+    "…": "...",
+    "●": "@",
 }
 
 

@@ -9,11 +9,10 @@ from typing import Any
 
 from jaxrl_tab.cli.common import (
     ENVIRONMENT,
+    EXECUTOR,
     HYPERPARAMETERS,
-    PROG,
     SEEDS,
     STEPS,
-    checked_name,
     find,
     named_in,
     prepare,
@@ -21,19 +20,21 @@ from jaxrl_tab.cli.common import (
     with_own,
 )
 from jaxrl_tab.cli.interrupt import interruptible
-from jaxrl_tab.cli.options import Group, Typed, parse, values, values_of, word
-from jaxrl_tab.cli.screen import busy, print_json, show_outcome
+from jaxrl_tab.cli.options import Typed, checked_name
+from jaxrl_tab.cli.screen import busy, say_where, show_outcome
+from jaxrl_tab.cli.streams import PROG, print_json
+from jaxrl_tab.cli.typed import Classes, parse, values, values_of, word
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError, one_line
+from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.names import is_from_outside
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.executors import Executor
+from jaxrl_tab.experiment.files import FORMATS, Outcome, check_formats
 from jaxrl_tab.experiment.plan import plan
 from jaxrl_tab.experiment.spec import Experiment, template
-from jaxrl_tab.show.progress import Report, reporting
 
 
 @checked_dataclass
@@ -45,35 +46,31 @@ class Where:
             docs/scaling.md.
         memory: How much memory a method may take, such as 4GB; results that do not fit go to temporary files.
             By default it is half of what is free.
+        formats: Of the pictures: png, svg, pdf, or several of them.
+        pictures: Draw no pictures. (The report shows the same, and more.)
         json: Print the summary, or what would be run, as JSON.
         quiet: Show no progress and no table.
     """
 
     executor: str = "local"
     memory: str | None = None
+    formats: tuple[str, ...] = FORMATS[:1]
+    pictures: bool = True
     json: bool = False
     quiet: bool = False
 
     def __post_init__(self):
-        _ = self.bytes  # raises InputError before anything is computed
+        _ = self.bytes, check_formats(self.formats)  # raises InputError before anything is computed
 
     @property
     def bytes(self) -> int | None:
         return None if self.memory is None else memory.parse(self.memory)
 
 
-# Some parameters of the executors are called otherwise here, where they stand beside options of other things.
-EXECUTOR = Group(
-    executors.EXECUTORS,
-    "Of the executor. The address is that of a Ray cluster, or of process 0 of a distributed job.",
-    spelled={"num_processes": "processes", "process_id": "process", "parameters": "slurm"},
-)
-
-
 @contextlib.contextmanager
 def _executor(options: Any, typed: Typed, out: Path | None) -> Iterator[Executor]:
     """The executor that the options name, made with those of them that are its own."""
-    name = checked_name("an executor", options.executor, executors.EXECUTORS)
+    name = checked_name(EXECUTOR.noun, options.executor, executors.EXECUTORS)
     parameters = values_of(name, typed, EXECUTOR)
     if name == "slurm":
         if out is None:
@@ -192,13 +189,14 @@ def _conduct(experiment: Experiment, executor: Executor, options: Sweep, command
         if options.dry_run:
             return 0
     about = {"memory": options.bytes, "command": shlex.join([PROG, *command])}
-    with _watched(options, options.out) as progress:
-        outcome = runner.run(experiment, options.out, executor=executor, progress=progress, **about)
-    return show_outcome(outcome, options.out, options)
+    with _watched(options, options.out) as watch:
+        outcome = runner.run(experiment, options.out, executor=executor, **about, **watch)
+    _say_where(outcome, options.out, options)
+    return 0
 
 
 def _experiment(
-    options: Sweep, typed: Mapping[str, Typed], hyperparameters: Group, environment: Group
+    options: Sweep, typed: Mapping[str, Typed], hyperparameters: Classes, environment: Classes
 ) -> Experiment:
     """The experiment that is in a file, or was typed."""
     is_file = options.env.endswith(".toml") or Path(options.env).is_file()
@@ -281,22 +279,46 @@ def resume_command(argv: list[str]) -> int:
             return 0
         start_jax()
         about = {"memory": limit, "command": shlex.join([PROG, "resume", *argv]), "mixed": options.mixed}
-        with _watched(options, folder) as progress:
-            outcome = runner.resume(folder, executor=executor, progress=progress, **about)
-        return show_outcome(outcome, folder, options)
+        with _watched(options, folder) as watch:
+            outcome = runner.resume(folder, executor=executor, **about, **watch)
+        _say_where(outcome, folder, options)
+        return 0
 
 
 @contextlib.contextmanager
-def _watched(options: Where, folder: Path | None) -> Iterator[Report]:
-    """What a run reports its progress to: a bar. Where it is interrupted, it says how to go on."""
+def _watched(options: Where, folder: Path | None) -> Iterator[dict[str, Any]]:
+    """How a run is watched, as arguments of `run`: its progress by a bar, and its results as soon as they are there.
+
+    Where it is interrupted, it says how to go on. That nobody reads the results any more does not interrupt it:
+    the files are written first.
+    """
     import pandas  # noqa: F401  Now, while there is nothing yet that Ctrl-C could wait for.
 
+    unread: list[BaseException] = []
+
+    def show(outcome: Outcome) -> None:
+        try:
+            show_outcome(outcome, folder, options)
+            sys.stdout.flush()
+        except (OSError, SystemExit) as error:  # rich ends the process where a pipe is broken
+            unread.append(error)
+
     try:
-        with interruptible(), reporting(False if options.quiet else None) as report:
-            yield report
+        with interruptible():
+            formats = options.formats if options.pictures else ()
+            yield {"progress": False if options.quiet else None, "ready": show, "formats": formats}
     except InputError:
         raise
     except BaseException as stop:
         if folder and folder.is_dir():
             stop.add_note(f"what is finished is kept, `{PROG} resume {shlex.quote(str(folder))}` goes on")
         raise
+    for error in unread:
+        raise error
+
+
+def _say_where(outcome: Outcome, folder: Path | None, options: Where) -> None:
+    """Names the files, and how the data are read; where a person reads."""
+    if folder and not options.json and not options.quiet:
+        name = next(iter(outcome.datasets))
+        say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])

@@ -3,7 +3,10 @@
 Its modules, from the ground up:
 
     version     the version of the package
-    checks      checks of the values that users give, and the wording of the messages about them
+    errors      what is said to a person who gave something wrong, and checks that need only the value
+    flags       what XLA is asked for before JAX starts
+    checks      checks of the values that users give
+    notebook    objects in a line, and as a table in a notebook
     pytree      frozen dataclasses that are JAX pytrees, whose fields say what they take
     describe    the parameters of a class and what they are, for help and lists
     modules     files of somebody's own, loaded by their checksum, with the files that they import
@@ -19,5 +22,6 @@ Its modules, from the ground up:
     coverage    whether a behaviour policy takes every action that a target policy may take
     episode     the memory of the current episode, for methods that learn when it is over
     experience  logged experience, as arrays, checked
+    steps       an episode step by step, with what was learned in each step
     memory      how many bytes things take, and where large results go
 """

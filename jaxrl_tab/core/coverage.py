@@ -3,7 +3,8 @@
 import numpy as np
 
 from jaxrl_tab.core import clock
-from jaxrl_tab.core.checks import InputError, Marks, concrete, first
+from jaxrl_tab.core.checks import Marks, concrete, first
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Policy, Softmax, Table
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from jaxrl_tab.core.checks import check_choice
+from jaxrl_tab.core.errors import check_choice
 
 
 class Learns(StrEnum):

@@ -8,13 +8,16 @@ import dataclasses
 import inspect
 import sys
 import typing
+from collections.abc import Mapping
+from dataclasses import MISSING
 from fractions import Fraction
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxrl_tab.core import clock, policies, schedules
-from jaxrl_tab.core.checks import InputError, explained, shown
+from jaxrl_tab.core.checks import explained
+from jaxrl_tab.core.errors import InputError, shown
 
 Plain = bool | int | float | str | list | tuple | None  # of a parameter that another library checks
 
@@ -27,12 +30,14 @@ class Parameter(NamedTuple):
         type: its annotation, as written.
         default: its value if it is not given; `dataclasses.MISSING` where it must be.
         help: what it is and what it takes, in one line.
+        limits: those that the field gives to a number; None where it checks nothing.
     """
 
     name: str
     type: Any
     default: Any
     help: str
+    limits: Mapping[str, float] | None = None
 
 
 def summary(cls: type) -> str:
@@ -47,7 +52,8 @@ def parameters(cls: type) -> list[Parameter]:
         with contextlib.suppress(Exception):  # what they name need not be there
             types = typing.get_type_hints(cls)
     return [
-        Parameter(f.name, types.get(f.name, f.type), f.default, explained(f)) for f in dataclasses.fields(cls)
+        Parameter(f.name, types.get(f.name, f.type), f.default, explained(f), f.metadata.get("limits"))
+        for f in dataclasses.fields(cls)
     ]
 
 
@@ -65,7 +71,7 @@ def kind(parameter: Parameter) -> type:
     """The type in which its value, or each entry of its value, is written; a policy is written as text."""
     if takes_schedule(parameter) or takes_policy(parameter):
         return float if takes_schedule(parameter) else str
-    if parameter.default is dataclasses.MISSING or parameter.default is None:  # its annotation says it
+    if parameter.default is MISSING or parameter.default is None:  # its annotation says it
         named = [x for x in (parameter.type, *typing.get_args(parameter.type)) if x in _KINDS]
         return named[0] if named else float
     entry = parameter.default

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Int, Num
 from numpy.typing import ArrayLike
 
-from jaxrl_tab.core.checks import InputError, assign, concrete, first, numbers, shown, whole
+from jaxrl_tab.core.checks import assign, concrete, first, numbers
+from jaxrl_tab.core.errors import InputError, shown, whole
 from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Available, Transition

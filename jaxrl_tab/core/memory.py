@@ -13,14 +13,16 @@ import sys
 import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from jaxrl_tab.core.checks import unfit
+from jaxrl_tab.core.errors import unfit
 
 UNITS = {"B": 1} | {f"{k}B": 1000**i for i, k in enumerate("kMGT", 1)}
+MEMINFO = Path("/proc/meminfo")
 BLOCK = 2**24  # bytes of results that are looked at at a time, after they are computed
 _MAPPED: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()  # the files of results
 UNITS |= {f"{k}iB": 1024**i for i, k in enumerate("KMGT", 1)}
@@ -115,7 +117,24 @@ def free(devices: Sequence[Any] = ()) -> int:
     if devices and devices[0].platform != "cpu":
         stats = [device.memory_stats() or {} for device in devices]
         return min(s.get("bytes_limit", sys.maxsize) - s.get("bytes_in_use", 0) for s in stats)
-    import psutil  # here, so that importing the package stays cheap
+    return _free_on_linux() or _free_anywhere()
+
+
+def _free_on_linux() -> int:
+    """What Linux says is available, without psutil, whose import takes a sixth of a second start; 0 where it does not.
+
+    In some containers there seems to be more than there is in all; psutil knows better what to do with that.
+    """
+    try:
+        numbers = dict(re.findall(r"^(\w+): *(\d+) kB", MEMINFO.read_text(), re.MULTILINE))
+    except OSError:
+        return 0
+    available, total = (1024 * int(numbers.get(name, 0)) for name in ("MemAvailable", "MemTotal"))
+    return available if available <= total else 0
+
+
+def _free_anywhere() -> int:
+    import psutil  # here, so that a second start need not wait for it
 
     return psutil.virtual_memory().available
 

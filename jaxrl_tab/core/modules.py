@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from jaxrl_tab.core.checks import InputError, reason
+from jaxrl_tab.core.errors import InputError, reason
 
 PACKAGE = __name__.partition(".")[0]
 

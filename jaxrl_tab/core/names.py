@@ -20,7 +20,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from jaxrl_tab.core import describe, modules
-from jaxrl_tab.core.checks import InputError, nearest, shown
+from jaxrl_tab.core.errors import InputError, nearest, shown
 from jaxrl_tab.core.modules import PACKAGE, File
 
 _IN_MODULE = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")

@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import InputError, assign, nearest, reason, shown, unfit
+from jaxrl_tab.core.checks import assign
 from jaxrl_tab.core.clock import ClockName
+from jaxrl_tab.core.errors import InputError, nearest, reason, shown, unfit
 from jaxrl_tab.core.pytree import pytree, static
 
 

@@ -28,20 +28,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.core import schedules, tables
-from jaxrl_tab.core.checks import (
-    KINDS,
-    InputError,
-    Kind,
-    as_array,
-    build,
-    concrete,
-    first,
-    is_distribution,
-    nearest,
-    shown,
-    unfit,
-)
+from jaxrl_tab.core.checks import KINDS, Kind, as_array, build, concrete, first, is_distribution
 from jaxrl_tab.core.clock import Clock, Rate, exploration, goes_by_visit, of_state
+from jaxrl_tab.core.errors import InputError, nearest, shown, unfit
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Available, check_available
 

@@ -10,7 +10,9 @@ from typing import Any, dataclass_transform
 
 import jax
 
-from jaxrl_tab.core.checks import LIMITS, T, check_fields, explained
+from jaxrl_tab.core.checks import T, check_fields, explained
+from jaxrl_tab.core.errors import LIMITS
+from jaxrl_tab.core.notebook import Shown
 
 _ENTRY = re.compile(r" {4}(\w+(?:, \w+)*): (.*)")
 _SECTION = "\nAttributes:\n"
@@ -55,7 +57,7 @@ def checked_dataclass(cls: type[T], *, eq: bool = True) -> type[T]:
     doc, inherited = vars(cls).get("__doc__"), getattr(cls, "__dataclass_fields__", {})
     documented = _attributes(doc or "")
     _check_first(cls)
-    cls = dataclasses.dataclass(frozen=True, eq=eq)(cls)
+    cls = dataclasses.dataclass(frozen=True, eq=eq, repr=not issubclass(cls, Shown))(cls)
     fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
     for f in fields:
         if f.name in inspect.get_annotations(cls):

@@ -18,7 +18,7 @@ import jax.extend as jex
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Key, PRNGKeyArray, UInt32
 
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.errors import InputError, shown
 
 Stream: TypeAlias = tuple[UInt32[Array, ""], UInt32[Array, ""]]
 

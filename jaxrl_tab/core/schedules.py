@@ -21,17 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import (
-    KINDS,
-    InputError,
-    Kind,
-    as_array,
-    build,
-    check_number,
-    concrete,
-    nearest,
-    shown,
-)
+from jaxrl_tab.core.checks import KINDS, Kind, as_array, build, check_number, concrete
 from jaxrl_tab.core.clock import (
     CLOCKS,
     Clock,
@@ -47,6 +37,7 @@ from jaxrl_tab.core.clock import (
     start,
     step_size,
 )
+from jaxrl_tab.core.errors import InputError, nearest, shown
 from jaxrl_tab.core.optax import Optax
 from jaxrl_tab.core.pytree import field, pytree, static
 

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrl_tab.core.checks import InputError, concrete, first, shown
+from jaxrl_tab.core.checks import concrete, first
 from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.errors import InputError, shown
 
 T = TypeVar("T")
 

@@ -15,8 +15,12 @@ Its modules, from the ground up:
     by_xla      runs that XLA compiles, on all devices
     batch       many runs at once
     train       one run, checked, compiled and measured
+    stepwise    one run, one step at a time
+    watch       an episode of a run, step by step, and what the run learns over time
     axes        what a sweep tries of a hyperparameter: grids in steps, and random draws
     part        one method in one environment, with all its configurations and seeds
+    speeds      how fast runs were on this machine, so that a plan can say how long it takes
+    counted     a method that also counts how often it took each action
     results     what a sweep gives, with named axes, and how it is saved
     sweep       a grid of hyperparameters times seeds, in one call
     offline     learning from a log, and logging a run

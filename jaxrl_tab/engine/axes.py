@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxrl_tab.core.checks import InputError, is_whole, shown
+from jaxrl_tab.core.errors import InputError, is_whole, shown
 from jaxrl_tab.core.pytree import checked_dataclass, field
 
 DRAW = "draw"  # the axis of trials; each of its values is a dict of what is drawn together

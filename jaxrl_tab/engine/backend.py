@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import jax
 
-from jaxrl_tab.core.checks import InputError, nearest, shown
+from jaxrl_tab.core.errors import InputError, nearest, shown
 
 Backend: TypeAlias = Literal["auto", "lanes", "xla"]
 NAMES = get_args(Backend)

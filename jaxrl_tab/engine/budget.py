@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 from jaxtyping import Array
 
 from jaxrl_tab.core import names
-from jaxrl_tab.core.checks import InputError, is_whole, shown
+from jaxrl_tab.core.errors import InputError, is_whole, shown
 
 Record: TypeAlias = Callable[[Any], dict[str, Array]]
 

@@ -10,7 +10,7 @@ Any other device is given one block, as wide as there are runs for it and as fit
 
 Two settings must be made before JAX starts its backend:
 
-- `set_flags`, on import: XLA's CPU backend runs a loop's body as a list of small kernels, at a microsecond
+- `core.flags`, on import: XLA's CPU backend runs a loop's body as a list of small kernels, at a microsecond
   each, unless the loop's data are smaller than a threshold; then the whole loop becomes one kernel. We raise
   that threshold to 16 MiB. Other loops of the process are compiled under it too: small ones gain, one whose
   body multiplies large matrices may lose XLA's parallel matrix product. `JAXRL_TAB_XLA=0` turns it off.
@@ -21,7 +21,6 @@ import functools
 import math
 import os
 import time
-import warnings
 from collections.abc import Generator, Sequence
 from typing import Any
 
@@ -45,22 +44,6 @@ from jaxrl_tab.engine.room import (
 from jaxrl_tab.engine.runs import Runs
 
 CALL_SECONDS = 0.2  # about so long a call shall take
-_THRESHOLD = "xla_cpu_small_while_loop_byte_threshold"
-
-
-def set_flags() -> None:
-    """Asks XLA for one kernel per loop, unless the environment already says something about it."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    if os.environ.get("JAXRL_TAB_XLA") == "0" or _THRESHOLD in flags:
-        return
-    if _started():
-        warnings.warn(
-            "JAX had computed something before jaxrl_tab was imported, so its loops run several times slower "
-            "(the results are the same): import jaxrl_tab first",
-            stacklevel=2,
-        )
-    else:
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={_THRESHOLD}={2**24}".strip()
 
 
 def use_all_cores() -> bool:
@@ -130,17 +113,6 @@ class ByXLA:
         return self.runs.arguments(places[:, np.minimum(np.arange(self.most), blocks - 1)])
 
 
-def _started() -> bool:
-    """Whether JAX's backend runs, so that flags come too late: it then refuses another number of devices."""
-    chosen = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
-    try:
-        jax.config.update("jax_num_cpu_devices", max(chosen, 0) + 1)
-        jax.config.update("jax_num_cpu_devices", chosen)
-    except RuntimeError:
-        return True
-    return False
-
-
 @functools.lru_cache(maxsize=64)
 def _compiled(devices: tuple[Any, ...], budget: Budget, signature: Signature):
     """The program for one call: every device trains so many blocks of its own, one after another."""
@@ -174,6 +146,3 @@ def _compiled(devices: tuple[Any, ...], budget: Budget, signature: Signature):
         check_vma=False,
     )
     return jax.jit(program).lower(jnp.int32(0), root, seeds, algorithms, env).compile()
-
-
-set_flags()

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import InputError, reason, shown
+from jaxrl_tab.core.errors import InputError, reason, shown
 from jaxrl_tab.core.types import Environment, init_learner
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.budget import NO_RECORDER, Record

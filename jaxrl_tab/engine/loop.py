@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.core import policies, rng, tables
 from jaxrl_tab.core.declared import of_method
@@ -21,7 +21,7 @@ from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
 
 
-class _Run(NamedTuple):
+class Run(NamedTuple):
     """What one run carries from step to step."""
 
     learner: Any
@@ -31,6 +31,13 @@ class _Run(NamedTuple):
     length: Int[Array, ""]  # steps of this episode so far
     g: Float[Array, ""]  # its return so far
     discount: Float[Array, ""]  # gamma^length
+
+
+class Happened(NamedTuple):
+    """What happened in a step: its transition, and whether S' is terminal."""
+
+    t: Transition
+    terminal: Bool[Array, ""]
 
 
 class _Start(NamedTuple):
@@ -62,7 +69,7 @@ IN_A_STEP = _Decisions(update=0, start=1, step=2, reset=3)
 BEFORE_RESET, BEFORE_START = 4, 5  # at time 0
 INSTANCE = 6  # the problem of a run, where the environment draws one
 
-Step: TypeAlias = Callable[[_Run, _Decisions], tuple[_Run, Log]]
+Step: TypeAlias = Callable[[Run, _Decisions], tuple[Run, Log, "Happened"]]
 Measured: TypeAlias = Callable[[Any], dict[str, Any]]
 
 
@@ -89,6 +96,29 @@ def run(
     return end.learner, log
 
 
+# --- the same, one step at a time ----------------------------------------------------------------------
+
+
+def at_start(stream: rng.Stream, algorithm: Algorithm, env: Environment) -> Run:
+    """The run at time 0."""
+    return _start(stream, algorithm, env, _make_start(algorithm, env))
+
+
+def after_episode(
+    stream: rng.Stream, algorithm: Algorithm, env: Environment, learner: Any, t: Int[Array, ""]
+) -> Run:
+    """The run when an episode has ended with step `t` > 0 and left this learner: the next one begins."""
+    keys = _keys(stream, t - 1)
+    return _begin(_make_start(algorithm, env), keys.reset, keys.start, learner, t)
+
+
+def one_step(stream: rng.Stream, algorithm: Algorithm, env: Environment, run: Run) -> tuple[Run, Happened]:
+    """The run one step later, and what happened in this step."""
+    step = _make_step(algorithm, env, _make_start(algorithm, env))
+    run, _, happened = step(run, _keys(stream, run.t))
+    return run, happened
+
+
 # --- one step ----------------------------------------------------------------------------------------
 
 
@@ -111,7 +141,7 @@ def _any_action(env: Environment, s: Int[Array, ""]) -> Float[Array, " A"]:
 
 
 def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
-    """The step of the agent in its environment: run -> (run, the step's own Log)."""
+    """The step of the agent in its environment: run -> (run, the step's own Log, what happened)."""
 
     # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
     env_step = env.step
@@ -119,7 +149,7 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
         env_step = env.tabulated_step()
     acts_after_update = of_method(algorithm).acts_after_update
 
-    def step(run: _Run, key: _Decisions) -> tuple[_Run, Log]:
+    def step(run: Run, key: _Decisions) -> tuple[Run, Log, Happened]:
         s_next, reward, terminal = env_step(key.step, run.s, run.a)
         s_next = jnp.asarray(s_next, jnp.int32)
         reward, terminal = jnp.asarray(reward, run.g.dtype), jnp.asarray(terminal, bool)
@@ -136,7 +166,11 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
             # A' and the first action of an episode are drawn alike: one draw serves, whichever is wanted.
             a = algorithm.policy(jnp.where(last, key.start, key.update), learner, s)
         else:
-            a = jnp.where(last, start.action(key.start, learner, s_start), a_next)
+            a = lax.cond(  # few steps are the last of an episode: `lanes` leaves out what none of them wants
+                last,
+                lambda: jnp.asarray(start.action(key.start, learner, s_start), run.a.dtype),
+                lambda: jnp.asarray(a_next, run.a.dtype),
+            )
         g = run.g + run.discount * reward
         log = Log(
             steps=jnp.int32(1),
@@ -145,7 +179,7 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
             lengths=jnp.where(last, length, 0),
             rewards=reward,
         )
-        run = _Run(
+        run = Run(
             learner,
             t=run.t + 1,
             s=s,
@@ -154,21 +188,25 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
             g=jnp.where(last, 0, g),
             discount=jnp.where(last, 1, run.discount * gamma),
         )
-        return run, log
+        return run, log, Happened(t, terminal)
 
     return step
 
 
-def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _Start) -> _Run:
+def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _Start) -> Run:
     """The run at time 0, in a start state with its first action chosen."""
     reset_key, start_key = (
         rng.as_key(rng.word(stream, jnp.int32(0), decision)) for decision in (BEFORE_RESET, BEFORE_START)
     )
-    learner = init_learner(algorithm, env)
+    return _begin(start, reset_key, start_key, init_learner(algorithm, env), jnp.int32(0))
+
+
+def _begin(start: _Start, reset_key: Any, start_key: Any, learner: Any, t: Int[Array, ""]) -> Run:
+    """The run at the beginning of an episode, in its start state with its first action chosen."""
     s = jnp.asarray(start.state(reset_key), jnp.int32)
     a = start.action(start_key, learner, s)
     zero = jnp.zeros((), learner.q.dtype)
-    return _Run(learner, t=jnp.int32(0), s=s, a=a, length=jnp.int32(0), g=zero, discount=zero + 1)
+    return Run(learner, t=t, s=s, a=a, length=jnp.int32(0), g=zero, discount=zero + 1)
 
 
 # --- many steps --------------------------------------------------------------------------------------
@@ -180,16 +218,16 @@ def _keys(stream: rng.Stream, t: Int[Array, ""]) -> _Decisions:
 
 
 def _run_steps(
-    stream: rng.Stream, step: Step, run: _Run, num_steps: int, log_every: int, measure: Measured | None
-) -> tuple[_Run, Log]:
+    stream: rng.Stream, step: Step, run: Run, num_steps: int, log_every: int, measure: Measured | None
+) -> tuple[Run, Log]:
     """`num_steps` steps, with a row of the log after each `log_every` and after the last."""
 
     def one(_, carry):
         run, total = carry
-        run, log = step(run, _keys(stream, run.t))
+        run, log, _ = step(run, _keys(stream, run.t))
         return run, jax.tree.map(jnp.add, total, log)
 
-    def row(run: _Run, size: int) -> tuple[_Run, Log]:
+    def row(run: Run, size: int) -> tuple[Run, Log]:
         run, log = lax.fori_loop(0, size, one, (run, _zero_log(run)))
         return run, log._replace(**measure(run.learner)) if measure else log
 
@@ -201,8 +239,8 @@ def _run_steps(
 
 
 def _run_episodes(
-    stream: rng.Stream, step: Step, run: _Run, num_episodes: int, log_every: int, measure: Measured | None
-) -> tuple[_Run, Log]:
+    stream: rng.Stream, step: Step, run: Run, num_episodes: int, log_every: int, measure: Measured | None
+) -> tuple[Run, Log]:
     """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
     rows = -(-num_episodes // log_every)
     log = jax.tree.map(lambda x: jnp.zeros(rows, x.dtype), _zero_log(run))
@@ -225,7 +263,7 @@ def _run_until(stream: rng.Stream, step: Step, carry, target: int | Int[Array, "
 
     def one(carry):
         run, log, episodes = carry
-        run, now = step(run, _keys(stream, run.t))
+        run, now, _ = step(run, _keys(stream, run.t))
         row = episodes // log_every
         log = tables.lane_by_lane(_add_to_row, log, row, now)
         return run, log, episodes + now.episodes
@@ -233,7 +271,7 @@ def _run_until(stream: rng.Stream, step: Step, carry, target: int | Int[Array, "
     return lax.while_loop(lambda carry: carry[-1] < target, one, carry)
 
 
-def _zero_log(run: _Run) -> Log:
+def _zero_log(run: Run) -> Log:
     count, real = jnp.int32(0), jnp.zeros_like(run.g)
     return Log(steps=count, episodes=count, returns=real, lengths=count, rewards=real)
 

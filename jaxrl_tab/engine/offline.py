@@ -22,8 +22,9 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import rng, tables
-from jaxrl_tab.core.checks import InputError, check_pytree, concrete, numbers, whole
+from jaxrl_tab.core.checks import check_pytree, concrete, numbers
 from jaxrl_tab.core.declared import LearnsFrom, of_method
+from jaxrl_tab.core.errors import InputError, whole
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.policies import Policy, Table, as_table
 from jaxrl_tab.core.pytree import pytree

@@ -40,11 +40,11 @@ import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 
-from jaxrl_tab.core.checks import reason
+from jaxrl_tab.core.errors import reason
 from jaxrl_tab.engine import provenance
 
 T = TypeVar("T")
@@ -91,24 +91,60 @@ def kept(name: Any, make: Callable[[], T], pack: Callable[[T], bytes], unpack: C
         pack, unpack: to bytes, and back. `unpack` is given what `pack` gave, to the last bit; where it raises
             something, one line of the log says so, and it is made again.
     """
-    file = _file(name)
-    if file is None or (key := _key(file.parent)) is None:
+    if (place := _place(name)) is None:
         return make()
+    if (found := _found(place, unpack, ", and made again")) is not None:
+        return found
+    made = make()
+    _put(place, pack(made), "compiled programs")
+    return made
+
+
+def note(name: str, data: bytes) -> None:
+    """Keeps `data` under a name, instead of what is there; it need not be there later."""
+    if place := _place(("note", name)):
+        _put(place, data, name)
+
+
+def noted(name: str, unpack: Callable[[bytes], T]) -> T | None:
+    """What was kept last under a name, unpacked; None where there is nothing, or nothing that can be used."""
+    place = _place(("note", name))
+    return place and _found(place, unpack)
+
+
+class _Place(NamedTuple):
+    """A file in which something is kept, and the key of its checksum."""
+
+    file: Path
+    key: bytes
+
+
+def _place(name: Any) -> _Place | None:
+    """Where what has this name is kept; None where it is not kept."""
+    file = _file(name)
+    key = file and _key(file.parent)
+    return _Place(file, key) if file and key else None
+
+
+def _found(place: _Place, unpack: Callable[[bytes], T], remedy: str = "") -> T | None:
+    """What is kept there; None where nothing is, or it cannot be used: the log says so, and what is done about it."""
     try:
-        found = unpack(_read(file, key))
-        os.utime(file)  # `_make_room` takes the time for that of the last use
+        found = unpack(_read(*place))
+        os.utime(place.file)  # `_make_room` takes the time for that of the last use
         return found
     except FileNotFoundError:
-        pass
+        return None
     except Exception as error:  # what LLVM raises has no common type
-        _warn(f"{file} is not used, and made again: {reason(error)}")
-    made = make()
-    packed = pack(made)
+        _warn(f"{place.file} is not used{remedy}: {reason(error)}")
+        return None
+
+
+def _put(place: _Place, data: bytes, what: str) -> None:
+    """Keeps data there; where that cannot be, the log says `what` is not kept."""
     try:
-        _write(file, key, packed)
+        _write(*place, data)
     except OSError as error:
-        _warn(f"compiled programs are not kept in {file.parent}: {reason(error)}")
-    return made
+        _warn(f"{what} are not kept in {place.file.parent}: {reason(error)}")
 
 
 def _default() -> Path | None:

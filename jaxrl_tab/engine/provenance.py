@@ -22,7 +22,7 @@ from typing import Any
 
 import jax
 
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import backend
 from jaxrl_tab.lanes import machine
 

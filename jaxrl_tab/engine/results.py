@@ -11,15 +11,20 @@ import numpy as np
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.declared import Learns
+from jaxrl_tab.core.errors import one_line
+from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.log import Log
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+    from jaxrl_tab.show.report import Page
 
 CHUNK = 2**20  # bytes of the pieces in which a file holds a large variable
 
@@ -72,6 +77,21 @@ class SweepResult:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
         seeds = self.log.steps.shape[-2]
         return f"<SweepResult of {self.algorithm} in {self.environment}: {axes}, {seeds} seeds>"
+
+    def _repr_html_(self) -> str:
+        def several(values: Iterable[Any]) -> str:
+            return one_line(", ".join(map(str, labels(values))))
+
+        drawn = self.grid.get(DRAW, ())
+        rows = [(name, several(values)) for name, values in self.grid.items() if name != DRAW]
+        rows += [(f"{name}, drawn", several(trial[name] for trial in drawn)) for name in (drawn or [{}])[0]]
+        rows += [(name, one_line(str(label(x)))) for name, x in self.fixed.items() if x is not None]
+        steps, episodes = self.num_steps, self.num_episodes
+        length = f"{steps:,} steps" if steps is not None else f"{episodes:,} episodes"
+        million = self.steps_per_second / 1e6
+        rows += [("seeds", str(self.log.steps.shape[-2])), ("each run", length)]
+        rows += [("speed", f"{million:.3g} million steps a second"), ("data", "to_xarray(), to_pandas()")]
+        return table(f"{self.algorithm} in {self.environment}", ("", ""), rows)
 
     @property
     def steps_per_second(self) -> float:
@@ -138,6 +158,18 @@ class SweepResult:
         from jaxrl_tab.stats import export
 
         return export.to_pandas(self.to_xarray(), per)
+
+    def report(self) -> "Page":
+        """The report of this sweep, to look around in: a notebook shows it, and its `save` writes it into a file.
+
+        What is shown of the tables is what was learned in the end; for the moments before it takes an experiment.
+        """
+        from jaxrl_tab.show import report
+        from jaxrl_tab.stats.columns import by_environment
+
+        datasets = {f"{self.environment}/{self.algorithm}": self.to_xarray()}
+        methods = by_environment(datasets, {self.environment: self.env})
+        return report.page(methods, {"made by": repr(self), "versions": provenance.installed()}, {})
 
 
 def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import memory, rng
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.engine.budget import Budget

@@ -14,20 +14,9 @@ from jaxtyping import Float
 
 from jaxrl_tab.algorithms.prediction import METHOD, METHODS
 from jaxrl_tab.core import modules, names
-from jaxrl_tab.core.checks import (
-    InputError,
-    build,
-    check_held,
-    check_pytree,
-    checked,
-    foreign,
-    is_list,
-    one_line,
-    repeated,
-    shown,
-    whole,
-)
+from jaxrl_tab.core.checks import build, check_held, check_pytree, checked, foreign, is_list, repeated
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
+from jaxrl_tab.core.errors import InputError, one_line, shown, whole
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
 from jaxrl_tab.engine import backend as backends

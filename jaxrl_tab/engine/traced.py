@@ -34,12 +34,18 @@ def unchecked(
 ) -> tuple[Any, Log]:
     """`train.train` without its checks. `full` is `in_full((algorithm, env))` for exact values, or None."""
     stream = rng.stream(key)
-    if (instance := of_environment(env).instance) is not None:
-        env = instance(rng.as_key(rng.word(stream, jnp.int32(0), loop.INSTANCE)))
+    if (problem := problem_of(stream, env)) is not env:
+        env = problem
         full = full and (full[0], env)  # it is drawn in the precision of the program
     measure = _make_measure(algorithm, env, full, budget.record)
     algorithm = restricted(algorithm, available_actions(env))
     return loop.run(stream, algorithm, env, budget, measure)
+
+
+def problem_of(stream: rng.Stream, env: Any) -> Any:
+    """The environment of a run; where each run has a problem of its own, that one."""
+    instance = of_environment(env).instance
+    return env if instance is None else instance(rng.as_key(rng.word(stream, jnp.int32(0), loop.INSTANCE)))
 
 
 def in_full(obj: T) -> T:

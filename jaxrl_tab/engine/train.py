@@ -13,6 +13,7 @@ from jaxtyping import PRNGKeyArray
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, restricted
 from jaxrl_tab.engine import by_lanes
 from jaxrl_tab.engine.budget import Budget, Record
@@ -60,23 +61,39 @@ def train(
     Raises:
         InputError: a number is out of range, or `exact` is asked of an environment without `outcomes`.
     """
-    if isinstance(algorithm, Environment):
-        algorithm, env = env, algorithm
-    algorithm, env = cast(Algorithm[L], algorithm), cast(Environment, env)
     budget = Budget(num_steps, num_episodes, log_every, bool(exact), record)
     rng.check_key(key)
-    check_pytree("algorithm", algorithm, METHODS)
-    if is_dataclass(algorithm):
-        schedules.check_single(type(algorithm).__name__, algorithm)
-    check_pytree("env", env, ENVS)
-    check_held(env)
-    restricted(algorithm, available_actions(env))  # raises InputError where the actions do not fit the method
+    algorithm, env = checked_pair(algorithm, env)
     if exact:
         planning.check_finite(env)
     if not _is_traced((key, algorithm, env)) and (learned := by_lanes.alone(key, algorithm, env, budget)):
         return learned
     full = in_full((algorithm, env)) if exact else None
     return unchecked(key, algorithm, env, full, budget)
+
+
+def checked_pair(
+    algorithm: Algorithm[L] | Environment, env: Environment | Algorithm[L]
+) -> tuple[Algorithm[L], Environment]:
+    """A method for one run and its environment, in this order, whichever was given first.
+
+    Raises:
+        InputError: one of them is wrong, or they do not fit.
+    """
+    if isinstance(algorithm, Environment):
+        algorithm, env = env, algorithm
+    algorithm, env = cast(Algorithm[L], algorithm), cast(Environment, env)
+    check_pytree("algorithm", algorithm, METHODS)
+    if not isinstance(algorithm, Algorithm):
+        raise InputError(f"algorithm must be a method such as Sarsa(), not {shown(algorithm)}")
+    if is_dataclass(algorithm):
+        schedules.check_single(type(algorithm).__name__, algorithm)
+    check_pytree("env", env, ENVS)
+    if not isinstance(env, Environment):
+        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
+    check_held(env)
+    restricted(algorithm, available_actions(env))  # raises InputError where the actions do not fit the method
+    return algorithm, env
 
 
 def _is_traced(tree: Any) -> bool:

@@ -7,7 +7,8 @@ import re
 from typing import Any
 
 from jaxrl_tab.core import modules, names
-from jaxrl_tab.core.checks import build, nearest, shown
+from jaxrl_tab.core.checks import build
+from jaxrl_tab.core.errors import nearest, shown
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
 from jaxrl_tab.envs.cliff_walking import CliffWalking

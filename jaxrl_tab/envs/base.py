@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import policies, tables
-from jaxrl_tab.core.checks import InputError, assign, is_list, unfit
+from jaxrl_tab.core.checks import assign, is_list
+from jaxrl_tab.core.errors import InputError, unfit
+from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.types import Outcome
 
 MAX_STEPS = 10_000  # long enough that no sensible run meets it: it is there so that every episode ends
@@ -41,7 +43,7 @@ class Panel(NamedTuple):
     along: str = ""
 
 
-class Finite:
+class Finite(Shown):
     """A finite MDP: `outcomes` and `initial` say everything, `step` and `reset` sample from them.
 
     Attributes:

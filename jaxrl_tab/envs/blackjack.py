@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.core.checks import InputError, unfit
+from jaxrl_tab.core.errors import InputError, unfit
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs.base import TIME_LIMIT, Panel
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, hands_panel, tabulate

@@ -6,7 +6,7 @@ from numbers import Integral
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.core.checks import unfit
+from jaxrl_tab.core.errors import unfit
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs.base import TIME_LIMIT, Panel
 from jaxrl_tab.envs.cards import DEALER_STICKS, LIMIT, SHOWN, CardGame, Game, compare, hands_panel, tabulate

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import TOLERANCE, InputError, as_path, assign, first, numbers, reason, shown, whole
+from jaxrl_tab.core.checks import TOLERANCE, assign, first, numbers
+from jaxrl_tab.core.errors import InputError, as_path, reason, shown, whole
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.base import MAX_STEPS, Finite

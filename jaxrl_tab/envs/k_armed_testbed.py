@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import tables
-from jaxrl_tab.core.checks import InputError, Numbers, assign, unbatched
+from jaxrl_tab.core.checks import Numbers, assign, unbatched
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.bandit import Bandit

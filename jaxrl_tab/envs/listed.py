@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrl_tab.core.checks import InputError, first, foreign, is_list, is_whole, numbers, shown
+from jaxrl_tab.core.checks import first, foreign, is_list, numbers
+from jaxrl_tab.core.errors import InputError, is_whole, shown
 
 NAME = "FiniteMDP"
 refusal = functools.partial(InputError, who=NAME)  # the error of what people gave for it

@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import Numbers, unbatched, unfit
+from jaxrl_tab.core.checks import Numbers, unbatched
+from jaxrl_tab.core.errors import unfit
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, FixedStart

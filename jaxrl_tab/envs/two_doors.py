@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import TOLERANCE, InputError, Numbers, assign, first, unbatched
+from jaxrl_tab.core.checks import TOLERANCE, Numbers, assign, first, unbatched
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.envs.bandit import Bandit
 

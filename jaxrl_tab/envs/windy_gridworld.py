@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import InputError, assign, numbers, unbatched, unfit
+from jaxrl_tab.core.checks import assign, numbers, unbatched
+from jaxrl_tab.core.errors import InputError, unfit
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Grid

@@ -22,8 +22,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from jaxrl_tab.core.checks import RATE, InputError, check_within, first, shown
+from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.coverage import check_coverage
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.policies import Table, as_table, check_among
 from jaxrl_tab.core.types import Environment

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.model import Model, check_finite, ending_at, enumerate_model, reachable, terminal_states
 from jaxrl_tab.exact.values import doubled, from_start, greedy_to, iterate_policies, policy_values

@@ -26,7 +26,8 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import RATE, InputError, as_array, check_within, first, shown
+from jaxrl_tab.core.checks import RATE, as_array, check_within, first
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (
@@ -298,6 +299,11 @@ def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = 
         steps: the number of steps, at least 1.
         anywhere: whether the first step may be in any state, or only where one can come from the start.
     """
+    return float(_largest_return(env, gamma, steps, anywhere))
+
+
+@once_for_an_environment
+def _largest_return(env: Environment, gamma: float, steps: int, anywhere: bool) -> np.ndarray:
     model = exact_model(env)
     begin = np.full(len(model.start), True) if anywhere else reachable(model)
     reward, goes_on = np.where(model.prob > 0, model.reward, 0), (model.prob > 0) & ~model.terminal
@@ -309,7 +315,7 @@ def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = 
         if not change:
             break
     more = left if gamma == 1 else gamma * (1 - gamma**left) / (1 - gamma)
-    return float(most[:, begin].max() + change * more)
+    return np.array(most[:, begin].max() + change * more)
 
 
 @once_for_an_environment

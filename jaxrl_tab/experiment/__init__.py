@@ -13,6 +13,7 @@ Its modules, from the ground up:
     records    what a folder says about the sessions that computed it
     progress   how far an experiment is, and how long it will go on
     executors  where shards are computed: in this process, or in others, here or on other machines
+    again      settings run again, to record what was learned on the way
     files      the files of results in the folder
     runner     an experiment in a folder: `run` and `resume`
 """

@@ -1,16 +1,18 @@
 """The files of results in an experiment's folder."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from jaxrl_tab.core.checks import RunError
+from jaxrl_tab.core.checks import is_list
+from jaxrl_tab.core.errors import RunError, check_choice, one_line, unfit
 from jaxrl_tab.core.memory import words
+from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine import provenance
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from jaxrl_tab.show.explorer.over_time import Again
+    from jaxrl_tab.show.report import Page
     from jaxrl_tab.stats.columns import Methods
 
 
@@ -40,6 +44,28 @@ class Outcome:
     datasets: "dict[str, xr.Dataset]"
     fresh: "dict[str, xr.Dataset]"
     envs: dict[str, Environment]
+
+    def __repr__(self) -> str:
+        return f"<Outcome: {one_line(', '.join(self.datasets))}>"
+
+    def _repr_html_(self) -> str:
+        from jaxrl_tab.show.rows import chosen
+
+        tables = []
+        for label, methods in self.methods.items():
+            best = chosen(methods, self.fresh_methods.get(label))
+            tables.append(table(f"{label}: the best setting of each method", best.head, best.rows))
+        return "\n".join(tables)
+
+    def report(self) -> "Page":
+        """The report, to look around in: a notebook shows it, and its `save` writes it into a file.
+
+        In the folder of the experiment it also has what was learned at the moments before.
+        """
+        from jaxrl_tab.show import report
+
+        about = {"made by": repr(self), "versions": provenance.installed()}
+        return report.page(self.methods, about, self.fresh_methods)
 
     @cached_property
     def methods(self) -> "dict[str, Methods]":
@@ -105,9 +131,32 @@ class Outcome:
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
 
-def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> None:
-    """Tables, pictures and the report, each a whole file or none."""
-    from jaxrl_tab.show import plot, report
+Format: TypeAlias = Literal["png", "svg", "pdf"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+
+
+def check_formats(formats: Any) -> tuple[Format, ...]:
+    """Formats of pictures, each once; none for no pictures. Raises InputError where one is not of `FORMATS`."""
+    if isinstance(formats, str) or not is_list(formats):
+        raise unfit(None, "formats", f"a list of some of {', '.join(FORMATS)}", formats)
+    for one in formats:
+        check_choice(None, "formats", one, FORMATS)
+    return tuple(dict.fromkeys(formats))
+
+
+def write_files(
+    store: Store,
+    outcome: Outcome,
+    records: Mapping[str, Any],
+    formats: Sequence[Format] = FORMATS[:1],
+    again: "Again | None" = None,
+    toml: Mapping[str, str] | None = None,
+) -> None:
+    """Tables, pictures in these formats, and the report, each a whole file or none.
+
+    `again` and `toml` are for the report, see `report.write`.
+    """
+    from jaxrl_tab.show import report
 
     folder = store.path
     about = {"command": records["sessions"][0]["command"], "version": __version__}
@@ -120,10 +169,15 @@ def write_files(store: Store, outcome: Outcome, records: Mapping[str, Any]) -> N
     names = storage.file_names(outcome.envs)
     try:
         with storage.as_run_error(folder):
+            scratch.mkdir(parents=True, exist_ok=True)
             for label, methods in outcome.methods.items():
                 place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
-                plot.save_all(methods, outcome.envs[label], place)
-            report.write_methods(scratch, outcome.methods, _about(store, records), outcome.fresh_methods)
+                if formats:
+                    from jaxrl_tab.show import plot  # and with it Matplotlib, which the report does not need
+
+                    plot.save_all(methods, outcome.envs[label], place, formats)
+            about_all = _about(store, records)
+            report.write_methods(scratch, outcome.methods, about_all, outcome.fresh_methods, again, toml)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
             with storage.as_run_error(goal):

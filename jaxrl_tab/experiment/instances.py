@@ -9,7 +9,8 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import modules, names
-from jaxrl_tab.core.checks import InputError, build
+from jaxrl_tab.core.checks import build
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.envs import ENVIRONMENT, FiniteMDP
 
 ARRAY = "array"  # the key of a table that stands for an array: {array = [0.5, 1.5], dtype = "float32"}

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from jaxrl_tab.core.checks import InputError, one_line
+from jaxrl_tab.core.errors import InputError, one_line
 
 DEEPEST = 32  # levels of nested brackets, and parts of a dotted key
 

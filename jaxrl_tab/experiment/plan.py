@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 
 from jaxrl_tab.core import memory
-from jaxrl_tab.engine import room
+from jaxrl_tab.engine import room, speeds
 from jaxrl_tab.engine.part import Part, leaves_as_arrays
 
 
@@ -21,6 +21,8 @@ class PartPlan(NamedTuple):
         work: how many steps, or episodes, they are in all.
         results: the bytes of what they give.
         working: the bytes that are needed beside, at most, while they are computed.
+        seconds: how long computing it will take, about; None where nothing of the kind was run here before.
+        is_measured: whether just this was run here before, so that one may rely on the seconds.
     """
 
     programs: int
@@ -29,6 +31,8 @@ class PartPlan(NamedTuple):
     work: int
     results: int
     working: int
+    seconds: float | None = None
+    is_measured: bool = True
 
 
 class Plan(NamedTuple):
@@ -47,17 +51,34 @@ class Plan(NamedTuple):
     def text(self) -> str:
         """The plan for people: a line for each part, and the sums."""
         parts = list(self.parts.values())
-        total = PartPlan(*map(sum, zip(*parts, strict=True)))._replace(working=max(x.working for x in parts))
-        rows = [["", "programs", "runs", "blocks", self.unit, "results", "working memory"]]
+        times = [x.seconds for x in parts if x.seconds is not None]
+        total = PartPlan(
+            programs=sum(x.programs for x in parts),
+            runs=sum(x.runs for x in parts),
+            blocks=sum(x.blocks for x in parts),
+            work=sum(x.work for x in parts),
+            results=sum(x.results for x in parts),
+            working=max(x.working for x in parts),
+            seconds=sum(times) if len(times) == len(parts) else None,
+            is_measured=all(x.is_measured for x in parts),
+        )
+        rows = [["", "programs", "runs", "blocks", self.unit, "results", "working memory", "time"]]
         for name, x in [*self.parts.items(), *([("all together", total)] if len(parts) > 1 else [])]:
             counts = [f"{n:,}" for n in x[:4]]
-            rows.append([name, *counts, memory.words(x.results), memory.words(x.working)])
+            time = "unknown" if x.seconds is None else _duration(x.seconds) + ("" if x.is_measured else "?")
+            rows.append([name, *counts, memory.words(x.results), memory.words(x.working), time])
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = [
             "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip()
             for row in rows
         ]
-        return "\n".join([*lines, f"on {self.devices}"])
+        measured = "; the time is that of computing, as fast as it was here before" if times else ""
+        notes = [f"on {self.devices}{measured}"]
+        if total.seconds is not None and not total.is_measured:
+            notes.append(
+                "?: nothing like it was run here yet, so this is no more than the right order of size"
+            )
+        return "\n".join([*lines, *notes])
 
 
 def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[Any] | None = None) -> Plan:
@@ -70,7 +91,7 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
     """
     devices = tuple(devices or jax.devices())
     kind = "core" if devices[0].platform == "cpu" else devices[0].device_kind
-    plans = {}
+    plans, known = {}, speeds.read()
     for name, part in parts.items():
         forecasts = [
             room.forecast(
@@ -92,5 +113,19 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
             results=sum(x.results for x in forecasts),
             working=max(x.working for x in forecasts),
         )
+        if time := speeds.forecast(part, known):
+            plans[name] = plans[name]._replace(seconds=time.seconds, is_measured=time.is_measured)
     unit = "steps" if next(iter(parts.values())).budget.num_steps else "episodes"
     return Plan(plans, unit, f"{len(devices)} {kind}{'s' if len(devices) > 1 else ''}")
+
+
+def _duration(seconds: float) -> str:
+    """As people say it: in one unit, and not more exact than it can be known."""
+    if seconds < 1:
+        return "under 1 s"
+    unit = "s"
+    for size, larger in ((60, "min"), (60, "h"), (24, "days")):
+        if seconds < 1.5 * size:
+            break
+        seconds, unit = seconds / size, larger
+    return f"{float(f'{seconds:.2g}'):g} {unit}"

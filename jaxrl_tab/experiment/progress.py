@@ -1,46 +1,67 @@
 """How far an experiment is, and how long it will go on."""
 
+import contextlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
 
+from jaxrl_tab.engine import speeds
 from jaxrl_tab.experiment.shards import Job, Shard
 from jaxrl_tab.experiment.storage import Store
-from jaxrl_tab.show.progress import Progress, Report
+from jaxrl_tab.show.progress import Progress, Report, reporting
 
 
-def seconds_left(runs: Mapping[str, int], took: Mapping[str, tuple[int, float]]) -> float | None:
-    """How much longer an experiment will take, judged by what is finished; None before anything is.
+def seconds_left(
+    runs: Mapping[str, int],
+    took: Mapping[str, tuple[int, float]],
+    expected: Mapping[str, float] | None = None,
+) -> float | None:
+    """How much longer an experiment will take, judged by what is finished; None where nothing can be said yet.
 
-    A part goes on as fast as it went; one that has not begun, as fast as the others on average, per run.
+    A part goes on as fast as it went; one that has not begun, as is expected, or else as fast as the others on
+    average, per run.
 
     Args:
         runs: for each part, how many runs are to be done in all.
         took: for each part that has begun, how many of them are finished, and in how many seconds.
+        expected: the seconds of a run of some parts, from what was measured before.
     """
     finished = {part: (n, seconds) for part, (n, seconds) in took.items() if n}
-    if not finished:
+    pace = dict(expected or {}) | {part: seconds / n for part, (n, seconds) in finished.items()}
+    if finished:
+        all_runs, all_seconds = map(sum, zip(*finished.values(), strict=True))
+        pace = dict.fromkeys(runs, all_seconds / all_runs) | pace
+    if not pace.keys() >= {part for part, total in runs.items() if total}:
         return None
-    all_runs, all_seconds = map(sum, zip(*finished.values(), strict=True))
-    seconds_to_go = 0.0
-    for part, total in runs.items():
-        n, seconds = finished.get(part, (0, 0.0))
-        seconds_to_go += (total - n) * (seconds / n if n else all_seconds / all_runs)
-    return seconds_to_go
+    return sum(
+        (total - finished.get(part, (0, 0.0))[0]) * pace.get(part, 0.0) for part, total in runs.items()
+    )
 
 
 class Meter:
     """Counts what is finished, and reports it."""
 
-    def __init__(self, report: Report):
-        self._report, self._begun = report, time.perf_counter()
-        self._last = self._begun
+    def __init__(self):
+        self._report: Report = lambda state: None
+        self._last = self._begun = time.perf_counter()
         self._state = Progress("planning")
         self._todo: dict[str, int] = {}  # runs of each part
+        self._expected: dict[str, float] = {}  # seconds of a run of each part
         self._took: dict[str, tuple[int, float]] = {}  # how many of them are done, and in how many seconds
         self._missing: dict[int, Shard] = {}
 
+    @contextlib.contextmanager
+    def reporting(self, progress: Report | Literal[False] | None) -> Iterator[None]:
+        """Within the block what it counts is reported, as `progress` says: see `show.progress.reporting`."""
+        with reporting(progress) as self._report:
+            yield
+
     def begin(self, store: Store, job: Job, missing: Sequence[int], later: Mapping[str, int]) -> None:
         """Counts what is there already, what is missing, and runs of parts that come later."""
+        known = speeds.read()
+        for name, part in job.parts.items():
+            if (time_of_all := speeds.forecast(part, known)) and time_of_all.is_measured:
+                self._expected[name] = time_of_all.seconds / part.runs
         self._missing = {number: job.shards[number] for number in missing}
         self._todo |= later
         self._todo |= {shard.part: 0 for shard in self._missing.values()}
@@ -67,10 +88,24 @@ class Meter:
         )
         self.show()
 
+    def underway(self, runs: int, steps: int) -> None:
+        """Reports what is finished of the shard that this process computes, the first that is missing."""
+        shard, now = next(iter(self._missing.values())), time.perf_counter()
+        before, seconds = self._took.get(shard.part, (0, 0.0))
+        took = self._took | {shard.part: (before + runs, seconds + now - self._last)}
+        self._report(
+            self._state._replace(
+                done=self._state.done + runs,
+                steps=self._state.steps + steps,
+                seconds=now - self._begun,
+                left=seconds_left(self._todo, took, self._expected),
+            )
+        )
+
     def show(self, label: str | None = None) -> None:
         """Reports; `label` says what is under way where it is not a shard."""
         if label is None:
             label = next((shard.part for shard in self._missing.values()), self._state.label)
-        left = seconds_left(self._todo, self._took)
+        left = seconds_left(self._todo, self._took, self._expected)
         self._state = self._state._replace(label=label, seconds=time.perf_counter() - self._begun, left=left)
         self._report(self._state)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import storage

@@ -14,8 +14,9 @@ import numpy as np
 
 from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import clock, describe, names, policies, schedules
-from jaxrl_tab.core.checks import InputError, build, nearest, repeated, shown
+from jaxrl_tab.core.checks import build, repeated
 from jaxrl_tab.core.declared import Learns, of_method
+from jaxrl_tab.core.errors import InputError, nearest, shown
 from jaxrl_tab.core.pytree import checked_dataclass, field, static
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.axes import DRAW

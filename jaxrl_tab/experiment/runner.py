@@ -15,7 +15,7 @@ import shlex
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,23 +23,24 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import names
-from jaxrl_tab.core.checks import InputError, as_path, one_line, shown
+from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import backend, batch, provenance, room
+from jaxrl_tab.engine import backend, batch, provenance, room, speeds
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
-from jaxrl_tab.experiment import sources, storage
+from jaxrl_tab.experiment import shards, sources, storage
+from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import Outcome, write_files
+from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, write_files
 from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment, difference
 from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
-from jaxrl_tab.show.progress import Report, reporting
+from jaxrl_tab.show.progress import Report
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -52,6 +53,8 @@ def run(
     executor: Executor | None = None,
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
+    ready: Callable[[Outcome], None] | None = None,
+    formats: Sequence[Format] = FORMATS[:1],
     command: str | None = None,
 ) -> Outcome:
     """Runs an experiment, and leaves everything in a new folder. Where it is interrupted, `resume` goes on.
@@ -62,6 +65,9 @@ def run(
         executor: where it is computed, see `executors`; by default in this process.
         memory: how many bytes it may take, as in `sweep`; of each worker, where there are several.
         progress: is called with a `Progress` as shards are finished; by default a bar, as in `sweep`.
+        ready: is called with the outcome as soon as all is computed, before tables, pictures and report are
+            written into the folder, which takes longer than to look at it.
+        formats: of the pictures, some of "png", "svg" and "pdf"; none for no pictures.
         command: what was typed, for the records; by default what started this process.
 
     Raises:
@@ -70,16 +76,16 @@ def run(
     """
     if not isinstance(experiment, Experiment):
         raise InputError(f"run takes an Experiment, not {shown(experiment)}")
-    command = _typed(command)
+    command, formats = _typed(command), check_formats(formats)
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
             experiment = _begin(path, experiment, memory, keep=False)
-            return _go_on(path, experiment, executor, memory, progress, command, keep=False)
+            return _go_on(path, experiment, executor, memory, progress, ready, formats, command, keep=False)
     path = _path(folder)
     experiment = _begin(path, experiment, memory)
     with storage.lock(path):
-        return _go_on(path, experiment, executor, memory, progress, command)
+        return _go_on(path, experiment, executor, memory, progress, ready, formats, command)
 
 
 def resume(
@@ -88,6 +94,8 @@ def resume(
     executor: Executor | None = None,
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
+    ready: Callable[[Outcome], None] | None = None,
+    formats: Sequence[Format] = FORMATS[:1],
     command: str | None = None,
     mixed: bool = False,
 ) -> Outcome:
@@ -98,7 +106,7 @@ def resume(
 
     Args:
         folder: the folder.
-        executor, memory, progress, command: as in `run`.
+        executor, memory, progress, ready, formats, command: as in `run`.
         mixed: go on also with other versions, or on another kind of processor, which may give numbers that
             differ in the last bits. The folder's provenance and report tell of it.
 
@@ -114,9 +122,10 @@ def resume(
         raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
     if not os.path.lexists(path / AS_WRITTEN) and not os.path.lexists(path / RESOLVED):
         raise InputError(f"there is no experiment in {path}: neither {AS_WRITTEN} nor {RESOLVED}")
-    command = _typed(command)
+    command, formats = _typed(command), check_formats(formats)
     with storage.lock(path):
-        return _go_on(path, _experiment_in(path), executor, memory, progress, command, mixed=mixed)
+        experiment = _experiment_in(path)
+        return _go_on(path, experiment, executor, memory, progress, ready, formats, command, mixed=mixed)
 
 
 def _typed(command: str | None) -> str:
@@ -135,6 +144,8 @@ def _go_on(
     executor: Executor | None,
     limit: int | None,
     progress: Report | Literal[False] | None,
+    ready: Callable[[Outcome], None] | None,
+    formats: Sequence[Format],
     command: str,
     keep: bool = True,
     mixed: bool = False,
@@ -144,31 +155,43 @@ def _go_on(
     _warn_of_damage(store)
     records = _records(store)
     libraries = library_versions(experiment.data())
-    job = Job.of(experiment, limit, libraries)
-    select = experiment.select
-    with backend.using(experiment.backend), settings_of(store, records), reporting(progress) as report:
-        meter = Meter(report)
-        origin = Origin.of(store, records, mixed, libraries)
-        if _missing(store, job):
-            origin.check(path)
-        with session(store, records, command, libraries):
-            later = {FRESH + name: select["fresh_seeds"] for name in job.parts} if select else {}
-            executor = executor or Local()
-            new = _compute(store, job, executor, meter, later, origin)
-            datasets, room = _collect(store, job, list(job.parts), free() // 2 if limit is None else limit)
-            envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-            outcome = Outcome(datasets, {}, envs)
-            if select:
-                job = job._replace(chosen=json.dumps(outcome.chosen))
-                new |= _compute(store, job, executor, meter, {}, origin)
-                fresh, _ = _collect(store, job, list(later), room)
-                outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
-            if keep and (new or not store.files):
-                if origin.changed and not new:
-                    warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
+    job, meter = Job.of(experiment, limit, libraries), Meter()
+    with backend.using(experiment.backend), settings_of(store, records):
+        with meter.reporting(progress):
+            origin = Origin.of(store, records, mixed, libraries)
+            if _missing(store, job):
+                origin.check(path)
+            with session(store, records, command, libraries):
+                select = experiment.select
+                fresh_seeds = select["fresh_seeds"] if select else 0
+                outcome, new = _results(store, job, fresh_seeds, executor or Local(), meter, origin)
+        if ready:
+            ready(outcome)  # after the bar, for what is printed beside one is lost in it
+        if keep and (new or not store.files):
+            if origin.changed and not new:
+                warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
+            with meter.reporting(progress):
                 meter.show("tables, pictures, report")
-                write_files(store, outcome, records)
+                again, toml = RunAgain(job.parts, limit), toml_of_settings(experiment)
+                write_files(store, outcome, records, formats, again, toml)
     return outcome
+
+
+def _results(
+    store: Store, job: Job, fresh_seeds: int, executor: Executor, meter: Meter, origin: Origin
+) -> tuple[Outcome, bool]:
+    """What the experiment gives, of which the missing shards are computed; and whether there were any."""
+    later = {FRESH + name: fresh_seeds for name in job.parts if fresh_seeds}
+    new = _compute(store, job, executor, meter, later, origin)
+    datasets, room = _collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
+    envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
+    outcome = Outcome(datasets, {}, envs)
+    if fresh_seeds:
+        job = job._replace(chosen=json.dumps(outcome.chosen))
+        new |= _compute(store, job, executor, meter, {}, origin)
+        fresh, _ = _collect(store, job, list(later), room)
+        outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
+    return outcome, new
 
 
 def _compute(
@@ -179,7 +202,9 @@ def _compute(
     if missing:
         origin.check(store.path)
     meter.begin(store, job, missing, later)
-    with contextlib.closing(executor.run(job, missing)) as finished:  # where it stops, the workers do
+    clock = speeds.Clock()
+    # Where it stops, the workers do.
+    with _heard(meter.underway), contextlib.closing(executor.run(job, missing)) as finished:
         for number, arrays in finished:
             part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
             largest = part.largest_values[runs(part, job.shards[number]) // part.num_seeds]
@@ -188,7 +213,20 @@ def _compute(
             store.write(number, arrays, diverged, setting, origin.name)
             let_go()
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
+            if isinstance(executor, Local):  # others may have other machines
+                clock.finished(part, job.shards[number].runs, *map(float, arrays["seconds"]))
+    clock.keep()
     return bool(missing)
+
+
+@contextlib.contextmanager
+def _heard(underway: Callable[[int, int], None]) -> Iterator[None]:
+    """Within the block `underway` hears how far the shard is that is computed in this process."""
+    token = shards.progress.set(underway)
+    try:
+        yield
+    finally:
+        shards.progress.reset(token)
 
 
 def _missing(store: Store, job: Job) -> list[int]:

@@ -4,7 +4,8 @@ import dataclasses
 import functools
 import json
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 from typing import NamedTuple
 from weakref import WeakValueDictionary
 
@@ -12,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import modules
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import provenance, room
 from jaxrl_tab.engine.log import recorded_shapes
 from jaxrl_tab.engine.part import Part, compute
@@ -37,6 +38,10 @@ class Shard(NamedTuple):
     @property
     def runs(self) -> int:
         return self.last - self.first
+
+
+progress: ContextVar[Callable[[int, int], None]] = ContextVar("progress", default=lambda runs, steps: None)
+"""Is called with how many runs of the shard that is computed in this process are finished, and their steps."""
 
 
 class Job(NamedTuple):
@@ -92,7 +97,7 @@ class Job(NamedTuple):
             raise InputError(f"{'; '.join(changed)} on {platform.node()}: install the same on all machines")
         shard = self.shards[number]
         part = self.parts[shard.part]
-        computed = compute(part, runs(part, shard), memory=self.memory)
+        computed = compute(part, runs(part, shard), memory=self.memory, progress=progress.get())
         return {"q": computed.q, **computed.log.named(), "seconds": np.array(computed.seconds)}
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import modules, names
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.modules import File
 from jaxrl_tab.engine.budget import RECORDER
 from jaxrl_tab.envs import ENVIRONMENT

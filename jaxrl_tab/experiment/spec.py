@@ -26,7 +26,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
@@ -34,9 +34,10 @@ from typing import Any, Self
 import jax
 
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.core import memory, modules
-from jaxrl_tab.core.checks import InputError, as_path, checked, nearest, one_line, shown
+from jaxrl_tab.core import memory, modules, notebook
+from jaxrl_tab.core.checks import checked
 from jaxrl_tab.core.declared import Learns, of_method
+from jaxrl_tab.core.errors import InputError, as_path, nearest, one_line, shown
 from jaxrl_tab.core.pytree import field
 from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.backend import Backend
@@ -129,6 +130,23 @@ class Experiment:
                 )
             with at("select"):
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
+
+    def __repr__(self) -> str:
+        return f"<Experiment: {self._in_words}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (kind, one_line(table["label"]), one_line("; ".join(_toml_lines(_without(table, ABOUT)))))
+            for kind in ("environment", "method")
+            for table in getattr(self, kind)
+        ]
+        return notebook.table(f"Experiment: {self._in_words}", ("", "name", "parameters"), rows)
+
+    @property
+    def _in_words(self) -> str:
+        names = [", ".join(table["label"] for table in x) for x in (self.method, self.environment)]
+        length = f"{self.steps} steps" if self.steps is not None else f"{self.episodes} episodes"
+        return one_line(f"{names[0]} in {names[1]}; {self.seeds} seeds, {length}")
 
     def _set(self, name: str, value: Any) -> None:
         # The class is frozen for all others.
@@ -229,16 +247,21 @@ class Experiment:
 
     def to_toml(self) -> str:
         """The data as a file, which `load` reads as the same experiment."""
-        lines, tables = [], []
-        for key, value in self.data().items():
-            if key in ("environment", "method"):
-                for table in value:
-                    tables += ["", f"[[{key}]]", *_toml_lines(table)]
-            elif isinstance(value, Mapping):
-                tables += ["", f"[{key}]", *_toml_lines(value)]
-            else:
-                lines += _toml_lines({key: value})
-        return "\n".join([*lines, *tables]) + "\n"
+        return as_toml(self.data())
+
+
+def as_toml(data: Mapping[str, Any]) -> str:
+    """The data of an experiment as a file. The methods come last, and the last of them at the end."""
+    lines, listed, single = [], [], []
+    for key, value in data.items():
+        if key in ("environment", "method"):
+            for table in value:
+                listed += ["", f"[[{key}]]", *_toml_lines(table)]
+        elif isinstance(value, Mapping):
+            single += ["", f"[{key}]", *_toml_lines(value)]
+        else:
+            lines += _toml_lines({key: value})
+    return "\n".join([*lines, *single, *listed]) + "\n"
 
 
 def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
@@ -280,6 +303,10 @@ def template() -> str:
 
 def _canonical(data: Any) -> str:
     return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _without(table: Mapping[str, Any], keys: Collection[str]) -> dict[str, Any]:
+    return {key: x for key, x in table.items() if key not in keys}
 
 
 def _toml_lines(table: Mapping[str, Any]) -> list[str]:

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxrl_tab.core.checks import InputError, RunError, is_whole, one_line, reason
+from jaxrl_tab.core.errors import InputError, RunError, is_whole, one_line, reason
 
 MANIFEST, SHARDS, PICTURES, ASIDE, LOCK = "manifest.json", "shards", "pictures", "set-aside", ".lock"
 UNFINISHED = ".unfinished"  # while NAME is being written, it is called .NAME.unfinished

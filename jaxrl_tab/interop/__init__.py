@@ -13,7 +13,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from jaxrl_tab.core import names
-from jaxrl_tab.core.checks import InputError, reason, shown
+from jaxrl_tab.core.errors import InputError, reason, shown
 from jaxrl_tab.envs import ENVIRONMENT
 
 if TYPE_CHECKING:

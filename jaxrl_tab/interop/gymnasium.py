@@ -14,7 +14,8 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.checks import InputError, check_pytree, shown
+from jaxrl_tab.core.checks import check_pytree
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
 from jaxrl_tab.envs import ENVS, FiniteMDP

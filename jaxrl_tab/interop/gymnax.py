@@ -15,7 +15,8 @@ from gymnax.environments import environment, spaces
 from gymnax.wrappers import LegacyStepAPIWrapper, LogWrapper
 from jaxtyping import Array, Bool, Int, Key
 
-from jaxrl_tab.core.checks import InputError, check_pytree, nearest, numbers, shown
+from jaxrl_tab.core.checks import check_pytree, numbers
+from jaxrl_tab.core.errors import InputError, nearest, shown
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Environment, Outcome, available_actions, stand_ins

@@ -9,7 +9,7 @@ import numpy as np
 from gymnax.environments import environment, spaces
 
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.checks import InputError, shown, whole
+from jaxrl_tab.core.errors import InputError, shown, whole
 from jaxrl_tab.interop import draws
 
 MAX_STATES = 20_000  # of an imported task: with more a table is no way to learn, and finding them is slow

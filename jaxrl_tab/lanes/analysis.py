@@ -9,6 +9,7 @@ uses      how often a value is used
 
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -148,7 +149,21 @@ class Facts:
         """Whether a loop has few turns for sure."""
         return self.counter(loop) is not None and self._turns_of(loop) <= SOON
 
+    def is_within_another(self, loop: Value) -> bool:
+        """Whether a loop stands in another one."""
+        return loop in self._around
+
+    def is_branch(self, loop: Value) -> bool:
+        """Whether a loop has one turn at most: it goes on while what it carries is True, and that is False then."""
+        goes_on = loop.attr.condition.results[0]
+        return any(
+            goes_on is param and after.op == "const" and not after.number
+            for param, after in zip(loop.attr.condition.params, loop.attr.body.results, strict=True)
+        )
+
     def _turns_of(self, loop: Value) -> int:
+        if self.is_branch(loop):
+            return 1
         if (counter := self.counter(loop)) is None:
             return USUAL
         place, bound = counter
@@ -289,6 +304,7 @@ class Facts:
         return (low, high) if every[0] <= low and high <= every[1] else every
 
 
+@cache
 def _every(dtype: np.dtype) -> tuple[int, int]:
     if dtype.kind == "b":
         return 0, 1

@@ -11,6 +11,7 @@ number at a flat index that is a value, which is in range. Four kinds:
 Where one number takes several words, there is an array for each of them: `Parts`.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
@@ -48,7 +49,7 @@ class Known:
 
     def read(self, index: Value) -> Value:
         if index.op == "const":
-            return self.item(int(index.number))
+            return self.code.const(self.numbers.ravel()[index.attr])
         words = self.numbers.ravel().view(np.uint8).reshape(self.numbers.size, -1)
         if np.array_equal(words, np.broadcast_to(words[:1], words.shape)):
             return self.item(0)  # all are the same
@@ -163,7 +164,7 @@ def is_taken_apart(shape: Sequence[int], arrays: Sequence[Array]) -> bool:
 
 
 def size_of(shape: Sequence[int]) -> int:
-    return int(np.prod(shape, dtype=np.int64))
+    return math.prod(shape)
 
 
 def is_small(shape: Sequence[int]) -> bool:

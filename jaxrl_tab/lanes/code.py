@@ -7,6 +7,7 @@ primitive says what it means in terms of them (`rules`), and `emit` says how eac
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ class Unsupported(Exception):
     """The jaxpr holds something that is not compiled; the message says what."""
 
 
+@cache
 def _compiled(dtype: Any) -> np.dtype:
     """The dtype, if numbers of that kind are compiled."""
     dtype = np.dtype(dtype)
@@ -32,7 +34,7 @@ class Value:
     Attributes:
         op: the operation that gives it: "const", "param" (carried by a loop), "load", "store", "row" (several
             numbers of a buffer), "part" (of a row), "loop", "result" (of a loop), or the name of an operation
-            in `scalars`.
+            in `scalars`. A constant may be an array: then an operation is worked out for all its numbers at once.
         dtype: bool, int32, uint32 or float32; a constant may have any.
         args: the values that the operation takes.
         attr: what else it needs: the number of a constant, the Buffer of a load, the Loop of a loop.
@@ -49,7 +51,7 @@ class Value:
     @property
     def number(self) -> Any:
         """The number of a constant, and None otherwise."""
-        return self.attr if self.op == "const" else None
+        return self.attr if self.op == "const" and not self.attr.ndim else None
 
 
 class Buffer:
@@ -164,6 +166,11 @@ class Builder:
     def add(self, value: Value) -> Value:
         self.region.ops.append(value)
         return value
+
+    @property
+    def is_in_loop(self) -> bool:
+        """Whether the body of a loop is being written."""
+        return len(self._done) > 1
 
     def write(self, params: list[Value], body: Callable[..., Sequence[Value]]) -> Region:
         """A region of its own, whose results are those of `body(*params)`."""

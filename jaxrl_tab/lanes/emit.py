@@ -64,7 +64,7 @@ class _Emitter:
         self.code, self.facts, self.target = code, facts, target
         self.function = Function("kernel", PARAMETERS)
         self.layout = Layout(self.function, facts, code.region, width, groups)
-        self.names = Names(facts, self.layout, fuses=target.fuses)
+        self.names = Names(facts, self.layout, target)
         self.segment: Segment | None = None
         self.around: list[str] = []  # slots that say which lanes are still in the long loops around
 

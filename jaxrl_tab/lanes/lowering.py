@@ -31,7 +31,7 @@ from jaxrl_tab.lanes.outside import is_outside
 from jaxrl_tab.lanes.registry import OF_PARTS, RULES
 
 CARRIED = 8  # numbers of an array at most are carried by a loop as they are
-UNROLLED = 4  # turns of a loop over the numbers of an array are written one behind the other
+UNROLLED = 4  # turns of a loop over the numbers of an array are written one behind the other, in another loop
 
 # The primitives that merely call a jaxpr. For `custom_vmap_call` it is what the function means for one lane.
 CALLS = (
@@ -116,17 +116,31 @@ class Lowering(Builder):
         results = results if equation.primitive.multiple_results else [results]
         known = [x for x in args if isinstance(x, Known)]
         if len(known) == len(args) and any(isinstance(x, Lazy) for x in results):
-            return self._worked_out(equation, known)
+            return self._worked_out(equation, known, results)
         return results
 
-    def _worked_out(self, equation: Any, args: Sequence[Known]) -> list[Plain]:
-        """What large arrays that are known make, known as well: as JAX gives it."""
+    def _worked_out(self, equation: Any, args: Sequence[Known], results: Sequence[Plain]) -> Sequence[Plain]:
+        """What large arrays that are known make, known as well.
+
+        Whole numbers are worked out by the rule of the primitive, at all places at once. Real ones are left to
+        JAX, for XLA rounds some products and sums together.
+        """
+        if all(x.dtype.kind in "iub" for x in results):
+            folded = [self._at_all_places(x) if isinstance(x, Lazy) else x for x in results]
+            known = [x for x in folded if x is not None]
+            if len(known) == len(folded):
+                return known
         with jax.ensure_compile_time_eval(), equation.ctx.manager:
-            results = equation.primitive.bind(
-                *(jax.numpy.asarray(x.numbers) for x in args), **equation.params
-            )
-        results = results if equation.primitive.multiple_results else [results]
-        return [Known(np.asarray(x), self) for x in results]
+            numbers = equation.primitive.bind(*(x.numbers for x in args), **equation.params)
+        numbers = numbers if equation.primitive.multiple_results else [numbers]
+        return [Known(np.asarray(x), self) for x in numbers]
+
+    def _at_all_places(self, x: Lazy) -> Known | None:
+        """The numbers of an array; None where its rule takes more than constants, such as a loop."""
+        number = x.read(self.const(np.arange(size_of(x.shape)), np.int32))
+        if number.op != "const":
+            return None
+        return Known(np.broadcast_to(number.attr, size_of(x.shape)).reshape(x.shape), self)
 
     def _outside(self, closed: Any, args: Sequence[Array]) -> list[Stored]:
         """Calls what is not compiled: what it takes is put into buffers, and what it gives is read from others."""
@@ -161,17 +175,19 @@ class Lowering(Builder):
 
     def each(self, size: int, do: Callable[[Value], None]) -> None:
         """`do(index)` for every index below `size`."""
-        turns = size // UNROLLED if size > UNROLLED else 0
+        # What is done once in a run takes longer to compile than to do.
+        together = UNROLLED if self.is_in_loop else 1
+        turns = size // together if size > UNROLLED else 0
 
         def body(turn: Value) -> list[Value]:
-            for k in range(UNROLLED):
-                do(self.plus(self.times(turn, UNROLLED), k))
+            for k in range(together):
+                do(self.plus(self.times(turn, together), k))
             return [self.plus(turn, 1)]
 
         if turns:
             most = self.const(turns, np.int32)
             self.loop([self.const(0, np.int32)], lambda turn: self.op("lt", bool, turn, most), body)
-        for i in range(turns * UNROLLED, size):
+        for i in range(turns * together, size):
             do(self.const(i, np.int32))
 
     def copy(self, x: Plain, buffer: Buffer) -> None:

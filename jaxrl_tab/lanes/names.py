@@ -7,6 +7,7 @@ import numpy as np
 from jaxrl_tab.lanes.analysis import Facts
 from jaxrl_tab.lanes.code import Value
 from jaxrl_tab.lanes.layout import LINE, Layout
+from jaxrl_tab.lanes.target import Target
 from jaxrl_tab.lanes.types import in_memory, literal
 from jaxrl_tab.lanes.vectors import Vectors
 
@@ -19,8 +20,8 @@ class Names:
         slots: where values wait that one segment hands to another, or a loop to its next turn.
     """
 
-    def __init__(self, facts: Facts, layout: Layout, fuses: bool):
-        self.facts, self.layout, self._fuses = facts, layout, fuses
+    def __init__(self, facts: Facts, layout: Layout, target: Target):
+        self.facts, self.layout, self.target = facts, layout, target
         self.scalars: dict[Value, str] = {}
         self.slots: dict[Value, str] = {}
         self._vectors: dict[Vectors, dict[Value, str]] = {}
@@ -62,7 +63,7 @@ class Names:
 
         The two are rounded once, as XLA has it, where the processor can do that.
         """
-        if not self._fuses or value.op not in ("add", "sub") or value.dtype.kind != "f":
+        if not self.target.fuses or value.op not in ("add", "sub") or value.dtype.kind != "f":
             return None
         for place, x in enumerate(self.facts.args(value)):
             if x.op == "mul" and self.facts.uses[x] == 1:

@@ -16,6 +16,7 @@ from jaxrl_tab.lanes.lower import lower
 from jaxrl_tab.lanes.lowering import Lowering
 from jaxrl_tab.lanes.target import Target, host
 
+WAITING = 8  # lanes at most that go side by side, where they wait for one another in each step
 NARROWEST = 4  # lanes that go side by side, where there are many
 CACHE = 24 * 2**10  # bytes, of the 32 KiB or more of a core's first cache
 LONG = 32  # numbers; what is shorter does not count there
@@ -133,24 +134,27 @@ def block(code: Lowering, facts: Facts, target: Target, lanes: int) -> tuple[int
     There are three sizes for a program, so that few are compiled: for one lane, for as many as a vector of the
     processor holds, and for more. What is best then was measured, see the documentation of performance.
     """
-    width = target.width
-    if lanes == 1:
-        return FEWEST_IN_CALLS if code.calls else 1, 1
     fewest = FEWEST_IN_CALLS if code.calls else 1
-    groups = -(-fewest // width)
-    if lanes <= width or _leave_one_by_one(code, facts):
-        return width, groups
+    if lanes == 1:
+        return fewest, 1
+    width, groups = (target.width, 1) if lanes <= target.width else _of_many(code, facts, target.width)
+    return width, max(groups, -(-fewest // width))
+
+
+def _of_many(code: Lowering, facts: Facts, width: int) -> tuple[int, int]:
+    """The width and the groups of a block of many lanes, where a vector of the processor has a width."""
+    loops = [value for value in operations(code.region) if value.op == "loop" and facts.varies(value)]
+    waiting = [loop for loop in loops if not facts.is_branch(loop)]
+    # Where lanes leave loops one by one, the more go side by side, the longer they wait: most of all in each step.
+    if waiting:
+        return min(width, WAITING) if any(map(facts.is_within_another, waiting)) else width, 1
     if swept := _swept(code, facts, width):
         while width > NARROWEST and swept * width > CACHE:
             width //= 2
-        return width, -(-fewest // width)
-    # Two vectors at once, and two such groups: while one waits for memory, the other is worked on.
-    return 2 * width, 2
-
-
-def _leave_one_by_one(code: Lowering, facts: Facts) -> bool:
-    """Whether there are loops that lanes leave one by one: the more go side by side, the longer they wait."""
-    return any(value.op == "loop" and facts.varies(value) for value in operations(code.region))
+        return width, 1
+    # Two groups: while one waits for memory, the other is worked on. And two vectors at once, but where there are
+    # branches: the fewer lanes go side by side, the more often none of them takes one, and it is left out.
+    return width if loops else 2 * width, 2
 
 
 def _swept(code: Lowering, facts: Facts, width: int) -> int:

@@ -18,9 +18,10 @@ class Segment(Vectors):
     """
 
     def __init__(self, names: Names, around: str | None):
-        super().__init__(names.layout)
+        super().__init__(names.layout, names.target)
         self.names, self.facts, self.around = names, names.facts, around
         self._rows: dict[Value, list[str]] = {}
+        self._current: dict[Buffer, list[Value]] = {}  # the rows that were read since the memory was changed
         self._bases: dict[Buffer, str] = {}
         self._mask: str | None = None
         self._inner_masks: list[str] = []
@@ -34,6 +35,7 @@ class Segment(Vectors):
             self._store(value)
         elif value.op == "row":
             self._rows[value] = self._load_row(value)
+            self._current.setdefault(value.attr[0], []).append(value)
         elif value.op == "loop":
             self._loop(value)
         else:
@@ -41,7 +43,7 @@ class Segment(Vectors):
 
     def _found(self, value: Value) -> str:
         if value.op == "load":
-            return self._load(value)
+            return self._out_of_row(value) or self._load(value)
         if value.op == "part":
             return self._rows[value.args[0]][value.attr]
         return operation(self.names, self, value, self.vector, self.width)
@@ -67,6 +69,7 @@ class Segment(Vectors):
             else:
                 self.names.scalars[param] = name
         elements_before = dict(self.elements)
+        self._current.clear()
         self.depth += 1
         self._region(loop.condition)
         active, condition = None, loop.condition.results[0]
@@ -93,6 +96,7 @@ class Segment(Vectors):
             self._inner_masks.pop()
         self.line(f"br label %{head}")
         self.begin(after)
+        self._current.clear()
         self.depth -= 1
         # Behind a loop one knows what was known before it, and, within another one, not what its head worked out.
         self.elements = {x: elements_in_head[x] for x in elements_before}
@@ -213,6 +217,32 @@ class Segment(Vectors):
         x = self.value(f"load {whole}, ptr {address}, align {self.alignment(value.dtype)}")
         return self.from_memory(x, value.dtype)
 
+    def _out_of_row(self, value: Value) -> str | None:
+        """A number of a row that was read before: it is chosen, and no index has to leave the vectors."""
+        index = self.facts.of(value.args[0])
+        if index.op != "add":
+            return None
+        for row in self._current.get(value.attr, ()):
+            first, count = self.facts.of(row.args[0]), row.attr[1]
+            places = [x for x in self.facts.args(index) if x is not first]
+            if len(places) == 1 and self._stays_at_hand(count):
+                low, high = self.facts.bounds(places[0])
+                if low >= 0 and high < count:
+                    return self._chosen(self._rows[row], self.vector(places[0]), self.kind(value.dtype))
+        return None
+
+    def _stays_at_hand(self, count: int) -> bool:
+        """Whether a row of so many numbers takes a quarter of the registers at most."""
+        return count * self.width <= self.target.registers // 4 * self.target.width
+
+    def _chosen(self, row: list[str], place: str, kind: str) -> str:
+        """Of each lane the number at its place in a row."""
+        chosen = row[0]
+        for k, x in enumerate(row[1:], 1):
+            is_it = self.value(f"icmp eq {self.kind(np.int32)} {place}, {self.splat(np.int32, str(k))}")
+            chosen = self.value(f"select {self.kind(bool)} {is_it}, {kind} {x}, {kind} {chosen}")
+        return chosen
+
     def _load_row(self, value: Value) -> list[str]:
         (buffer, count), kind = value.attr, in_memory(value.dtype)
         apart = not (self.layout.lane_after_lane(buffer) or self.layout.is_shared(buffer))
@@ -230,6 +260,7 @@ class Segment(Vectors):
 
     def _store(self, value: Value) -> None:
         buffer, (index, x), kind = value.attr, self.facts.args(value), in_memory(value.dtype)
+        self._current.pop(buffer, None)
         numbers, mask, whole = (
             self.to_memory(self.vector(x), value.dtype),
             self.mask(),

@@ -41,6 +41,11 @@ class Target(NamedTuple):
         return 16 if self.has("avx512f", "avx512vl", "avx512dq") else 8 if self.has("avx2") else 4
 
     @property
+    def registers(self) -> int:
+        """How many vectors it has at hand."""
+        return 32 if self.is_arm or self.width == 16 else 16
+
+    @property
     def fuses(self) -> bool:
         """Whether a product and a sum are rounded once."""
         return self.is_arm or self.has("fma")

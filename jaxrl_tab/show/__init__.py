@@ -4,11 +4,17 @@ Its modules, from the ground up:
 
     progress  how far something is: one kind of report everywhere
     words     names, numbers and settings as people read them
+    states    the names of states
+    steps     an episode as a table, a row for each step
+    tasks     what people see of a task: the tables of its states, and what is exact
     style     how pictures look: colours, markers, sizes, axes, legends
+    moves     where greedy actions lead: paths, and how long they are
     curves    pictures of learning curves and of sensitivity to hyperparameters
     grids     pictures of grids: values, greedy paths, and what changes from grid to grid
     panels    pictures of tasks that are no grids: panels of values and actions
+    learning  learning over time as an animation: GIF, or a page with a slider
     plot      the public side of these, and all pictures of a sweep; `rl.plot`
+    explorer  the data of the report, in which its readers look around
     rows      what a chapter of the report says: its rows, notes and tables
     report    the report of an experiment, one HTML file; `rl.report`
     html      its templates

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
 from jaxrl_tab import stats
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.show import words
 from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal, tidy
 from jaxrl_tab.show.words import label_of, shortened, significant, text_of

@@ -1,22 +1,18 @@
 """Pictures of grids: values, greedy paths, and what changes from grid to grid."""
 
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import xarray as xr
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from jaxrl_tab import stats
-from jaxrl_tab.core import memory, policies
 from jaxrl_tab.core.declared import of_environment
-from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs.base import COMPASS, Grid
-from jaxrl_tab.exact import planning
+from jaxrl_tab.show.moves import Moves, greedy_actions, preferring, tables_of_seeds
 from jaxrl_tab.show.style import ALARM, COLORS, GREY, INK, SMALL, axes_title, color_bar
 from jaxrl_tab.show.words import label_of, seeds_in_words, significant
 from jaxrl_tab.stats.columns import Method
@@ -39,10 +35,9 @@ def greedy_path(
         title: the first line of the title; the second says how long the path is.
         optimum: v* from the start, named beside the length unless NaN.
     """
-    moves = _Moves.of(env)
+    moves = Moves.of(env)
     path, arrives = moves.path(q, env.start_state)
-    least = q.min(-1, where=q > policies.UNAVAILABLE, initial=np.inf)
-    prefers = (q.max(-1) > least) & ~moves.terminal & moves.reachable
+    prefers = preferring(q) & ~moves.terminal & moves.reachable
     _draw_grid(ax, env, moves)
     rows, columns = np.divmod(path, env.shape[1])
     arrows = greedy_actions(q) & prefers[:, None]
@@ -64,16 +59,32 @@ def greedy_path(
     axes_title(ax, f"{title}\n{length}")
 
 
-def values(ax: Axes, env: Grid, v: np.ndarray, q: np.ndarray) -> None:
+def values(
+    ax: Axes,
+    env: Grid,
+    v: np.ndarray,
+    q: np.ndarray | None,
+    limits: tuple[float | None, float | None] = (None, None),
+) -> None:
     """A heat map of the values `v`, float [S], with the arrows of all greedy actions of `q`, [S, A].
 
     Hatched cells cannot be reached from the start.
+
+    Args:
+        ax: where to draw.
+        env: a grid.
+        v: values, [S].
+        q: action values, [S, A]; None: there are no arrows.
+        limits: the values at the ends of the colours, so that pictures compare; by default those of `v`.
     """
-    moves = _Moves.of(env)
+    moves = Moves.of(env)
     shown = np.isfinite(v) & moves.reachable
-    image = ax.imshow(np.ma.masked_array(v, ~shown).reshape(env.shape), cmap="viridis", zorder=1)
+    low, high = limits
+    cells = np.ma.masked_array(v, ~shown).reshape(env.shape)
+    image = ax.imshow(cells, cmap="viridis", vmin=low, vmax=high, zorder=1)
     _draw_grid(ax, env, moves)
-    _draw_arrows(ax, env, greedy_actions(q) & (shown & ~moves.terminal)[:, None], "white", raised=0.1)
+    if q is not None:
+        _draw_arrows(ax, env, greedy_actions(q) & (shown & ~moves.terminal)[:, None], "white", raised=0.1)
     _draw_ends(ax, env, aside=True)
     for s in np.flatnonzero(shown & ~moves.terminal):
         row, column = divmod(int(s), env.shape[1])
@@ -90,7 +101,7 @@ def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
 
     Every arrow is drawn a little to the right of where it goes, so that ways back and forth lie side by side.
     """
-    _draw_grid(ax, env, _Moves.of(env))
+    _draw_grid(ax, env, Moves.of(env))
     rows, columns = np.divmod(np.asarray(states), env.shape[1])
     down, right = np.diff(rows), np.diff(columns)
     moved = (down != 0) | (right != 0)  # against the edge it stays
@@ -102,7 +113,7 @@ def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
 
 def changes(ax: Axes, env: Grid, change: np.ndarray, title: str) -> None:
     """An arrow for each action whose value changed, the fainter the less; `change` is float [S, A]."""
-    _draw_grid(ax, env, _Moves.of(env))
+    _draw_grid(ax, env, Moves.of(env))
     states, actions = np.nonzero(change)
     rows, columns = np.divmod(states, env.shape[1])
     down, right = np.asarray(COMPASS)[actions].T
@@ -114,78 +125,7 @@ def changes(ax: Axes, env: Grid, change: np.ndarray, title: str) -> None:
     axes_title(ax, title)
 
 
-class _Moves(NamedTuple):
-    """Where each action leads, by its most likely outcome.
-
-    Attributes:
-        successor: state, int [S, A].
-        terminal: bool [S].
-        reachable: whether the state can be reached from a start state, bool [S].
-        stochastic: whether any action has several outcomes.
-    """
-
-    successor: np.ndarray
-    terminal: np.ndarray
-    reachable: np.ndarray
-    stochastic: bool
-
-    @classmethod
-    def of(cls, env: Environment) -> "_Moves":
-        model = planning.exact_model(env)
-        s_next = model.s_next
-        same = s_next[..., :, None] == s_next[..., None, :]
-        likelihood = (model.prob[..., None, :] * same).sum(-1)  # of the successor, by whichever outcome
-        likeliest = np.isclose(likelihood, likelihood.max(-1, keepdims=True))
-        rank = likeliest.cumsum(-1)
-        middle = (rank[..., -1:] + 1) // 2
-        # Of k likeliest outcomes number (k + 1) // 2: of three gusts of wind the one in the middle.
-        k = ((rank == middle) & likeliest).argmax(-1)[..., None]
-
-        return cls(
-            successor=np.take_along_axis(s_next, k, -1)[..., 0],
-            terminal=planning.terminal_states(model),
-            reachable=planning.reachable(model),
-            stochastic=not np.isclose(likelihood.max(-1), 1).all(),
-        )
-
-    def distance(self, q: np.ndarray) -> np.ndarray:
-        """Steps to a terminal state by greedy actions, float32 [n, S] for `q` [n, S, A]; inf if never."""
-        cost = np.where(np.moveaxis(greedy_actions(q), 0, -1), np.float32(1), np.float32(np.inf))  # [S, A, n]
-        cost[self.terminal] = 0
-        steps = np.full((len(cost), len(q)), np.float32(np.inf))  # float32 is exact for so few steps
-        steps[self.terminal] = 0
-        while True:
-            before, steps = steps, (steps[self.successor] + cost).min(1)
-            if (steps == before).all():
-                return steps.T
-
-    def path(self, q: np.ndarray, s: int) -> tuple[np.ndarray, bool]:
-        """The states of the greedy path from `s`, and whether it ends; else its last state is a repeat."""
-        steps, greedy = self.distance(q[None])[0], greedy_actions(q)
-        path = [s]
-        while not self.terminal[s] and s not in path[:-1]:
-            onward = self.successor[s][greedy[s]]
-            s = int(onward[np.argmin(steps[onward])])
-            path.append(s)
-        return np.array(path), bool(self.terminal[s])
-
-
-def tables_of_seeds(ds: xr.Dataset) -> Iterable[np.ndarray]:
-    """The tables of all seeds, [n, S, A] for some seeds at a time: what is worked out from them may be larger."""
-    q = ds.q.transpose("seed", "state", "action").values
-    for block in memory.blocks(len(q), 16 * q[0].nbytes):
-        yield q[block]
-
-
-def greedy_actions(q: np.ndarray) -> np.ndarray:
-    """Which actions are maximal, up to rounding, bool [..., S, A]."""
-    q = np.where(np.isnan(q), -np.inf, q)  # a diverged entry is no maximum
-    most = q.max(-1, keepdims=True)
-    with np.errstate(invalid="ignore"):  # infinities
-        return (q == most) | (q >= most - (1e-9 + 1e-6 * abs(most)))
-
-
-def _draw_grid(ax: Axes, env: Grid, moves: _Moves) -> None:
+def _draw_grid(ax: Axes, env: Grid, moves: Moves) -> None:
     """Cells, hatched where nobody gets; where there is wind, its strength as a shade and in numbers below."""
     rows, columns = env.shape
     wind = of_environment(env).wind
@@ -261,7 +201,7 @@ def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
 def median_path(ax: Axes, env: Grid, own: Method) -> None:
     """The greedy path that is the median over seeds in length, at the best setting of a method."""
     label, ds = label_of(own.name, stats.named(own.ds, own.best)), own.at_best.ds
-    moves = _Moves.of(env)
+    moves = Moves.of(env)
     lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in tables_of_seeds(ds)])
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]
     title = f"{label}\ngreedy path, median of {seeds_in_words({label: ds})}"

@@ -10,10 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxrl_tab import stats
-from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.declared import of_environment
-from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions
-from jaxrl_tab.envs.base import Panel
+from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, at_setting, interval_curve
 from jaxrl_tab.show.style import (
@@ -31,13 +29,9 @@ from jaxrl_tab.show.style import (
     literal,
     tidy,
 )
+from jaxrl_tab.show.tasks import tables_of, uniform_values
 from jaxrl_tab.show.words import significant
 from jaxrl_tab.stats.along import Datasets
-
-
-def tables_of(env: Environment) -> tuple[Panel, ...]:
-    """The tables in which people see the states; none where they are a list, or nothing exact is known."""
-    return of_environment(env).panels() if isinstance(env, FiniteEnvironment) else ()
 
 
 def panels(
@@ -161,19 +155,3 @@ def state_values(ax: Axes, datasets: Datasets, env: Environment, **setting: Any)
 def _values_learned(ds: xr.Dataset, states: tuple[int, ...]) -> stats.Interval:
     """The mean V of these states, and its interval over seeds, [state]."""
     return stats.mean_interval(ds.q[..., 0].isel(state=list(states)))
-
-
-def uniform_values(datasets: Datasets, env: Environment) -> np.ndarray | None:
-    """v_pi, float64 [S], where all learned about the uniform policy with one gamma; else None."""
-    has_pi = any("pi" in stats.fixed(ds) or "pi" in ds.dims for ds in datasets.values())
-    gamma, *others = {stats.fixed(ds).get("gamma", np.nan) for ds in datasets.values()}
-    if has_pi or others or np.isnan(gamma):
-        return None
-    available = available_actions(env)
-    shape = env.num_states, env.num_actions
-    weights = np.ones(shape) if available is None else np.asarray(available, float)
-    uniform = weights / weights.sum(1, keepdims=True)
-    try:
-        return planning.evaluate(env, uniform, gamma)
-    except InputError:  # not finite everywhere
-        return None

@@ -10,9 +10,9 @@ Datasets are those of `SweepResult.to_xarray`, one for each method, by the name 
 """
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
@@ -34,20 +34,17 @@ from jaxrl_tab.show.curves import (
 )
 from jaxrl_tab.show.grids import (
     changes,
-    greedy_actions,
     greedy_path,
     median_path,
-    tables_of_seeds,
     values,
     walk,
 )
+from jaxrl_tab.show.moves import greedy_actions, tables_of_seeds
 from jaxrl_tab.show.panels import (
     action_values,
     panels,
     panels_canvas,
     state_values,
-    tables_of,
-    uniform_values,
 )
 from jaxrl_tab.show.style import (
     ALARM,
@@ -68,13 +65,17 @@ from jaxrl_tab.show.style import (
     color_bar,
     exact_line,
     head,
+    lay_out,
     legend,
     literal,
     tidy,
 )
+from jaxrl_tab.show.tasks import tables_of, uniform_values
 from jaxrl_tab.show.words import in_words, seeds_in_words, shortened, title_of, unusual, written
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
+
+Kind: TypeAlias = Literal["png", "pdf", "svg"]
 
 __all__ = [
     "ALARM",
@@ -145,7 +146,7 @@ def overview(datasets: Datasets, env: Environment) -> Figure:
 
 
 def save_all(
-    datasets: Datasets, env: Environment, folder: Path | str, kind: Literal["png", "pdf", "svg"] = "png"
+    datasets: Datasets, env: Environment, folder: Path | str, kind: Kind | Sequence[Kind] = "png"
 ) -> list[Path]:
     """Writes the pictures of a sweep into `folder`, which is made if need be.
 
@@ -158,7 +159,7 @@ def save_all(
         datasets: a sweep for each method, at least one.
         env: the environment of all of them.
         folder: where to write; files of these names are overwritten.
-        kind: of the files. "pdf" and "svg" are sharp at any size, as for a paper, and take longer.
+        kind: of the files, or several kinds. "pdf" and "svg" are sharp at any size, as for a paper.
 
     Returns:
         The files written.
@@ -167,18 +168,25 @@ def save_all(
     folder.mkdir(parents=True, exist_ok=True)
     methods = Methods.of(datasets, env)
     figures = pictures(methods, env) | {"overview": overview(methods, env)}
-    files = [folder / f"{name}.{kind}" for name in figures]
-    for file, figure in zip(files, figures.values(), strict=True):
+    files = {
+        folder / f"{name}.{one}": figure
+        for name, figure in figures.items()
+        for one in ([kind] if isinstance(kind, str) else kind)
+    }
+    for file, figure in files.items():
         save(figure, file)
-    return files
+    return list(files)
 
 
 def save(figure: Figure, file: Path) -> None:
     """Writes a figure as the ending of `file` says: .png, .pdf or .svg. The same figure gives the same bytes."""
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+    lay_out(figure)
     # Journals take fonts of kind 42 (TrueType) alone.
     with mpl.rc_context({"svg.hashsalt": "jaxrl_tab", "pdf.fonttype": 42}):
-        figure.savefig(file, metadata=undated.get(file.suffix))
+        # Quicker than by the usual level, and a tenth larger.
+        quick: dict[str, Any] = {"pil_kwargs": {"compress_level": 1}} if file.suffix == ".png" else {}
+        figure.savefig(file, metadata=undated.get(file.suffix), **quick)
 
 
 def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:

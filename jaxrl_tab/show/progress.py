@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.errors import InputError, shown
 
 
 class Progress(NamedTuple):

@@ -1,10 +1,13 @@
 """The report of an experiment: one HTML file that holds all there is to see, and needs nothing else.
 
-For each environment the setting chosen for each method, pictures, and all settings, the best first; then how
-to read it, and how it was made.
+For each environment the setting chosen for each method, what one can look around in, and all settings, the best
+first; then how to read it, and how it was made. Pictures are drawn in the browser, from data in the page (`explorer`).
 """
 
+import dataclasses
+import html
 from collections.abc import Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,13 +16,14 @@ import xarray as xr
 
 from jaxrl_tab import stats
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
-from jaxrl_tab.envs.base import Grid
-from jaxrl_tab.show import plot, words
-from jaxrl_tab.show.html import embedded, render
-from jaxrl_tab.show.panels import tables_of
+from jaxrl_tab.show import words
+from jaxrl_tab.show.explorer.chapter import Explorer, explorer
+from jaxrl_tab.show.explorer.measures import POINTS
+from jaxrl_tab.show.explorer.over_time import Again
+from jaxrl_tab.show.html import EXPLORER, as_json, render
 from jaxrl_tab.show.rows import (
     AT_ONCE,
     Table,
@@ -37,34 +41,11 @@ from jaxrl_tab.show.rows import (
 )
 from jaxrl_tab.show.words import counts_in_words, listed, number
 from jaxrl_tab.stats.along import Datasets
-from jaxrl_tab.stats.columns import Methods, Row, by_environment, text
+from jaxrl_tab.stats.columns import Methods, by_environment, text
 
 __all__ = ["write"]
 
 FILE = "report.html"
-
-CAPTIONS = {
-    "episodes": "How many episodes are over after so many steps. The steeper the line, the shorter the "
-    "episodes; where it is straight, nothing more is learned.",
-    "learning_curves": "The mean return of an episode while the method learns, each method with its best "
-    "setting. The dashed line is the exact optimum, the dotted one what the best policy earns that explores as "
-    "much.",
-    "sensitivity": "How much it matters which {0} one takes: the mean return at the end for each that was "
-    "tried, with its 95% interval. What else can be set stays where the method did best.",
-    "greedy_path": "Where the agent goes if it always takes an action that it learned to be best; of all "
-    "seeds the one whose path is the median in length. Faint arrows: greedy actions beside the path; "
-    "hatched: out of reach. Last, if all have the same optimum, an optimal policy.",
-    "values": "What the methods learned that the states are worth, as a mean over seeds, with the action "
-    "that is best most often. Last, if all have the same optimum, the exact values and all optimal actions.",
-}
-OF_PREDICTION = {
-    "learning_curves": "The error of the learned values while the method learns (root of the mean squared "
-    "error over states), each method with its best setting.",
-    "sensitivity": "How much it matters which {0} one takes: the mean error over the run for each that was "
-    "tried, with its 95% interval. What else can be set stays where the method did best.",
-    "values": "What the methods learned that the states are worth, as a mean over seeds, beside the exact "
-    "values.",
-}
 
 # As measured, see `stats.score_interval`; of 10, 30 and 100 seeds.
 COVERAGE = (
@@ -107,15 +88,73 @@ def write(
 
 
 def write_methods(
-    folder: Path, methods: Mapping[str, Methods], about: Mapping[str, Any], fresh: Mapping[str, Methods]
+    folder: Path,
+    methods: Mapping[str, Methods],
+    about: Mapping[str, Any],
+    fresh: Mapping[str, Methods],
+    again: Again | None = None,
+    toml: Mapping[str, str] | None = None,
 ) -> Path:
-    """`write`, of the methods of each environment, of which something may have been worked out already."""
-    chapters = [_chapter(label, own, fresh.get(label, Methods({}))) for label, own in methods.items()]
+    """`write`, of the methods of each environment, of which something may have been worked out already.
+
+    Args:
+        again, toml: see `explorer`; without `again` there are tables at the end of the runs alone.
+        Others: as in `write`.
+    """
+    return page(methods, about, fresh, again, toml).save(folder / FILE)
+
+
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """A report that is not in a folder: a notebook shows it.
+
+    Attributes:
+        title: what it is about.
+        html: the page.
+    """
+
+    title: str
+    html: str
+
+    def __repr__(self) -> str:
+        return f"<Page {one_line(self.title)!r}: save('report.html') writes it>"
+
+    def _repr_html_(self) -> str:
+        title, page = html.escape(self.title), html.escape(self.html)
+        return (
+            f'<iframe title="{title}" srcdoc="{page}" style="width: 100%; height: 60rem; border: 0"></iframe>'
+        )
+
+    def save(self, file: Path | str) -> Path:
+        """Writes the page into a file, over one that is there."""
+        file = Path(file)
+        file.write_text(self.html, encoding="utf-8")
+        return file
+
+
+def page(
+    methods: Mapping[str, Methods],
+    about: Mapping[str, Any],
+    fresh: Mapping[str, Methods],
+    again: Again | None = None,
+    toml: Mapping[str, str] | None = None,
+) -> Page:
+    """The report; arguments as in `write_methods`."""
+    several = len(methods) > 1
+    chapters = []
+    for label, own in methods.items():
+        group = f"{label}/" if several else ""
+        seen = explorer(label, own, group=group, again=again, toml=toml, chapters=len(methods))
+        chapters.append(_chapter(label, own, fresh.get(label, Methods({})), seen))
     sweeps = {f"{label}/{name}": ds for label, own in methods.items() for name, ds in own.items()}
     seeds = [ds.sizes["seed"] for ds in sweeps.values()]
-    page = render(
+    title = _title(chapters)
+    rendered = render(
         "report.html",
-        title=_title(chapters),
+        styles=["report.css"],
+        scripts=EXPLORER,
+        points=f"at most {POINTS}",
+        title=title,
         chapters=chapters,
         explained=dict(item for chapter in chapters for item in chapter.explained.items()),
         about=about,
@@ -127,25 +166,7 @@ def write_methods(
         at_once=AT_ONCE,
         version=__version__,
     )
-    file = folder / FILE
-    file.write_text(page, encoding="utf-8")
-    return file
-
-
-class Picture(NamedTuple):
-    """A picture of the page.
-
-    Attributes:
-        source: its address, which holds the picture itself.
-        alt: what it shows, in words, for readers who cannot see it.
-        caption: how to read it.
-        large: whether it has the width of the page.
-    """
-
-    source: str
-    alt: str
-    caption: str
-    large: bool
+    return Page(title, rendered)
 
 
 class Chapter(NamedTuple):
@@ -163,7 +184,6 @@ class Chapter(NamedTuple):
     on_fresh: bool
     notes: list[str]
     chosen: Table
-    pictures: list[Picture]
     settings: Table
     num_settings: int
     diverged: list[str]
@@ -172,13 +192,17 @@ class Chapter(NamedTuple):
     tied: bool
     explores: bool
     explained: dict[str, str]
+    data: Any
+    blocks: dict[str, str]
 
 
 # --- a chapter ---------------------------------------------------------------------------------------
-def _chapter(label: str, methods: Methods, fresh: Methods) -> Chapter:
+def _chapter(label: str, methods: Methods, fresh: Methods, seen: Explorer) -> Chapter:
     env, prediction, rows = methods.env, methods.prediction, methods.rows
     assert env is not None
     again = {row.method: row for row in fresh.rows}
+    numbers = {name: count() for name in methods}
+    keys = {id(row): f"{[*methods].index(row.method)}-{next(numbers[row.method])}" for row in rows}
     ranked = sorted(rows, key=lambda row: rank(row, prediction))
     stars = [row for row in ranked if row["best"]]
     on_fresh = len(again) == len(stars)
@@ -191,11 +215,11 @@ def _chapter(label: str, methods: Methods, fresh: Methods) -> Chapter:
     return Chapter(
         label=words.title_of(label),
         about=describe.summary(type(env)),
-        unusual=", ".join(plot.unusual(env)),
+        unusual=", ".join(words.unusual(env)),
         methods=list(methods),
         runs=runs_in_words(next(iter(methods.values()))),
         common=", ".join(
-            plot.in_words({k: x for row in rows for k, x in row.setting.items() if k not in view.varied})
+            words.in_words({k: x for row in rows for k, x in row.setting.items() if k not in view.varied})
         ),
         finding=finding(stars, again, view),
         prediction=prediction,
@@ -203,8 +227,7 @@ def _chapter(label: str, methods: Methods, fresh: Methods) -> Chapter:
         on_fresh=on_fresh,
         notes=notes(stars, again, view),
         chosen=chosen_table(stars, again, judged if differences else {}, view),
-        pictures=_pictures(label, methods, env, stars, view),
-        settings=settings_table(ranked, view),
+        settings=settings_table(ranked, [keys[id(row)] for row in ranked], view),
         num_settings=len(rows),
         diverged=[
             f"{setting_of(row, view)}: {row['diverged']} of {row['seeds']}" for row in rows if row["diverged"]
@@ -214,48 +237,9 @@ def _chapter(label: str, methods: Methods, fresh: Methods) -> Chapter:
         tied=any(row["tied"] and not row["best"] for row in rows),
         explores=not np.isnan([row["soft"] for row in rows]).all(),
         explained={_sentence(text(x.report, prediction)): x.help for x in columns if x.help},
+        data=as_json(seen.data),
+        blocks=seen.blocks,
     )
-
-
-# --- pictures ----------------------------------------------------------------------------------------
-def _pictures(
-    label: str, methods: Methods, env: Environment, stars: Sequence[Row], view: View
-) -> list[Picture]:
-    figures = plot.pictures(methods, env)
-    if isinstance(env, Grid) and not stats.is_prediction(*methods.values()):
-        figures["values"] = plot.value_tables(methods, env)
-    captions = CAPTIONS | (OF_PREDICTION if view.prediction else {})
-    ends = ", ".join(
-        f"{words.title_of(row.method)} {number(row['score'][0], view.decimals)}" for row in stars
-    )
-    what = view.what if view.prediction else f"{view.what} at the end"
-    optimum = stars[0]["optimum"]
-    optimum_text = "" if view.prediction or np.isnan(optimum) else f"; exact optimum {number(optimum)}"
-    pictures = []
-    for name, figure in figures.items():
-        kind, _, parameter = name.partition("_") if name.startswith("sensitivity") else (name, "", "")
-        shown = _parameter(methods, parameter)
-        texts = kind == "values" and bool(tables_of(env))  # hundreds of them
-        title = kind.replace("_", " ") + (f" to {shown}" if kind == "sensitivity" else "")
-        pictures.append(
-            Picture(
-                source=embedded(figure, "png" if texts else "svg"),
-                alt=f"{title} in {label}; {what}: {ends}{optimum_text}",
-                caption=captions[kind].format(shown),
-                large=texts or kind == "greedy_path",
-            )
-        )
-    return pictures
-
-
-def _parameter(datasets: Datasets, name: str) -> str:
-    """The hyperparameter of a picture: the first picture of sensitivity has no name in its own."""
-    if not name:
-        swept = [n for ds in datasets.values() for n in stats.hyperparameters(ds) + stats.drawn(ds)]
-        first = sorted((n for n in swept if n != "draw"), key=lambda n: n != "alpha")
-        name = first[0] if first else ""
-    symbol = words.symbol(name)
-    return name if symbol == name else f"{symbol} ({name})"
 
 
 # --- words -------------------------------------------------------------------------------------------

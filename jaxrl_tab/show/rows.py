@@ -7,19 +7,26 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from jaxrl_tab.show import plot, words
+from jaxrl_tab.show import words
 from jaxrl_tab.show.words import counted, counts_in_words, number
-from jaxrl_tab.stats.columns import COLUMNS, Column, Row, text
+from jaxrl_tab.stats.columns import COLUMNS, Column, Methods, Row, text
 
 AT_ONCE, AT_MOST = 12, 1000  # rows of a table that are shown unfolded, and rows that are shown at all
 
 
 class Table(NamedTuple):
-    """A table as text: the first column to the left. `stars` says which rows are in bold."""
+    """A table as text: the first column to the left.
+
+    Attributes:
+        head, rows: the cells.
+        stars: which rows are in bold.
+        keys: by what the scripts of the page know the rows; none where they do not.
+    """
 
     head: list[str]
     rows: list[list[str]]
     stars: list[bool]
+    keys: Sequence[str] = ()
 
 
 class View(NamedTuple):
@@ -51,7 +58,7 @@ def varied(rows: Sequence[Row]) -> list[str]:
     values: dict[str, set[str]] = {}
     for row in rows:
         for name, value in row.setting.items():
-            values.setdefault(name, set()).add(plot.written(value))
+            values.setdefault(name, set()).add(words.written(value))
     return [name for name, texts in values.items() if len(texts) > 1]
 
 
@@ -103,6 +110,15 @@ def notes(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> list[st
     return notes
 
 
+def chosen(methods: Methods, fresh: Methods | None) -> Table:
+    """The best setting of each method, with its number on fresh seeds where it was run on some; the best first."""
+    again = {row.method: row for row in fresh.rows} if fresh else {}
+    stars = [row for row in methods.rows if row["best"]]
+    stars.sort(key=lambda row: rank(row, methods.prediction))
+    view = View(methods.prediction, varied(methods.rows), decimals([*stars, *again.values()]))
+    return chosen_table(stars, again, {}, view)
+
+
 def chosen_table(
     stars: Sequence[Row], again: Mapping[str, Row], judged: Mapping[str, Row], view: View
 ) -> Table:
@@ -133,8 +149,8 @@ def chosen_table(
     )
 
 
-def settings_table(ranked: Sequence[Row], view: View) -> Table:
-    """All settings in the order given: the best of each method has a star."""
+def settings_table(ranked: Sequence[Row], keys: Sequence[str], view: View) -> Table:
+    """All settings in the order given: the best of each method has a star. `keys`: see `Table`."""
     settings = Counter(row.method for row in ranked)
     stars = [row["best"] and settings[row.method] > 1 for row in ranked[:AT_MOST]]
     columns = columns_of("all", ranked)
@@ -148,14 +164,14 @@ def settings_table(ranked: Sequence[Row], view: View) -> Table:
     rows = [
         [
             f"{words.title_of(row.method)}{' ★' if star else ' ≈' if row['tied'] and not row['best'] else ''}",
-            *(plot.written(row.setting[name]) if name in row.setting else "–" for name in view.varied),
+            *(words.written(row.setting[name]) if name in row.setting else "–" for name in view.varied),
             number(row["score"][0], view.decimals),
             _between(row["score"], view) + _doubt(row),
             *(_cell(column, row, view) for column in columns),
         ]
         for row, star in zip(ranked, stars, strict=False)  # `stars` ends after AT_MOST rows
     ]
-    return Table(head, rows, stars)
+    return Table(head, rows, stars, keys)
 
 
 def columns_of(table: str, rows: Sequence[Row]) -> list[Column]:
@@ -212,7 +228,7 @@ def decimals(rows: Iterable[Row]) -> int:
 
 def _setting(row: Row, view: View) -> str:
     shown = {name: row.setting[name] for name in view.varied if name in row.setting}
-    return ", ".join(map(_unbroken, plot.in_words(shown)))
+    return ", ".join(map(_unbroken, words.in_words(shown)))
 
 
 def setting_of(row: Row, view: View) -> str:

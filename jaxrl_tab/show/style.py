@@ -1,9 +1,10 @@
 """How pictures look: colours, markers, sizes, axes, legends."""
 
+import contextlib
 import itertools
 import textwrap
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -91,14 +92,28 @@ class _Canvas(Figure):
     """A figure in which a character that the font lacks is a box, and nothing else happens."""
 
     def draw(self, renderer: Any) -> None:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Glyph .* missing from font")
+        with _any_character():
             super().draw(renderer)
+
+
+@contextlib.contextmanager
+def _any_character() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
+        yield
 
 
 def canvas(width: float, height: float) -> Figure:
     """An empty figure of so many inches."""
     return _Canvas((width, height), dpi=DPI, layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.06))
+
+
+def lay_out(figure: Figure) -> None:
+    """Gives everything in a figure its place, once: saving it would draw it all to find the places, and again."""
+    if engine := figure.get_layout_engine():
+        with _any_character():
+            engine.execute(figure)
+        figure.set_layout_engine("none")
 
 
 def head(figure: Figure, text: str, seeds: int | None = None) -> None:

@@ -1,6 +1,7 @@
 """Statistics along one dimension of a dataset, a block at a time."""
 
 import functools
+import itertools
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -8,8 +9,10 @@ import numpy as np
 import xarray as xr
 
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.checks import InputError, shown
+from jaxrl_tab.core.errors import InputError, shown
+from jaxrl_tab.core.notebook import table
 
+PLACES = 50  # of which a notebook shows the intervals
 MEMORY = 2**22  # float64 of one intermediate result, unless all values of one place are more
 
 
@@ -29,6 +32,28 @@ class Interval(NamedTuple):
     low: xr.DataArray
     high: xr.DataArray
     n: xr.DataArray
+
+    def __repr__(self) -> str:
+        estimate, low, high, n = (np.asarray(part) for part in self)
+        if not estimate.ndim:
+            return f"<Interval {estimate:.4g} ({low:.4g} to {high:.4g}), n = {n}>"
+        places = " x ".join(f"{size} {name}" for name, size in self.estimate.sizes.items())
+        numbers = estimate[~np.isnan(estimate)]
+        span = f"{numbers.min():.4g} to {numbers.max():.4g}" if numbers.size else "none"
+        return f"<Interval of {places}: estimates {span}>"
+
+    def _repr_html_(self) -> str:
+        parts = xr.broadcast(*self)
+        estimate = parts[0]
+        places = list(itertools.islice(np.ndindex(estimate.shape), PLACES))
+        rows = [
+            [str(estimate[name].values[i]) for name, i in zip(estimate.dims, place, strict=True)]
+            + [f"{part.values[place]:.4g}" for part in parts]
+            for place in places
+        ]
+        more = estimate.size - len(rows)
+        title = f"Interval; the first {len(rows)} of {estimate.size} places" if more else "Interval"
+        return table(title, [*map(str, estimate.dims), *self._fields], rows)
 
 
 def along(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy import special, stats
+from scipy import special
 
 from jaxrl_tab.core.checks import FRACTION, check_within
 from jaxrl_tab.stats.along import Interval, along, blocks
@@ -81,7 +81,13 @@ def tail_probabilities(confidence: float) -> np.ndarray:
 
 def iqm(values: np.ndarray, axis: int = -1) -> Any:  # as of np.mean: an array, or of one axis a number
     """The interquartile mean: without the lowest and the highest quarter of the values, each rounded down."""
-    return stats.trim_mean(values, 0.25, axis=axis)
+    values = np.moveaxis(np.asarray(values), axis, -1)
+    n = values.shape[-1]
+    if not n:
+        return np.full(values.shape[:-1], np.nan)[()]
+    cut = n // 4
+    # Only which values are in the middle is asked, and not their order.
+    return np.partition(values, (cut, n - cut - 1))[..., cut : n - cut].mean(-1)
 
 
 def iqm_interval(
@@ -121,7 +127,7 @@ def _yuen(values: np.ndarray, confidence: float) -> tuple[np.ndarray, ...]:
     kept = n - 2 * cut
     centre = values[:, cut : n - cut].mean(-1)
     winsorized = np.clip(values, values[:, [cut]], values[:, [n - cut - 1]])
-    half = winsorized.std(-1) * np.sqrt(n / kept / (kept - 1)) * stats.norm.ppf((1 + confidence) / 2)
+    half = winsorized.std(-1) * np.sqrt(n / kept / (kept - 1)) * special.ndtri((1 + confidence) / 2)
     return centre, centre - half, centre + half
 
 
@@ -174,6 +180,6 @@ def _percentiles(resampled: np.ndarray, n: int, strata: int, degrees: float, con
     """Bounds, [2, c], from what resamples of n values gave, [c, resamples]; NaN where n is too small."""
     if n <= strata:
         return np.full((2, len(resampled)), np.nan)
-    z = np.sqrt(n / (n - strata)) * stats.t.ppf(tail_probabilities(confidence), degrees)
+    z = np.sqrt(n / (n - strata)) * special.stdtrit(degrees, tail_probabilities(confidence))
     with np.errstate(invalid="ignore"):  # infinities
         return np.quantile(resampled, special.ndtr(z), axis=-1)

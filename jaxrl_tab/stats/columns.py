@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from jaxrl_tab.core.checks import InputError
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.stats.along import Datasets, Interval
 from jaxrl_tab.stats.bootstrap import iqm_interval
@@ -167,7 +167,7 @@ COLUMNS = [
         report="9 of 10 runs",
         written="range",
     ),
-    Column("seeds", lambda own: own.score.notnull().sum("seed"), written="count"),
+    Column("seeds", lambda own: own.score.notnull().sum("seed"), report="seeds", written="count"),
     Column(
         "unfinished",
         lambda own: own.unfinished,

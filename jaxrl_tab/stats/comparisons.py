@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy import stats
+from scipy import special
 
-from jaxrl_tab.core.checks import FRACTION, InputError, check_within, shown
+from jaxrl_tab.core.checks import FRACTION, check_within
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.stats.along import Interval, aligned, along, check_dims
-from jaxrl_tab.stats.intervals import least_of, mean_and_bounds, seeds_wanted, with_one_more
+from jaxrl_tab.stats.intervals import least_of, mean_with_p, seeds_wanted, with_one_more
 
 POWER_RUNS, POWER_SIMULATED = 20_000, 200  # experiments; from so many seeds on Hall's test is Student's
 
@@ -34,7 +35,7 @@ def proportion_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 
 
 
 def _wilson(share: Any, n: Any, confidence: float) -> tuple[Any, Any]:
-    z2 = stats.norm.ppf((1 + confidence) / 2) ** 2
+    z2 = special.ndtri((1 + confidence) / 2) ** 2
     centre = (share + z2 / (2 * n)) / (1 + z2 / n)
     half = np.sqrt(z2 * (share * (1 - share) / n + z2 / (4 * n**2))) / (1 + z2 / n)
     return np.maximum(centre - half, 0), np.minimum(centre + half, 1)
@@ -74,6 +75,8 @@ def performance_profile(
         raise InputError(f"thresholds must be a flat list of numbers, not {shown(thresholds)}")
     share = (x > xr.DataArray(tau, dims="threshold", coords={"threshold": tau})).mean(dims)
     runs = int(np.prod([x.sizes[d] for d in dims]))
+    from scipy import stats  # here, because it takes half a second
+
     half = stats.kstwo.ppf(confidence, runs)
     n = xr.full_like(share.isel(threshold=0, drop=True), runs, dtype=int)
     return Interval(share, (share - half).clip(min=0), (share + half).clip(max=1), n)
@@ -131,7 +134,7 @@ def paired_difference(
     x, y = aligned(x, y)
     x, y = x.where(y.notnull()), y.where(x.notnull())
     difference = x - y
-    mean, low, high, p, n = along(difference, dim, lambda z: mean_and_bounds(z, confidence, "hall"), parts=4)
+    mean, low, high, p, n = along(difference, dim, lambda z: mean_with_p(z, "hall", confidence), parts=4)
     if worst is not None:
         worst = least_of(x.min(dim), y.min(dim), worst)
         if (few := seeds_wanted(x, dim) > n).any():  # one bad run more of x
@@ -172,6 +175,8 @@ def probability_of_improvement(
     Raises:
         InputError: as `mean_interval`; or other dimensions have different labels.
     """
+    from scipy import stats  # here, because it takes half a second
+
     check_within("confidence", confidence, FRACTION)
     check_dims(x, [dim])
     check_dims(y, [dim])
@@ -264,10 +269,11 @@ def seeds_needed(
         if paired and n < POWER_SIMULATED:
             return _power(n, effect, confidence)
         degrees, shift = groups * (n - 1), effect * np.sqrt(n / groups)
-        critical = stats.t.ppf((1 + confidence) / 2, degrees)
-        return float(stats.nct.sf(critical, degrees, shift) + stats.nct.cdf(-critical, degrees, shift))
+        critical = special.stdtrit(degrees, (1 + confidence) / 2)
+        below_low, below_high = special.nctdtr(degrees, shift, [-critical, critical])  # of the noncentral t
+        return float(below_low + 1 - below_high)
 
-    z = stats.norm.ppf((1 + confidence) / 2) + stats.norm.ppf(power)
+    z = special.ndtri((1 + confidence) / 2) + special.ndtri(power)
     n = max(2, int(groups * (z / effect) ** 2))  # enough if sd were known exactly, so never too many
     while reached(n) < power:
         n += 1
@@ -278,4 +284,4 @@ def seeds_needed(
 def _power(n: int, effect: float, confidence: float) -> float:
     """How often `paired_difference` of n normal differences, with this mean and sd 1, finds them."""
     x = np.random.default_rng(n).standard_normal((POWER_RUNS, n)) + effect
-    return float((mean_and_bounds(x, confidence, "hall")[3] < 1 - confidence).mean())
+    return float((mean_with_p(x, "hall", confidence)[3] < 1 - confidence).mean())

@@ -20,7 +20,7 @@ import pandas as pd
 import xarray as xr
 
 from jaxrl_tab import stats
-from jaxrl_tab.core.checks import InputError, nearest
+from jaxrl_tab.core.errors import InputError, nearest
 from jaxrl_tab.stats.measures import has_errors
 
 __all__ = ["load", "save", "to_pandas"]

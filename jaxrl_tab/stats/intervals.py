@@ -5,9 +5,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
-from scipy import stats
+from scipy import special
 
-from jaxrl_tab.core.checks import FRACTION, InputError, check_within, nearest
+from jaxrl_tab.core.checks import FRACTION, check_within
+from jaxrl_tab.core.errors import InputError, nearest
 from jaxrl_tab.stats.along import Interval, along, check_dims
 from jaxrl_tab.stats.bootstrap import (
     RESAMPLES,
@@ -59,21 +60,34 @@ def mean_interval(
     check_within("confidence", confidence, FRACTION)
 
     resamples = 1 if method in ("hall", "t") else RESAMPLES
-    return Interval(*along(x, dim, lambda values: mean_and_bounds(values, confidence, method)[:3], resamples))
+    return Interval(*along(x, dim, lambda values: mean_and_bounds(values, method, confidence), resamples))
 
 
-def mean_and_bounds(values: np.ndarray, confidence: float, method: str) -> tuple[np.ndarray, ...]:
-    """Mean, bounds, and p of "the mean is 0", [c] each, of values [c, n]."""
+def mean_and_bounds(values: np.ndarray, method: str, *confidences: float) -> tuple[np.ndarray, ...]:
+    """Mean, and for each confidence the bounds below and above, [c] each, of values [c, n]."""
+    mean, usable, z = _deviations(values)
+    bounds = np.full((2 * len(confidences), len(values)), np.nan)
+    if usable.any():
+        z, centre = z[usable], mean[usable]
+        bounds[:, usable] = centre + np.concatenate([BOUNDS[method](z, each) for each in confidences])
+    return mean, *bounds
+
+
+def mean_with_p(values: np.ndarray, method: str, confidence: float) -> tuple[np.ndarray, ...]:
+    """`mean_and_bounds`, and p of "the mean is 0"."""
+    mean, usable, z = _deviations(values)
+    p = np.full(len(values), np.nan)
+    if usable.any():
+        p[usable] = _p_value(z[usable], mean[usable])
+    return *mean_and_bounds(values, method, confidence), p
+
+
+def _deviations(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean [c]; whether there are enough values, and all finite, [c]; and how far each is from the mean, [c, n]."""
     with np.errstate(invalid="ignore"):  # infinities
         mean = values.mean(-1)
         z = values - mean[:, None]
-    low, high, p = np.full((3, len(values)), np.nan)
-    usable = np.isfinite(z).all(-1) & (values.shape[-1] > 1)
-    if usable.any():
-        z, centre = z[usable], mean[usable]
-        low[usable], high[usable] = centre + BOUNDS[method](z, confidence)
-        p[usable] = _p_value(z, centre)
-    return mean, low, high, p
+    return mean, np.isfinite(z).all(-1) & (values.shape[-1] > 1), z
 
 
 def _skew(z: np.ndarray) -> np.ndarray:
@@ -88,14 +102,14 @@ def _skew(z: np.ndarray) -> np.ndarray:
 
 def _student(z: np.ndarray, confidence: float) -> np.ndarray:
     """Bounds about the mean, [2, c], from deviations [c, n]."""
-    half = stats.t.ppf((1 + confidence) / 2, z.shape[-1] - 1) * standard_error(z)
+    half = special.stdtrit(z.shape[-1] - 1, (1 + confidence) / 2) * standard_error(z)
     return np.stack([-half, half])
 
 
 def _hall(z: np.ndarray, confidence: float) -> np.ndarray:
     """Hall's bounds about the mean, [2, c], and nowhere inside Student's."""
     student, a = _student(z, confidence), _skew(z)
-    u = stats.t.ppf((1 + confidence) / 2, z.shape[-1] - 1) * np.array([[1.0], [-1.0]])
+    u = special.stdtrit(z.shape[-1] - 1, (1 + confidence) / 2) * np.array([[1.0], [-1.0]])
     curved = np.abs(a) > 1e-6  # else the transformation is the identity
     a = np.where(curved, a, 1)
     t = np.where(curved, 3 / a * (np.cbrt(1 + a * (u - a / 6)) - 1), u)
@@ -110,7 +124,7 @@ def _p_value(z: np.ndarray, mean: np.ndarray) -> np.ndarray:
         t = np.where(mean == 0, 0, mean / error)
         u = np.where(np.isfinite(t), t + a * t**2 / 3 + a**2 * t**3 / 27 + a / 6, t)
     nearer = np.where(t * u > 0, np.minimum(abs(t), abs(u)), 0)
-    return 2 * stats.t.sf(nearer, z.shape[-1] - 1)
+    return 2 * special.stdtr(z.shape[-1] - 1, -nearer)
 
 
 BOUNDS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
@@ -172,7 +186,7 @@ def with_one_more(
     more = xr.concat(
         [bare, value.broadcast_like(bare.isel({dim: 0}))], dim, coords="minimal", compat="override"
     )
-    mean, low, high, p, _ = along(more, dim, lambda z: mean_and_bounds(z, confidence, "t"), parts=4)
+    mean, low, high, p, _ = along(more, dim, lambda z: mean_with_p(z, "t", confidence), parts=4)
     return mean, low, high, p.where(np.sign(mean) == np.sign(x.mean(dim)), 1)
 
 
@@ -255,22 +269,24 @@ def median_interval(x: xr.DataArray, dim: str = "seed", confidence: float = 0.95
         InputError: as `mean_interval`.
     """
     check_within("confidence", confidence, FRACTION)
+    return Interval(*along(x, dim, lambda values: median_and_bounds(values, confidence)))
 
-    def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
-        n = values.shape[-1]
-        values = np.sort(values)
-        median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
-        # The k-th from either end bound the median with probability 1 - 2 P(Binomial(n, 1/2) < k).
-        k = int(stats.binom.ppf((1 - confidence) / 2, n, 0.5))
-        missed = 2 * stats.binom.cdf([k - 1, k], n, 0.5)
-        if k == 0:
-            return median, np.full(len(values), np.nan), np.full(len(values), np.nan)
-        inner = (1 - confidence - missed[0]) / (missed[1] - missed[0])
-        inner = (n - k) * inner / (k + (n - 2 * k) * inner)
-        low = _between(values[:, k - 1], values[:, k], inner)
-        return median, low, _between(values[:, n - k], values[:, n - k - 1], inner)
 
-    return Interval(*along(x, dim, of))
+def median_and_bounds(values: np.ndarray, confidence: float) -> tuple[np.ndarray, ...]:
+    """Median and its bounds, [c] each, of values [c, n]."""
+    n = values.shape[-1]
+    values = np.sort(values)
+    median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
+    # The k-th from either end bound the median with probability 1 - 2 P(Binomial(n, 1/2) < k).
+    below = special.bdtr(np.arange(n + 1), n, 0.5)
+    k = int(np.searchsorted(below, (1 - confidence) / 2))
+    if k == 0:
+        return median, np.full(len(values), np.nan), np.full(len(values), np.nan)
+    missed = 2 * below[[k - 1, k]]
+    inner = (1 - confidence - missed[0]) / (missed[1] - missed[0])
+    inner = (n - k) * inner / (k + (n - 2 * k) * inner)
+    low = _between(values[:, k - 1], values[:, k], inner)
+    return median, low, _between(values[:, n - k], values[:, n - k - 1], inner)
 
 
 def _between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
@@ -306,14 +322,12 @@ def tolerance_interval(
         values = np.sort(values)
         median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
         ranks = np.arange(1, (n + 1) // 2)  # what lies between the r-th and the (n + 1 - r)-th is Beta
-        ranks = ranks[stats.beta.sf(content, n + 1 - 2 * ranks, 2 * ranks) >= confidence]
+        ranks = ranks[special.betainc(2 * ranks, n + 1 - 2 * ranks, 1 - content) >= confidence]
         if ranks.size:
             return median, values[:, ranks[-1] - 1], values[:, n - ranks[-1]]
         k = np.nan
         if n > 1:
-            k = stats.norm.ppf((1 + content) / 2) * np.sqrt(
-                (n - 1 / n) / stats.chi2.ppf(1 - confidence, n - 1)
-            )
+            k = special.ndtri((1 + content) / 2) * np.sqrt((n - 1 / n) / special.chdtri(n - 1, confidence))
         with np.errstate(invalid="ignore"):
             mean, half = values.mean(-1), k * values.std(-1) * np.sqrt(n / max(n - 1, 1))
         return median, mean - half, mean + half

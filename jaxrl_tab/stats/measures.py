@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from jaxrl_tab.core.checks import InputError
 from jaxrl_tab.core.declared import Learns, of_environment
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
 from jaxrl_tab.stats.along import Interval, blocks, by_seeds, check_dims
@@ -219,11 +219,18 @@ def merge_rows(ds: xr.Dataset, at_most: int) -> xr.Dataset:
 
 
 def _merged(ds: xr.Dataset, every: int) -> xr.Dataset:
-    group = xr.DataArray(np.arange(ds.sizes["row"]) // every, dims="row", name="group")
     sums = ds[["steps", "episodes", "returns", "lengths", "rewards"]]
-    merged = sums.groupby(group).sum("row", skipna=False).rename(group="row")
-    merged = merged.transpose(..., "row").assign_attrs(ds.attrs)
+    starts = np.arange(0, ds.sizes["row"], every)
+    # The groups are neighbours, so this needs no `groupby`, which takes several times as long.
+    merged = {name: (x.dims, _sums_from(x, starts), x.attrs) for name, x in sums.items()}
+    merged = sums.isel(row=starts).assign(merged).assign_coords(row=np.arange(len(starts)))
     return merged.assign(diverged=ds.diverged) if "diverged" in ds else merged
+
+
+def _sums_from(x: xr.DataArray, starts: np.ndarray) -> np.ndarray:
+    """The sums from each of these rows until before the next, of float64 or int64."""
+    dtype = float if x.dtype.kind == "f" else np.int64
+    return np.add.reduceat(x.values, starts, axis=x.dims.index("row"), dtype=dtype)
 
 
 def sound_runs(x: xr.DataArray, ds: xr.Dataset) -> xr.DataArray:
@@ -247,12 +254,16 @@ def area_under_curve(
         InputError: `curve` has no such dimension.
     """
     check_dims(curve, [dim])
-    has_value, place = curve.notnull(), xr.DataArray(np.arange(curve.sizes[dim]), dims=dim)
+    # Rows are taken by their places, so their labels must be no coordinate of these.
+    curve, place = curve.drop_vars(dim, errors="ignore"), xr.DataArray(np.arange(curve.sizes[dim]), dims=dim)
+    has_value = curve.notnull()
     any_value = has_value.any(dim)
     last = place.where(has_value, -1).reduce(np.maximum.accumulate, dim=dim)
     first = place.where(has_value, curve.sizes[dim]).min(dim).where(any_value, 0)
     filled = curve.astype(float).isel({dim: last.where(last >= 0, first).astype(int)})
-    width = xr.ones_like(place, float) if width is None else width.astype(float)
+    width = (
+        xr.ones_like(place, float) if width is None else width.astype(float).drop_vars(dim, errors="ignore")
+    )
     return ((filled * width).sum(dim, skipna=False) / width.sum(dim)).where(any_value)
 
 

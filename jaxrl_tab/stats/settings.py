@@ -7,7 +7,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import xarray as xr
 
-from jaxrl_tab.core.checks import FRACTION, InputError, check_within
+from jaxrl_tab.core.checks import FRACTION, check_within
+from jaxrl_tab.core.errors import InputError, shown
+from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.stats.along import Interval, name_list
 from jaxrl_tab.stats.comparisons import Difference, paired_difference
@@ -335,6 +337,20 @@ class Selection(NamedTuple):
     promised: Interval
     fresh: Interval
     bias: Interval
+
+    def __repr__(self) -> str:
+        setting = ", ".join(f"{name} = {shown(x)}" for name, x in self.setting.items())
+        return (
+            f"<Selection of {setting or 'the one setting'}: promised {self.promised!r}, fresh {self.fresh!r}>"
+        )
+
+    def _repr_html_(self) -> str:
+        setting = ", ".join(f"{name} = {shown(x)}" for name, x in self.setting.items())
+        rows = [
+            (name, *(f"{float(part):.4g}" for part in getattr(self, name)))
+            for name in ("promised", "fresh", "bias")
+        ]
+        return table(f"Selection of {setting or 'the one setting'}", ("", *Interval._fields), rows)
 
 
 def selection(ds: Sweep, fresh: Sweep, by: Measure = score, confidence: float = 0.95) -> Selection:

@@ -8,7 +8,8 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from jaxrl_tab.core.checks import InputError, build, nearest
+from jaxrl_tab.core.checks import build
+from jaxrl_tab.core.errors import InputError, nearest
 from jaxrl_tab.experiment.executors.base import Arrays, Executor, Work
 from jaxrl_tab.experiment.executors.distributed import Distributed
 from jaxrl_tab.experiment.executors.ray import Ray

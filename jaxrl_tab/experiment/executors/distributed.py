@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jax.experimental.multihost_utils import process_allgather
 
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, result_of
 

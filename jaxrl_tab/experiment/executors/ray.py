@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Generator, Sequence
 from typing import Any
 
-from jaxrl_tab.core.checks import InputError, RunError, reason
+from jaxrl_tab.core.errors import InputError, RunError, reason
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, environment, need, result_of
 

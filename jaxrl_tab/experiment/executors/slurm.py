@@ -8,7 +8,7 @@ from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxrl_tab.core.checks import InputError, RunError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.experiment.executors.base import Arrays, Failed, Job, Work, need, result_of
 

@@ -1,5 +1,6 @@
 """Loops and branches: while, scan, cond."""
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
@@ -24,6 +25,8 @@ from jaxrl_tab.lanes.lowering import Lowering
 from jaxrl_tab.lanes.registry import rule
 from jaxrl_tab.lanes.rules.indexing import clamped
 from jaxrl_tab.lanes.rules.numbers import word_of
+
+FEW = 24  # equations of a branch that is worked out where it is not taken, too
 
 
 @rule("while", of_parts=True)
@@ -71,11 +74,12 @@ def cond(code: Lowering, equation: Any, which: Plain, *args: Array) -> Sequence[
         return code.closed(branches[int(number.number)], *args)
     if all(_is_short(branch.jaxpr) for branch in branches):
         return _chosen(code, number, [code.closed(branch, *args) for branch in branches])
-    places = _changed_in_place(branches)
+    places = _places(branches)
     results: list[Any] = [
         args[places[k]] if k in places else _empty(code, v.aval.shape, v.aval)
         for k, v in enumerate(equation.outvars)
     ]
+    in_place = [k for k in places if not is_small(equation.outvars[k].aval.shape)]
     for case, branch in enumerate(branches):
         if _gives_back(branch, places):
             continue
@@ -83,8 +87,8 @@ def cond(code: Lowering, equation: Any, which: Plain, *args: Array) -> Sequence[
 
         def once(carried: list[Array], branch: Any = branch) -> list[Array]:
             own = list(args)
-            for k, j in places.items():
-                own[j] = carried[1 + k]
+            for k in in_place:
+                own[places[k]] = carried[1 + k]
             return [code.known(np.bool_(False)), *code.closed(branch, *own)]
 
         first = [made_of(code, (), bool, [taken]), *results]
@@ -93,16 +97,21 @@ def cond(code: Lowering, equation: Any, which: Plain, *args: Array) -> Sequence[
 
 
 def _is_short(jaxpr: Any) -> bool:
-    """Whether a branch may as well be worked out where it is not taken: without loops and large results."""
+    """Whether a branch may as well be worked out where it is not taken: few equations, no loops, no large results."""
+    return _equations(jaxpr) <= FEW and all(is_small(v.aval.shape) for v in jaxpr.outvars)
+
+
+def _equations(jaxpr: Any) -> float:
+    """How many equations there are, also in what is called; infinity where one is a loop, or gives a large array."""
+    count = 0.0
     for equation in jaxpr.eqns:
         inner = [p.jaxpr if hasattr(p, "jaxpr") else p for p in equation.params.values()]
-        if equation.primitive.name in ("while", "scan", "cond"):
-            return False
-        if not all(_is_short(p) for p in inner if hasattr(p, "eqns")):
-            return False
-    return all(is_small(v.aval.shape) for e in jaxpr.eqns for v in e.outvars) and all(
-        is_small(v.aval.shape) for v in jaxpr.outvars
-    )
+        if equation.primitive.name in ("while", "scan", "cond") or not all(
+            is_small(v.aval.shape) for v in equation.outvars
+        ):
+            return math.inf
+        count += 1 + sum(_equations(p) for p in inner if hasattr(p, "eqns"))
+    return count
 
 
 def _chosen(code: Lowering, number: Value, cases: Sequence[Sequence[Array]]) -> list[Array]:
@@ -122,15 +131,16 @@ def _chosen(code: Lowering, number: Value, cases: Sequence[Sequence[Array]]) -> 
     return like(cases[0], [choose(*xs) for xs in zip(*flat_cases, strict=True)])
 
 
-def _changed_in_place(branches: Sequence[Any]) -> dict[int, int]:
-    """result -> the argument in whose memory it lies: one that a branch gives back, or else one like it."""
+def _places(branches: Sequence[Any]) -> dict[int, int]:
+    """result -> the argument that it is where a branch gives that back, or, if large, in whose memory it lies."""
     places: dict[int, int] = {}
     for gives_back in (True, False):
         for branch in branches:
             for k, v in enumerate(branch.jaxpr.outvars):
                 for j, argument in enumerate(branch.jaxpr.invars):
                     alike = v is argument if gives_back else str(v.aval) == str(argument.aval)
-                    if alike and not is_small(v.aval.shape) and k not in places and j not in places.values():
+                    free = is_small(v.aval.shape) or j not in places.values()
+                    if alike and (gives_back or not is_small(v.aval.shape)) and k not in places and free:
                         places[k] = j
     return places
 

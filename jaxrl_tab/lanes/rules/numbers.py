@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from jax import lax
 
@@ -24,7 +23,7 @@ NAMES = {name: name for name in OPERATIONS} | {
 
 def impl_of(aval: Any) -> Any:
     """The generator of a key, and None for other numbers. (JAX has no public name for it.)"""
-    return aval.dtype._impl if jax.numpy.issubdtype(aval.dtype, jax.dtypes.prng_key) else None
+    return getattr(aval.dtype, "_impl", None)
 
 
 def word_of(aval: Any) -> tuple[np.dtype, int]:

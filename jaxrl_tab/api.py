@@ -1,0 +1,150 @@
+"""All that is public in the package, which shows it as its own: `jaxrl_tab.sweep` is `jaxrl_tab.api.sweep`."""
+
+import importlib
+from typing import Any
+
+from jaxrl_tab import algorithms, envs, interop
+from jaxrl_tab.algorithms import (
+    ALGORITHMS,
+    DoubleQLearning,
+    ExpectedSarsa,
+    ManyTargets,
+    MonteCarlo,
+    NStepSarsa,
+    OffPolicyMonteCarlo,
+    QLambda,
+    QLearning,
+    Sarsa,
+    SarsaLambda,
+    SarsaLambdaForward,
+    TargetQLearning,
+    bridge,
+    prediction,
+)
+from jaxrl_tab.algorithms.prediction import PREDICTION
+from jaxrl_tab.core import policies, schedules, tables
+from jaxrl_tab.core.errors import InputError, RunError
+from jaxrl_tab.core.experience import Experience
+from jaxrl_tab.core.names import register
+from jaxrl_tab.core.pytree import field, pytree, static
+from jaxrl_tab.core.types import Outcome, Transition
+from jaxrl_tab.core.version import __version__ as __version__
+from jaxrl_tab.engine import batch, offline
+from jaxrl_tab.engine.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
+from jaxrl_tab.engine.by_xla import use_all_cores
+from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.offline import collect, learn, replay
+from jaxrl_tab.engine.results import SweepResult
+from jaxrl_tab.engine.sweep import sweep
+from jaxrl_tab.engine.train import train
+from jaxrl_tab.engine.watch import Watched, watch
+from jaxrl_tab.envs import (
+    ENVS,
+    Blackjack,
+    CliffWalking,
+    Easy21,
+    FiniteMDP,
+    InfiniteVariance,
+    KArmedTestbed,
+    MaximizationBias,
+    RandomWalk,
+    TraceGridworld,
+    TwoDoors,
+    WindyGridworld,
+    make,
+)
+from jaxrl_tab.exact import importance, planning
+from jaxrl_tab.experiment import executors
+from jaxrl_tab.experiment.runner import resume, run
+from jaxrl_tab.experiment.spec import Experiment
+
+# Imported when they are first used, because they take a second: name -> where it is.
+_LATER = {
+    "export": "stats.export",
+    "figures": "figures",
+    "plot": "show.plot",
+    "report": "show.report",
+    "stats": "stats",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LATER:
+        return importlib.import_module(f"jaxrl_tab.{_LATER[name]}")
+    raise AttributeError(f"module 'jaxrl_tab' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, *_LATER])
+
+
+__all__ = [
+    "ALGORITHMS",
+    "ENVS",
+    "PREDICTION",
+    "Blackjack",
+    "Choice",
+    "CliffWalking",
+    "DoubleQLearning",
+    "Easy21",
+    "ExpectedSarsa",
+    "Experience",
+    "Experiment",
+    "FiniteMDP",
+    "InfiniteVariance",
+    "InputError",
+    "Integers",
+    "KArmedTestbed",
+    "LinearGrid",
+    "Log",
+    "LogGrid",
+    "LogUniform",
+    "ManyTargets",
+    "MaximizationBias",
+    "MonteCarlo",
+    "NStepSarsa",
+    "OffPolicyMonteCarlo",
+    "Outcome",
+    "QLambda",
+    "QLearning",
+    "RandomWalk",
+    "RunError",
+    "Sarsa",
+    "SarsaLambda",
+    "SarsaLambdaForward",
+    "SweepResult",
+    "TargetQLearning",
+    "TraceGridworld",
+    "Transition",
+    "TwoDoors",
+    "Uniform",
+    "Watched",
+    "WindyGridworld",
+    "algorithms",
+    "batch",
+    "bridge",
+    "collect",
+    "envs",
+    "executors",
+    "field",
+    "importance",
+    "interop",
+    "learn",
+    "make",
+    "offline",
+    "planning",
+    "policies",
+    "prediction",
+    "pytree",
+    "register",
+    "replay",
+    "resume",
+    "run",
+    "schedules",
+    "static",
+    "sweep",
+    "tables",
+    "train",
+    "use_all_cores",
+    "watch",
+]

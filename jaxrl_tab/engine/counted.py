@@ -1,0 +1,70 @@
+"""A method that also counts how often it took each action, and what records its table with these counts.
+
+The counts stand beside the state of the learner, which neither sees nor touches them: so what is learned is, to the
+last bit, what the method learns alone.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple, Self
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrl_tab.core import tables
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Available, Task, Transition, init_learner, restricted
+
+
+class CountedState(NamedTuple):
+    """The state of a learner, and N(s, a), int32 [S, A]: how often action a was taken in state s."""
+
+    learner: Any
+    visits: Int[Array, "S A"]
+
+    @property
+    def q(self) -> Float[Array, "S A"]:
+        return self.learner.q
+
+
+@pytree
+class Counted:
+    """A method that counts what it does. What it does not have itself, it has from `method`.
+
+    Attributes:
+        method: the method.
+    """
+
+    method: Any
+
+    @property
+    def gamma(self) -> Any:
+        return self.method.gamma
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "method":  # while it is being made it has no method
+            raise AttributeError(name)
+        return getattr(self.method, name)
+
+    def restricted_to(self, available: Available) -> Self:
+        return dataclasses.replace(self, method=restricted(self.method, available))
+
+    def init(self, num_states: int, num_actions: int, max_steps: int) -> CountedState:
+        learner = init_learner(self.method, Task(num_states, num_actions, max_steps))
+        return CountedState(learner, jnp.zeros((num_states, num_actions), jnp.int32))
+
+    def policy(self, key: Key[Array, ""], state: CountedState, s: Int[Array, ""]) -> Int[Array, ""]:
+        return self.method.policy(key, state.learner, s)
+
+    def update(
+        self, key: Key[Array, ""], state: CountedState, t: Transition
+    ) -> tuple[CountedState, Int[Array, ""]]:
+        learner, a_next = self.method.update(key, state.learner, t)
+        return CountedState(learner, tables.add(state.visits, t.s, t.a, jnp.int32(1))), a_next
+
+
+@dataclasses.dataclass(frozen=True)
+class Tables:
+    """Records Q and N of a `Counted` method. It is an object with a name, so that its program can be kept."""
+
+    def __call__(self, state: CountedState) -> dict[str, Array]:
+        return {"table": state.q, "visits": state.visits}

@@ -1,0 +1,132 @@
+"""One number for each setting: how a run did as a whole, with an interval over seeds."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+
+from jaxrl_tab import stats
+from jaxrl_tab.show.explorer.measures import POINTS, Flat, Kind, Measure
+from jaxrl_tab.show.words import significant
+from jaxrl_tab.stats.columns import Method
+
+Middle = Literal["mean", "median"]
+SHARES = (0.02, 0.1, 0.3)  # of the way from the worst to the best, so much is left at a threshold
+
+
+@dataclass(frozen=True)
+class Score:
+    """A number for each run, and so for each setting its mean, or its median, with an interval.
+
+    Attributes:
+        key: its name in the address of the page.
+        title: its name for people.
+        kind: how its axis is, see `Measure`.
+        middle: the statistic.
+        code: the lines of Python that work it out, as `x`, from all settings `ds`.
+        of: works it out: a number for each run of a sweep, float64 [*hyperparameters, seed].
+    """
+
+    key: str
+    title: str
+    kind: Kind
+    middle: Middle
+    code: str
+    of: Callable[[Flat], xr.DataArray]
+
+
+def scores_of(ds: xr.Dataset, measures: Sequence[Measure], levels: Sequence[float]) -> list[Score]:
+    """The scores for which a dataset has the numbers. The first is the one that settings are chosen by."""
+    first = measures[0]
+    by_steps = "num_steps" in ds.attrs
+    unit = "steps" if by_steps else "episodes"
+    lower = first.kind == "cost"
+    name, kind = ("mean RMS error, whole run", "cost") if lower else ("mean return, last tenth", "return")
+    shown = [
+        Score("score", name, kind, "mean", "x = stats.score(ds)", lambda flat: stats.score(flat.ds)),
+        Score("interim", "mean return, whole run (interim)", "return", "mean", "x = stats.mean_return(ds)",
+              lambda flat: stats.mean_return(flat.ds)),
+        Score("area", "area under the curve of returns", "return", "mean",
+              f"merged = stats.merge_rows(ds, {POINTS})\n"
+              "x = stats.area_under_curve(stats.learning_curve(merged), merged.steps)",
+              lambda flat: stats.area_under_curve(flat.returns, flat.merged.steps)),
+    ]  # fmt: skip
+    word = "an error of" if lower else "a mean return of"
+    for level in levels:
+        shown.append(
+            Score(f"until {level:g}", f"{unit} until {word} {significant(level)}", "cost", "median",
+                  _time_code(level, lower, by_steps), partial(_time_to, level=level, lower=lower))
+        )  # fmt: skip
+    ends: dict[str, tuple[Kind, Middle]] = {
+        "greedy_value": ("return", "median"),
+        "policy_value": ("return", "median"),
+        "q_error": ("cost", "mean"),
+        "v_error": ("cost", "mean"),
+    }
+    titles = {measure.key: measure.title for measure in measures}
+    for name, (kind, middle) in ends.items():
+        if name in ds:
+            shown.append(
+                Score(f"{name} end", f"{titles[name]}, at the end", kind, middle,
+                      f'x = ds["{name}"].isel(row=-1)', partial(_at_end, name=name))
+            )  # fmt: skip
+    count, title = (
+        ("episodes", "episodes finished in all") if by_steps else ("steps", "time steps taken in all")
+    )
+    code = f'x = ds.{count}.sum("row")'
+    return [*shown, Score(count, title, "count", "mean", code, partial(_sum, name=count))]
+
+
+def levels_of(middles: np.ndarray, cost: bool) -> list[float]:
+    """Thresholds of the first measure between the worst and the best of its curves, [..., points]."""
+    finite = middles[np.isfinite(middles)]
+    if finite.size == 0 or np.ptp(finite) == 0:
+        return []
+    best, worst = (finite.min(), finite.max()) if cost else (finite.max(), finite.min())
+    left = [best + share * (worst - best) for share in SHARES]
+    digits = 2 - int(np.ceil(np.log10(np.ptp(finite))))
+    return list(dict.fromkeys(float(round(x, digits)) + 0.0 for x in left))
+
+
+def intervals(flat: Flat, scores: Sequence[Score], own: Method) -> np.ndarray:
+    """The estimate with the bounds of its 95% interval, float64 [settings, scores, 3]."""
+    axes = stats.hyperparameters(flat.ds)
+    shown = np.full((flat.count, len(scores), 3), np.nan)
+    for i, score in enumerate(scores):
+        if score.key == "score":
+            interval = own.interval
+        else:
+            x = score.of(flat)
+            x = x if "diverged" not in flat.ds or score.middle == "median" else x.where(~flat.ds.diverged)
+            interval = (stats.median_interval if score.middle == "median" else stats.mean_interval)(x)
+        for k, part in enumerate(interval[:3]):
+            shown[:, i, k] = np.asarray(part.transpose(*axes)).reshape(-1)
+    return shown
+
+
+def _time_to(flat: Flat, level: float, lower: bool) -> xr.DataArray:
+    merged, curve = (flat.ds, flat.ds.v_error) if lower else (flat.merged, flat.returns)
+    time = merged.steps if "num_steps" in flat.ds.attrs else merged.episodes
+    return stats.time_to_threshold(curve, level, time.cumsum("row"), at_most=lower)
+
+
+def _at_end(flat: Flat, name: str) -> xr.DataArray:
+    return flat.ds[name].isel(row=-1).astype(float)
+
+
+def _sum(flat: Flat, name: str) -> xr.DataArray:
+    return flat.ds[name].sum("row").astype(float)
+
+
+def _time_code(level: float, lower: bool, by_steps: bool) -> str:
+    curve = "ds.v_error" if lower else "stats.learning_curve(merged)"
+    unit = "time_steps" if by_steps else "episodes"
+    merged = "ds" if lower else f"stats.merge_rows(ds, {POINTS})"
+    end = ", at_most=True" if lower else ""
+    return (
+        f"merged = {merged}\n"
+        f"x = stats.time_to_threshold({curve}, {level!r}, stats.episode_curve(merged).{unit}{end})"
+    )

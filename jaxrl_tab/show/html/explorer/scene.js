@@ -1,0 +1,335 @@
+// What was learned about the states: a grid, panels, or a list, at a moment.
+
+function sceneCard(c) {
+  const { section, controls, body } = card(c.root, "What was learned", "learned");
+  const { state } = c;
+  const colour = select(controls, "colour", [], (v) => c.set({ colour: v }));
+  const beside = select(controls, "beside it", [], (v) => c.set({ beside: +v }));
+  const note = el("p", { class: "note" }, section);
+  const inPanels = c.scene.panels.length > 0;
+  let stages = [];
+  let wanted = 0;
+
+  async function draw() {
+    const turn = ++wanted;
+    const shown = [state.method, state.beside].filter((m) => m >= 0 && m < c.methods.length);
+    const tables = await Promise.all(shown.map((m) => c.tables(m)));
+    if (turn !== wanted) return; // something else was chosen meanwhile
+    const colours = [
+      ["value", "value"],
+      ...(c.exact ? [["error", "distance from what is exact"]] : []),
+      ...(tables.some((t) => t && t.visits("mean", 0, 0)) ? [["visits", "visits"]] : []),
+    ];
+    colour.fill(inPanels ? colours : []);
+    colour.show(state.colour);
+    if (colour.box.selectedIndex < 0) colour.show((state.colour = "value"));
+    beside.fill([[-1, "nothing"], ...c.methods.map((m, i) => [i, m.data.title]).filter(([i]) => i !== state.method)]);
+    beside.show(shown.length > 1 ? state.beside : -1);
+    body.replaceChildren();
+    body.classList.toggle("two", shown.length > 1);
+    stages = shown.map((m, i) =>
+      (inPanels ? panelStage : listStage)(c, el("div", { class: "stage" }, body), m, tables[i]),
+    );
+    c.root.dataset.tables = shown.map((m) => `${m}-${c.settingOf(m)}`).join(",");
+    move();
+  }
+
+  function move() {
+    stages.forEach((stage) => stage.move());
+    const { missing, best, tables } = c.methods[state.method].data;
+    const other = tables[best].moments > 1 && c.settingOf(state.method) !== best;
+    note.textContent = missing
+      ? `These are the tables at the end: ${missing}`
+      : other
+        ? "Tables over time are kept of the best setting (★) of each method."
+        : "";
+  }
+
+  return { draw, move, cell: () => stages.forEach((stage) => stage.cell()) };
+}
+
+// The view that is shown of a table, its moment, and what to say of both.
+function viewOf(c, tables, m) {
+  const method = c.methods[m];
+  const wanted = c.state.view;
+  const view = tables.has(wanted) ? wanted : tables.has("middle") ? "middle" : tables.views[0];
+  const moment = tables.moments > 1 ? method.pointAt(c.time()) : 0;
+  const at = tables.moments > 1 ? `after ${count(method.data.x[moment])} ${c.data.unit}` : "at the end of the runs";
+  const of =
+    view === "mean" || view === "median"
+      ? `${view} of ${tables.averaged < method.data.seeds ? `the first ${tables.averaged} of ` : ""}${method.data.seeds} seeds`
+      : method.seedName(c.settingOf(m), view);
+  return { view, moment, words: `${of}, ${at}` };
+}
+
+function titleOf(c, box, m) {
+  const method = c.methods[m];
+  const head = el("h5", {}, box);
+  el("span", { class: "dot", style: { background: colourOf(m) } }, head);
+  el("span", {}, head, [method.data.title, method.inWords(c.settingOf(m))].filter(Boolean).join(", "));
+  return el("p", { class: "soft small" }, box);
+}
+
+// The largest value of a row of a table: what a state is worth.
+function worth(q) {
+  let v = NaN;
+  for (const x of q) if (!Number.isNaN(x) && !(x <= v)) v = x;
+  return v;
+}
+
+function panelStage(c, box, m, tables) {
+  const { scene, state } = c;
+  const words = titleOf(c, box, m);
+  if (!tables)
+    return (
+      (words.textContent = "Of this setting there is no table in this page: results.nc has it."),
+      { move() {}, cell() {} }
+    );
+  const grid = scene.grid;
+  const size = grid ? 64 : 46;
+  const left = grid ? 4 : 44;
+  const n = scene.states.length;
+  const terminal = new Set(scene.terminal);
+  const unreachable = new Set(scene.unreachable);
+  const starts = new Set(scene.start);
+  const cells = [];
+  const exact = c.exact && ((s) => worth(c.exactOf(s)));
+  const letters = lettersOf(scene.actions);
+  for (const panel of scene.panels) {
+    const rows = panel.states.length;
+    const columns = panel.columns.length;
+    const top = panel.title ? 26 : 4;
+    const below = grid ? (grid.wind.length ? 26 : 4) : 40;
+    const svg = el(
+      "svg",
+      {
+        class: "panel",
+        viewBox: `0 0 ${left + columns * size + 4} ${top + rows * size + below}`,
+        role: "group",
+        "aria-label": `${panel.title || "the states"}: arrow keys go from state to state`,
+      },
+      box,
+    );
+    svg.style.maxWidth = `${(left + columns * size + 4) * 1.1}px`;
+    const hatch = `hatch-${clips++}`;
+    const pattern = el(
+      "pattern",
+      { id: hatch, width: 7, height: 7, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" },
+      el("defs", {}, svg),
+    );
+    el("line", { class: "hatch", x1: 0, y1: 0, x2: 0, y2: 7 }, pattern);
+    if (panel.title) el("text", { class: "title", x: left, y: 17 }, svg, panel.title);
+    const above = el("g", { class: "above" });
+    panel.states.forEach((row, i) =>
+      row.forEach((s, k) => {
+        const x = left + k * size;
+        const y = top + i * size;
+        const g = el("g", { class: "cell", tabindex: -1, role: "img", "data-s": s }, svg);
+        const rect = el("rect", { class: "box", x, y, width: size, height: size, rx: 4 }, g);
+        if (unreachable.has(s))
+          el("rect", { x, y, width: size, height: size, fill: `url(#${hatch})`, class: "over" }, g);
+        const cell = {
+          s,
+          g,
+          rect,
+          x: x + size / 2,
+          y: y + size / 2,
+          i,
+          k,
+          panel,
+          arrow: el("path", { class: "arrow" }, above),
+          text: el("text", { class: "v", x: x + size / 2, y: y + size / 2 + (grid ? 24 : 17) }, above),
+          letter: el("text", { class: "letter", x: x + size / 2, y: y + size / 2 + 1 }, above),
+        };
+        cells.push(cell);
+        for (const kind of ["pointerenter", "focus", "click"]) g.addEventListener(kind, () => c.choose(s));
+        g.addEventListener("keydown", (event) => {
+          const step = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] }[event.key];
+          const next =
+            step &&
+            cells.find((other) => other.panel === panel && other.i === i + step[0] && other.k === k + step[1]);
+          if (!step) return;
+          event.preventDefault();
+          if (next) (c.choose(next.s), next.g.focus());
+        });
+      }),
+    );
+    if (grid)
+      grid.wind.forEach((w, k) =>
+        el(
+          "text",
+          { class: "tick", x: left + (k + 0.5) * size, y: top + rows * size + 18, "text-anchor": "middle" },
+          svg,
+          (k ? "" : "wind ") + "↑".repeat(w),
+        ),
+      );
+    else {
+      panel.rows.forEach((name, i) =>
+        el("text", { class: "tick", x: left - 6, y: top + (i + 0.5) * size + 4, "text-anchor": "end" }, svg, name),
+      );
+      panel.columns.forEach((name, k) =>
+        el(
+          "text",
+          { class: "tick", x: left + (k + 0.5) * size, y: top + rows * size + 15, "text-anchor": "middle" },
+          svg,
+          name,
+        ),
+      );
+      el(
+        "text",
+        { class: "name", x: left + (columns * size) / 2, y: top + rows * size + 34, "text-anchor": "middle" },
+        svg,
+        [panel.along, panel.down && `rows: ${panel.down}`].filter(Boolean).join("; "),
+      );
+    }
+    if (grid) cells.path = el("path", { class: "way", style: { stroke: colourOf(m) } }, svg);
+    svg.append(above);
+    if (grid)
+      for (const cell of cells) {
+        const badge = starts.has(cell.s) ? "S" : cell.s === grid.goal ? "G" : null;
+        if (!badge) continue;
+        el("circle", { class: "badge", cx: cell.x - 20, cy: cell.y - 20, r: 9 }, above);
+        el("text", { class: "badge-text", x: cell.x - 20, y: cell.y - 15.5 }, above, badge);
+      }
+  }
+  const ramp = el("p", { class: "ramp soft small" }, box);
+  const bar = el("span", { class: "bar" }, ramp);
+  const meaning = el("span", {}, ramp);
+  const about = el("div", { class: "about", "aria-live": "off" }, box);
+  const range = rangeOf(c, tables, m);
+
+  function move() {
+    const { view, moment, words: said } = viewOf(c, tables, m);
+    words.textContent = said;
+    for (const cell of cells) {
+      const { s } = cell;
+      const q = tables.q(view, moment, s);
+      const v = worth(q);
+      const best = tables.greedy(view, moment, s);
+      const over = terminal.has(s);
+      const untouched = q.every((x) => x === q[0]) && q.length > 1;
+      const sure = tables.agree(view, moment, s);
+      const share = over ? NaN : range.share(s, q, tables.visits(view, moment, s));
+      cell.rect.style.fill = Number.isNaN(share)
+        ? "var(--card)"
+        : tint(share < 0 ? "--warm" : range.colour, Math.abs(share));
+      const shown = over
+        ? ""
+        : untouched && state.colour !== "visits"
+          ? "·"
+          : state.colour === "visits"
+            ? visitsText(tables.visits(view, moment, s))
+            : state.colour === "error"
+              ? tight(v - exact(s))
+              : tight(v);
+      cell.text.textContent = shown;
+      const arrows = grid && scene.arrows.every(Boolean);
+      cell.arrow.setAttribute(
+        "d",
+        !arrows || over || untouched
+          ? ""
+          : arrowsPath(
+              cell,
+              best.map((a) => scene.arrows[a]),
+              best.length > 1,
+            ),
+      );
+      cell.letter.textContent =
+        arrows || over || q.length < 2 || untouched ? "" : best.map((a) => letters[a]).join("");
+      for (const part of [cell.arrow, cell.letter]) part.style.opacity = 0.25 + 0.75 * sure;
+      const acts = q.length > 1 && !untouched ? `, ${best.map((a) => scene.actions[a]).join(" or ")}` : "";
+      cell.g.setAttribute(
+        "aria-label",
+        over ? "an episode ends here" : `${nameOf(c, s)}: ${fixed(v, c.decimals)}${acts}`,
+      );
+    }
+    const way =
+      grid && tables.q(view, moment, 0).length > 1 ? greedyWay(c, (s) => tables.greedy(view, moment, s)) : null;
+    if (cells.path) {
+      const at = (s) => cells.find((cell) => cell.s === s);
+      cells.path.setAttribute(
+        "d",
+        way ? way.states.map((s, i) => `${i ? "L" : "M"}${at(s).x} ${at(s).y}`).join("") : "",
+      );
+      cells.path.setAttribute("stroke-dasharray", way && way.ends ? "" : "2 9");
+    }
+    bar.style.background = range.bar;
+    const faint = view === "mean" || view === "median" ? " The fainter an arrow, the fewer seeds agree." : "";
+    meaning.textContent =
+      range.words +
+      (way
+        ? ` The greedy way ${way.ends ? `takes ${way.states.length - 1} steps${grid.stochastic ? " by the likeliest outcomes" : ""}` : "does not arrive"}.`
+        : "") +
+      (grid ? faint : letters.words + (faint && " The fainter a letter, the fewer seeds agree."));
+    cell();
+  }
+
+  function cell() {
+    for (const one of cells) {
+      one.g.classList.toggle("on", one.s === state.cell);
+      one.g.setAttribute("tabindex", one.s === state.cell ? 0 : -1);
+    }
+    const { view, moment } = viewOf(c, tables, m);
+    cellTable(c, about, tables, view, moment);
+  }
+
+  return { move, cell };
+}
+
+// The states as a table, for tasks that have no picture.
+function listStage(c, box, m, tables) {
+  const { scene } = c;
+  const words = titleOf(c, box, m);
+  if (!tables)
+    return (
+      (words.textContent = "Of this setting there is no table in this page: results.nc has it."),
+      { move() {}, cell() {} }
+    );
+  const several = tables.actions > 1;
+  const names = several ? scene.actions : ["V"];
+  const wide = el("div", { class: "wide list", tabindex: 0, role: "region", "aria-label": "states" }, box);
+  const table = el("table", {}, wide);
+  const head = el("tr", {}, el("thead", {}, table));
+  const body = el("tbody", {}, table);
+  const titles = [
+    "state",
+    ...(several ? ["greedy"] : []),
+    ...names.map((name) => (several ? `Q(${name})` : name)),
+    ...(c.exact ? names.map((name) => (several ? `q*(${name})` : "exact")) : []),
+    ...(tables.visits("mean", 0, 0) ? ["visits"] : []),
+  ];
+  const many = scene.states.length * titles.length > 20000;
+  const states = scene.states
+    .map((_, s) => s)
+    .filter((s) => !scene.terminal.includes(s) && !scene.unreachable.includes(s));
+  for (const title of titles) el("th", { scope: "col" }, head, title);
+  const rows = states.map((s) => {
+    const row = el("tr", {}, body);
+    el("th", { scope: "row" }, row, `${scene.states[s]}${scene.start.includes(s) ? " (start)" : ""}`);
+    return titles.slice(1).map(() => el("td", {}, row));
+  });
+  if (scene.of > scene.states.length)
+    el(
+      "p",
+      { class: "soft small" },
+      box,
+      `${scene.states.length} of ${count(scene.of)} states: where episodes start, and those whose values are the furthest from what is exact, or from 0.`,
+    );
+  function move() {
+    const { view, moment, words: said } = viewOf(c, tables, m);
+    words.textContent = said;
+    states.forEach((s, i) => {
+      const q = [...tables.q(view, moment, s)];
+      const best = tables.greedy(view, moment, s);
+      const visits = tables.visits(view, moment, s);
+      const texts = [
+        ...(several ? [best.length === q.length ? "any" : best.map((a) => scene.actions[a]).join(" or ")] : []),
+        ...q.map((x) => fixed(x, tables.decimals)),
+        ...(c.exact ? [...c.exactOf(s)].map((x) => fixed(x, tables.decimals)) : []),
+        ...(visits ? [count(Math.round(total(visits)))] : []),
+      ];
+      texts.forEach((text, k) => (rows[i][k].textContent = text));
+    });
+  }
+  return { move, cell() {} };
+}

@@ -1,0 +1,185 @@
+// What is said and drawn of single states: colours, letters, arrows, the greedy way, and all numbers of one.
+
+// Colours: how large a number is beside all there are, at any moment, so that they stay while time moves.
+function rangeOf(c, tables, m) {
+  const { state, scene } = c;
+  const n = scene.states.length;
+  const skip = new Set([...scene.terminal, ...scene.unreachable]);
+  const view = viewOf(c, tables, m).view;
+  const gradient = (from, to) => `linear-gradient(90deg, ${from}, ${to})`;
+  const pale = "var(--faint)";
+  if (state.colour === "visits") {
+    let most = 1;
+    for (let s = 0; s < n; s++) most = Math.max(most, total(tables.visits(view, tables.moments - 1, s)));
+    return {
+      colour: "--ramp",
+      share: (s, q, visits) => (visits ? Math.log1p(total(visits)) / Math.log1p(most) : NaN),
+      bar: gradient(pale, tint("--ramp", 1)),
+      words: `0 to ${count(Math.round(most))} visits (logarithmic).`,
+    };
+  }
+  let low = 0;
+  let high = 0;
+  const see = (v) => Number.isFinite(v) && ((low = Math.min(low, v)), (high = Math.max(high, v)));
+  for (let s = 0; s < n; s++) {
+    if (skip.has(s)) continue;
+    if (c.exact) see(worth(c.exactOf(s)));
+    else for (let r = 0; r < tables.moments; r++) see(worth(tables.q(view, r, s)));
+  }
+  const span = Math.max(high, -low) || 1;
+  if (state.colour === "error")
+    return {
+      colour: "--warm",
+      share: (s, q) => Math.min(1, Math.abs(worth(q) - worth(c.exactOf(s))) / span),
+      bar: gradient(pale, tint("--warm", 1)),
+      words: `The number is how far the value is from the exact one; colours go from 0 to ±${short(span)}.`,
+    };
+  const share = (s, q) => Math.max(-1, Math.min(1, worth(q) / span));
+  if (low < 0 && high > 0)
+    return {
+      colour: "--ramp",
+      share,
+      bar: gradient(`${tint("--warm", 1)}, ${pale}`, tint("--ramp", 1)),
+      words: `−${short(span)} to ${short(span)}.`,
+    };
+  if (low < 0)
+    return {
+      colour: "--ramp",
+      share: (s, q) => Math.abs(share(s, q)),
+      bar: gradient(pale, tint("--ramp", 1)),
+      words: `0 to −${short(span)} and below.`,
+    };
+  return {
+    colour: "--ramp",
+    share: (s, q) => Math.abs(share(s, q)),
+    bar: gradient(pale, tint("--ramp", 1)),
+    words: `0 to ${short(span)} and above.`,
+  };
+}
+
+const total = (visits) => (visits ? visits.reduce((a, b) => a + b, 0) : 0);
+const visitsText = (visits) =>
+  visits ? (total(visits) >= 10000 ? `${Math.round(total(visits) / 1000)}k` : count(Math.round(total(visits)))) : "";
+const tight = (v) =>
+  Number.isFinite(v)
+    ? Math.abs(v) < 9.95
+      ? fixed(v, Math.abs(v) < 0.995 ? 2 : 1)
+      : fixed(v, Math.abs(v) < 99.5 ? 1 : 0)
+    : fixed(v, 0);
+
+// One letter for each action, and what they stand for.
+function lettersOf(names) {
+  const first = names.map((name) => name[0].toUpperCase());
+  const letters = new Set(first).size === names.length ? first : names.map((_, a) => String(a));
+  letters.words = names.every((name, a) => name === letters[a])
+    ? ""
+    : ` ${names.map((name, a) => `${letters[a]}: ${name}`).join(", ")}.`;
+  return letters;
+}
+
+function arrowsPath({ x, y }, moves, several) {
+  let d = "";
+  for (const [down, right] of moves) {
+    const size = Math.hypot(down, right) || 1;
+    const dx = right / size;
+    const dy = down / size;
+    const length = several ? 13 : 15;
+    const back = several ? 0 : -length / 2;
+    const cy = y - 6;
+    const hx = x + dx * (length + back);
+    const hy = cy + dy * (length + back);
+    if (!down && !right) d += `M${x - 4} ${cy}a4 4 0 1 0 8 0a4 4 0 1 0 -8 0`;
+    else
+      d += `M${x + dx * back} ${cy + dy * back}L${hx} ${hy}M${hx - dx * 5 - dy * 5} ${hy - dy * 5 + dx * 5}L${hx} ${hy}L${hx - dx * 5 + dy * 5} ${hy - dy * 5 - dx * 5}`;
+  }
+  return d;
+}
+
+// The greedy way from the start: of several greedy actions the one that ends soonest.
+function greedyWay(c, greedy) {
+  const { scene } = c;
+  const next = scene.grid.next;
+  const terminal = new Set(scene.terminal);
+  const n = scene.states.length;
+  const steps = new Float64Array(n).fill(Infinity);
+  const best = Array.from({ length: n }, (_, s) => greedy(s));
+  for (const s of terminal) steps[s] = 0;
+  for (let changed = true; changed;) {
+    changed = false;
+    for (let s = 0; s < n; s++)
+      if (!terminal.has(s))
+        for (const a of best[s])
+          if (steps[next[s][a]] + 1 < steps[s]) ((steps[s] = steps[next[s][a]] + 1), (changed = true));
+  }
+  let s = scene.start[0];
+  const states = [s];
+  const seen = new Set();
+  while (!terminal.has(s) && !seen.has(s) && best[s].length) {
+    seen.add(s);
+    s = best[s].map((a) => next[s][a]).reduce((p, q) => (steps[q] < steps[p] ? q : p));
+    states.push(s);
+  }
+  return { states, ends: terminal.has(s) };
+}
+
+function nameOf(c, s) {
+  for (const panel of c.scene.panels)
+    for (const [i, row] of panel.states.entries()) {
+      const k = row.indexOf(s);
+      if (k < 0) continue;
+      if (c.scene.grid) return `row ${i}, column ${k}`;
+      return [
+        panel.title,
+        `${panel.down || "row"} ${panel.rows[i]}`,
+        `${panel.along || "column"} ${panel.columns[k]}`,
+      ]
+        .filter(Boolean)
+        .join(", ");
+    }
+  return `state ${c.scene.states[s]}`;
+}
+
+// Q of each action beside q*, and N, of the state that is looked at.
+function cellTable(c, box, tables, view, moment) {
+  const { scene, state } = c;
+  const s = state.cell;
+  const q = tables.q(view, moment, s);
+  const best = tables.greedy(view, moment, s);
+  const visits = tables.visits(view, moment, s);
+  box.replaceChildren();
+  const name = nameOf(c, s);
+  el(
+    "h6",
+    {},
+    box,
+    name[0].toUpperCase() +
+      name.slice(1) +
+      (scene.terminal.includes(s)
+        ? ": an episode ends here"
+        : scene.unreachable.includes(s)
+          ? " (out of reach from the start)"
+          : ""),
+  );
+  if (scene.terminal.includes(s)) return;
+  const table = el("table", {}, el("div", { class: "wide" }, box));
+  const head = el("tr", {}, el("thead", {}, table));
+  const body = el("tbody", {}, table);
+  const of = q.length > 1 ? scene.actions : ["V"];
+  const rows = [["learned", (a) => fixed(q[a], tables.decimals)]];
+  if (c.exact)
+    rows.push(
+      ["exact", (a) => fixed(c.exactOf(s)[a], tables.decimals)],
+      ["difference", (a) => fixed(q[a] - c.exactOf(s)[a], tables.decimals)],
+    );
+  if (visits && q.length > 1)
+    rows.push(["times taken", (a) => fixed(visits[a], view === "mean" || view === "median" ? 1 : 0)]);
+  el("th", { scope: "col" }, head, q.length > 1 ? "action" : "");
+  of.forEach((text, a) =>
+    el("th", { scope: "col", class: q.length > 1 && best.includes(a) ? "best" : "" }, head, text),
+  );
+  for (const [text, value] of rows) {
+    const row = el("tr", { "data-row": text }, body);
+    el("th", { scope: "row" }, row, text);
+    of.forEach((_, a) => el("td", { class: q.length > 1 && best.includes(a) ? "best" : "" }, row, value(a)));
+  }
+}
