@@ -288,8 +288,7 @@ def test_the_action_that_is_learned_from_is_the_one_that_is_taken(kind):
 
     def update(key):
         state, a_next = method.update(key, method.init(3, 4), transition(0, 0, 0, 1, last=False))
-        values = state.at_end if fields.get("offline") else state.values
-        return values.q[0, 0], values.z[0, 0], a_next
+        return state.values.q[0, 0], state.values.z[0, 0], a_next
 
     value, z, a_next = jax.jit(jax.vmap(update))(jax.random.split(jax.random.key(0), 64))
     assert set(np.asarray(a_next)) == {0, 1, 2, 3}

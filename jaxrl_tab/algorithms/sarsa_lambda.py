@@ -3,7 +3,7 @@
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.core import clock, tables
@@ -18,20 +18,24 @@ class SarsaLambdaState(NamedTuple):
     """A learner with traces, and what some kinds of them need besides.
 
     Attributes:
-        values, clock: as in `traces.TraceState`; off-line, `values` are those of the start of the episode.
+        values, clock: as in `traces.TraceState`.
         q_old: Q(S', A') as the last update found it, float []; with dutch traces, else None.
-        at_end: the values as they will be when the episode ends here, with their traces; off-line, else None.
+        q_start: Q at the start of the episode, by which it acts and learns, float [S, A]; off-line, else None.
     """
 
     values: Credited
     clock: Clock
     q_old: Float[Array, ""] | None
-    at_end: Credited | None
+    q_start: Float[Array, "S A"] | None
 
     @property
     def q(self) -> Float[Any, "... S A"]:
         """Q, float [S, A]; of a batch [..., S, A]."""
-        return self.values.q
+        return self.values.q if self.q_start is None else self.q_start
+
+    def row(self, s: Int[Array, ""]) -> Float[Array, " A"]:
+        """Q(s, .), float [A]."""
+        return self.values.row(s) if self.q_start is None else tables.row(self.q_start, s)
 
 
 @pytree
@@ -74,28 +78,29 @@ class SarsaLambda(TraceControl):
 
     def init(self, num_states: int, num_actions: int) -> SarsaLambdaState:
         values, clock = super().init(num_states, num_actions)
-        return SarsaLambdaState(
-            values,
-            clock,
-            q_old=jnp.zeros_like(values.credit) if self.trace == "dutch" else None,
-            at_end=values if self.offline else None,
-        )
+        q_old = jnp.zeros_like(values.credit) if self.trace == "dutch" else None
+        return SarsaLambdaState(values, clock, q_old, values.q if self.offline else None)
 
     def update(self, key, state: SarsaLambdaState, t: Transition):
-        state = self.begin(state, t)
+        state, q = self.mark(state, t)
         a_next = self.policy(key, state, t.s_next)
-        q, q_next = state.values.entry(t.s, t.a), tables.entry(state.values.row(t.s_next), a_next)
+        q_next = state.values.entry(t.s_next, a_next)
+        if state.q_start is not None:  # off-line
+            q = tables.entry(state.q_start, t.s, t.a)
+            q_next = tables.entry(state.q_start, t.s_next, a_next)
         delta = t.r + t.discount * q_next - q
-        if state.at_end is not None:  # off-line
-            end = self.learn(state._replace(values=state.at_end), t, delta)
-            q = jnp.where(
-                t.last, end.q, state.values.base
-            )  # the values at the start of an episode have no traces
-            return end._replace(values=state.values._replace(base=q), at_end=end.values), a_next
         if state.q_old is not None:  # dutch
-            # Q(S, A) is no longer what the last error counted on: the pairs of the steps before are told. In the
-            # first step of an episode there are none, so q_old may be anything.
-            alpha = clock.step_size(self.alpha, state.clock, t.s, t.a)
-            values = state.values.credited(alpha * (q - state.q_old))
-            state = state._replace(values=values, q_old=q_next)
-        return self.learn(state, t, delta), a_next
+            # Q(S, A) is no longer what the last error counted on: all pairs but this step's own are told. In the
+            # first step of an episode there are no others, so q_old may be anything.
+            alpha, told = clock.step_size(self.alpha, state.clock, t.s, t.a), q - state.q_old
+            values = state.values.added(t.s, t.a, -alpha * told)
+            state, delta = state._replace(values=values, q_old=q_next), delta + told
+        state = self.learn(state, t, delta)
+        if state.q_start is not None:  # at the end of an episode no trace is left, so that Q is the base
+            q_start = tables.changed_where(t.last, _replaced, state.q_start, state.values.base)
+            state = state._replace(q_start=q_start)
+        return state, a_next
+
+
+def _replaced(old: Array, new: Array) -> Array:
+    return new

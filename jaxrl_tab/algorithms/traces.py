@@ -12,8 +12,9 @@ from jaxrl_tab.core.credited import Credited
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Transition
 
-# The part of its trace that a pair keeps when it comes again with step size alpha, before 1 is added; else all of it.
+# The part of its trace that a pair keeps when it comes again with step size alpha, before 1 is added.
 KEPT = {
+    "accumulating": lambda alpha: 1.0,
     "replacing": lambda alpha: 0.0,  # Singh and Sutton 1996
     "dutch": lambda alpha: 1 - alpha,  # van Seijen and Sutton 2014
 }
@@ -34,6 +35,10 @@ class TraceState(NamedTuple):
     def q(self) -> Float[Any, "... S A"]:
         """Q, float [S, A]; of a batch [..., S, A]."""
         return self.values.q
+
+    def row(self, s: Int[Array, ""]) -> Float[Array, " A"]:
+        """Q(s, .), float [A]."""
+        return self.values.row(s)
 
 
 @pytree
@@ -61,21 +66,20 @@ class TraceControl(TDControl):
         return TraceState(credited.start(q), clock)
 
     def probs(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
-        return self.selection.probs(state.values.row(s), state.clock, s)
+        return self.selection.probs(state.row(s), state.clock, s)
 
-    def begin(self, state: Any, t: Transition) -> Any:
-        """Counts the step and the visit of (S, A), whose trace from earlier visits may go now."""
-        state = super().begin(state, t)
-        if self.trace not in KEPT:
-            return state
+    def mark(self, state: Any, t: Transition) -> tuple[Any, Float[Array, ""]]:
+        """Begins the step: z(S, A) <- z(S, A) + 1, or what the kind of the traces makes of it; and Q(S, A)."""
+        state = self.begin(state, t)
         kept = KEPT[self.trace](step_size(self.alpha, state.clock, t.s, t.a))
-        return state._replace(values=state.values.kept(t.s, t.a, kept))
+        values, q = state.values.marked(t.s, t.a, kept)
+        return state._replace(values=values), q
 
     def learn(
         self, state: Any, t: Transition, delta: Float[Array, ""], cut: Bool[Array, ""] | bool = False
     ) -> Any:
-        """z(S, A) <- z(S, A) + 1 and Q <- Q + alpha delta z; then z <- gamma lambda z, or 0 where they are `cut`."""
+        """Q <- Q + alpha delta z, and then z <- gamma lambda z; or z <- 0 where the traces are `cut`."""
         alpha = step_size(self.alpha, state.clock, t.s, t.a)
-        values = state.values.marked(t.s, t.a).credited(alpha * delta)
+        values = state.values.credited(alpha * delta)
         values = values.faded(jnp.where(t.last | cut, 0, t.discount * self.lam))
         return state._replace(values=values, clock=end_step(state.clock, t.last))
