@@ -9,14 +9,13 @@ are one number for all pairs, so they can be kept for all pairs together:
 What a pair is credited with is worked out when it is read (Wiering and Schmidhuber 1998, "Fast online Q(lambda)"),
 and only the pair whose trace changes by itself is written: its base takes up what its old marks have brought.
 
-Why this is as exact as a loop over all pairs. Marks are z / scale. So they grow as the scale falls, and with them
-`credit marks`, of which the base holds the opposite where a pair came late: its rounding is that of a number up to
-1 / scale times as large. So as soon as the scale is `SMALL` or less, all pairs are settled: the base takes up the
-credit, which is 0 then, and the marks take up the scale, which is 1 then. Hence 1 / scale is never more than
-1 / SMALL in a step: five bits of float32 at most, and nothing ever under- or overflows, however long an episode is;
-for with gamma lambda = 1 the scale stays 1 and the marks are the traces. Against that, Q is rounded once when a
-pair comes, and not in each step. Measured against float64, the errors are smaller than those of the loop nearly
-everywhere, see docs/performance.md. Traces end by the scale 0, which is small, too.
+How often all pairs are settled, that is their bases take up the credit, which is 0 then, and their marks the scale,
+which is 1 then: when the scale is `SMALL` or less, which it is when the traces end, too. So 1 / scale is less than
+1 / SMALL wherever it is used, and the marks of a pair are less than that many times its trace: nothing under- or
+overflows, however long an episode is. (With gamma lambda = 1 the scale stays 1, and the marks are the traces.) The
+same bound says how exact it is. Where a pair is marked, its base takes up the opposite of credit / scale, so that its
+rounding is that of a number up to 1 / SMALL times as large as the credit. With this `SMALL`, Q was as near to that of
+float64 as it is by a loop over all pairs, or nearer, wherever learning was measured; see docs/performance.md.
 """
 
 from typing import Any, NamedTuple
@@ -26,7 +25,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.core import tables
 
-SMALL = 1 / 32
+SMALL = 1 / 16
 
 
 class Credited(NamedTuple):
