@@ -31,8 +31,8 @@ PHASES = {
     "plans, compiles, computes": "experiment.runner:_results",
     "works out and shows the table": "cli.sweep:show_outcome",
     "writes results.nc": "experiment.files:_write_data",
-    "draws and writes the pictures": "show.plot:save_all",
     "writes the report": "show.report:write_methods",
+    "waits for the pictures, which another process draws": "experiment.painter:_has_drawn",
 }
 
 
@@ -95,7 +95,7 @@ def phases(number: int = 0) -> str:
         "from jaxrl_tab.cli import main, sweep\n"
         "lines.append(('imports the package', time.perf_counter() - begun)); begun = time.perf_counter()\n"
         "for item in phases.items(): timed(*item)\n"
-        "lines.append(('imports Matplotlib, pandas, xarray', time.perf_counter() - begun))\n"
+        "lines.append(('imports pandas, xarray', time.perf_counter() - begun))\n"
         "main(sys.argv[1:])\n"
         "print(*(f'{seconds:6.2f} s  {line}' for line, seconds in lines), sep='\\n', file=sys.stderr)"
     )

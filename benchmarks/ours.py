@@ -89,7 +89,7 @@ def on_devices(method: str, lanes: int, steps: int, devices: int) -> Round:
 
     def run(seed: int) -> Timing:
         root = jax.random.key(seed)
-        results, free = room.plan(env, [one], root, lanes, budget, devices=used)
+        results, free = room.plan([room.needs_of(env, one, root, budget)], lanes, devices=used)
         keep = results.write
         took = rl.batch.run(env, algorithms, root, np.arange(lanes), budget, keep, room=free, devices=used)
         return Timing(took.running, _episodes(results.arrays[1]))

@@ -25,6 +25,7 @@ from exploring import explored  # noqa: F401  A fixture of several files.
 from keeping import programs_folder, said, unoptimised  # noqa: F401  Fixtures of several files.
 
 import jaxrl_tab as rl
+from jaxrl_tab import cli
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_debug_key_reuse", False)
@@ -54,6 +55,12 @@ LONG = (
     "plot",
     "lanes_covered",
 )
+
+
+@pytest.fixture(autouse=True)
+def drawn_here(monkeypatch):
+    """Commands that run in this process have imported all that draws: another process would only take longer."""
+    monkeypatch.setattr(cli, "_draws", lambda *_: False)
 
 
 def pytest_collection_modifyitems(items):

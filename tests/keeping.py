@@ -8,7 +8,7 @@ from jaxrl_tab.engine import by_lanes, by_xla, programs, room
 
 def forget():
     """As a new process would."""
-    for cached in (room.needs_of_program, room.traced_program, by_xla._compiled):
+    for cached in (room.traced_program, by_xla._compiled, by_lanes._kernel):
         cached.cache_clear()
     look_again()
 

@@ -167,13 +167,13 @@ def test_what_is_exact_is_the_solution(page):
 def test_greedy_sets_and_votes():
     """Three runs of one state: 0, 1 and a tie of both. Broken once: ties count as whole votes -> fails."""
     q = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], np.float32).reshape(3, 1, 1, 2)
-    packed = block(OverTime(q), [2, 0], 3)
+    packed = block(OverTime(q), slice(None), [2, 0], 3)
     raw = packing.from_text(packed.text)
     views = 4
     sets = packing.unpacked_sets(raw[2 * views * 2 :][:3], (3, 1, 1, 2))[:, 0, 0]
     np.testing.assert_array_equal(sets, [[True, True], [True, True], [True, False]])  # the vote, and two runs
     assert raw[2 * views * 2 + 3 :] == bytes([100])  # half and half, for each of two actions
-    uneven = block(OverTime(q[[0, 0, 1]]), [0], 3)
+    uneven = block(OverTime(q[[0, 0, 1]]), slice(None), [0], 3)
     assert packing.from_text(uneven.text)[-1] == 67
     assert packed.numbers == 8
 

@@ -6,15 +6,19 @@ one line; most of it even before JAX is imported (see `front`). Tables and JSON 
 to stderr.
 """
 
+import contextlib
+import gc
 import importlib
 import os
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 
 from jaxrl_tab.cli.options import checked_name
 from jaxrl_tab.cli.streams import PROG, complain, give_up, prepare_streams
 from jaxrl_tab.core.errors import InputError, RunError, as_path, one_line, reason
 from jaxrl_tab.core.version import __version__
+from jaxrl_tab.experiment import painter
 
 # Command -> the module that it is in, imported when it is asked for: they take a second.
 MODULES = {
@@ -100,7 +104,29 @@ def _dispatch(argv: list[str]) -> int:
         print(f"{PROG} {__version__}")
         return 0
     name, rest = checked_name("a command", argv[0], MODULES), argv[1:]
-    load = lambda module: importlib.import_module(f"jaxrl_tab.cli.{module}")
     if name != "list":  # which needs no more than the front does
-        load("front").answer(name, rest)
-    return getattr(load(MODULES[name]), f"{name}_command")(rest)
+        _load("front").answer(name, rest)
+    with painter.beside() if _draws(name, rest) else contextlib.nullcontext():
+        return getattr(_load(MODULES[name]), f"{name}_command")(rest)
+
+
+def _load(name: str) -> ModuleType:
+    """A module of this package, which imports all that it needs.
+
+    None of that is ever garbage. To look for some again and again would take a tenth of the time.
+    """
+    module = f"{__name__}.{name}"
+    if module in sys.modules or not gc.isenabled():
+        return importlib.import_module(module)
+    gc.disable()
+    try:
+        return importlib.import_module(module)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def _draws(name: str, argv: Sequence[str]) -> bool:
+    """Whether a command may draw the pictures of an experiment."""
+    into_folder = name == "resume" or (name == "sweep" and "--out" in argv)
+    return into_folder and not {"--dry-run", "--no-pictures"} & set(argv)

@@ -5,6 +5,7 @@ Its modules, from the ground up:
     version     the version of the package
     errors      what is said to a person who gave something wrong, and checks that need only the value
     flags       what XLA is asked for before JAX starts
+    cores       how many cores there are to use
     checks      checks of the values that users give
     notebook    objects in a line, and as a table in a notebook
     pytree      frozen dataclasses that are JAX pytrees, whose fields say what they take

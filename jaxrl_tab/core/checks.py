@@ -256,6 +256,8 @@ def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: s
     libraries become arrays of NumPy, for JAX takes no others.
     """
     name, limits = field.name, field.metadata["limits"]
+    if type(value) is float and _is_plainly_within(limits, value):
+        return value
     number = np.empty(0, object) if isinstance(value, list | tuple) else as_array(value)
     if number is None:
         return value
@@ -279,6 +281,17 @@ def check_number(who: str | None, field: dataclasses.Field, value: Any, kinds: s
     if problem:
         raise InputError(problem, who=who, field=name, wanted=wanted, value=value)
     return value if isinstance(value, float | int | np.generic | np.ndarray | Array) else number
+
+
+def _is_plainly_within(limits: Mapping[str, float], number: float) -> bool:
+    """Whether a number is far from what float32 cannot hold, and within limits also when rounded to it.
+
+    This is all that is asked of nearly every number, and takes a tenth of the time of the rest of `check_number`.
+    """
+    if number != 0 and not 1e-30 < abs(number) < 1e30:
+        return False
+    both = number, float(np.float32(number))
+    return all(LIMITS[name][1](x, limit) for name, limit in limits.items() for x in both)
 
 
 def _whole(who: str | None, field: dataclasses.Field, value: Any) -> int:

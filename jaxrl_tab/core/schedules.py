@@ -304,6 +304,8 @@ def _numbers(cls: type[Family]) -> dict[str, Any]:
 # --- what a method takes ------------------------------------------------------------------------------
 def _check_rate(who: str | None, field: dataclasses.Field, value: Any) -> Any:
     """`value` where it is a schedule, a tracer, or numbers within the limits of the field; text as it is read."""
+    if type(value) is float:  # whether it is a schedule takes longer to ask
+        return check_number(who, field, value)
     if isinstance(value, Schedule) and not isinstance(value, type):
         return value
     name, kinds = field.name, "a number or a schedule"

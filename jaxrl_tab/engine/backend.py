@@ -41,12 +41,6 @@ def is_installed() -> bool:
     return importlib.util.find_spec("llvmlite") is not None
 
 
-def cores() -> int:
-    """How many cores this process may use."""
-    allowed = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))  # Linux alone has it
-    return len(allowed(0))
-
-
 @contextlib.contextmanager
 def using(name: str) -> Iterator[None]:
     """Within the block runs are compiled by this backend; "auto": as around it."""

@@ -17,6 +17,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import memory, rng
+from jaxrl_tab.core.cores import cores
 from jaxrl_tab.core.errors import RunError
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
 from jaxrl_tab.engine import backend, programs, provenance
@@ -53,7 +54,7 @@ def threads(devices: Sequence[Any] | None = None) -> int:
         return number
     if "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return len(jax.local_devices(backend="cpu"))
-    return backend.cores()
+    return cores()
 
 
 def target() -> Target:

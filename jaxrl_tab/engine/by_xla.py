@@ -31,7 +31,7 @@ from jax import lax
 from jax.extend.core import jaxpr_as_fun
 from jax.sharding import AxisType, Mesh, PartitionSpec
 
-from jaxrl_tab.engine import backend
+from jaxrl_tab.core.cores import cores
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.room import (
     Signature,
@@ -56,7 +56,7 @@ def use_all_cores() -> bool:
     if chosen or "xla_force_host_platform_device_count" in os.environ.get("XLA_FLAGS", ""):
         return False
     try:
-        jax.config.update("jax_num_cpu_devices", backend.cores())
+        jax.config.update("jax_num_cpu_devices", cores())
     except RuntimeError:
         return False
     return True

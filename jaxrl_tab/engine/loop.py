@@ -96,6 +96,13 @@ def run(
     return end.learner, log
 
 
+def empty_log(dtype: Any, budget: Budget, measured: dict[str, Any]) -> Log:
+    """The Log of a run whose returns are of this type, with zeros in all places; `measured`: more fields of a row."""
+    row = _zero_log(dtype)._replace(**measured)
+    rows = -(-(budget.num_steps or budget.num_episodes or 0) // budget.row)
+    return jax.tree.map(lambda x: jnp.zeros((rows, *jnp.shape(x)), x.dtype), row)
+
+
 # --- the same, one step at a time ----------------------------------------------------------------------
 
 
@@ -228,7 +235,7 @@ def _run_steps(
         return run, jax.tree.map(jnp.add, total, log)
 
     def row(run: Run, size: int) -> tuple[Run, Log]:
-        run, log = lax.fori_loop(0, size, one, (run, _zero_log(run)))
+        run, log = lax.fori_loop(0, size, one, (run, _zero_log(run.g.dtype)))
         return run, log._replace(**measure(run.learner)) if measure else log
 
     run, log = lax.scan(lambda run, _: row(run, log_every), run, length=num_steps // log_every)
@@ -243,7 +250,7 @@ def _run_episodes(
 ) -> tuple[Run, Log]:
     """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
     rows = -(-num_episodes // log_every)
-    log = jax.tree.map(lambda x: jnp.zeros(rows, x.dtype), _zero_log(run))
+    log = jax.tree.map(lambda x: jnp.zeros(rows, x.dtype), _zero_log(run.g.dtype))
     carry = run, log, jnp.int32(0)
     if measure is None:
         run, log, _ = _run_until(stream, step, carry, num_episodes, log_every)
@@ -271,8 +278,8 @@ def _run_until(stream: rng.Stream, step: Step, carry, target: int | Int[Array, "
     return lax.while_loop(lambda carry: carry[-1] < target, one, carry)
 
 
-def _zero_log(run: Run) -> Log:
-    count, real = jnp.int32(0), jnp.zeros_like(run.g)
+def _zero_log(dtype: Any) -> Log:
+    count, real = jnp.int32(0), jnp.zeros((), dtype)
     return Log(steps=count, episodes=count, returns=real, lengths=count, rewards=real)
 
 

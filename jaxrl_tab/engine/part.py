@@ -15,7 +15,7 @@ from jaxrl_tab.core.types import Algorithm, Environment
 from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
-from jaxrl_tab.engine.room import plan
+from jaxrl_tab.engine.room import Needs, needs_of, plan
 from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
 
@@ -109,6 +109,13 @@ class Part:
         """The numbers of the configurations that run as one program, int [configs] ascending, for each."""
         return [np.array(members) for members in _same_program(self.configs)]
 
+    @functools.cached_property
+    def needs(self) -> list[Needs]:
+        """What one run of each program needs of memory. Raises InputError where the method does not fit the task."""
+        root = self.root
+        instances = (leaves_as_arrays(self.configs[members[0]]) for members in self.programs)
+        return [needs_of(self.env, algorithm, root, self.budget) for algorithm in instances]
+
 
 def compute(
     part: Part,
@@ -129,9 +136,8 @@ def compute(
         InputError: there is not enough memory; nothing was compiled.
     """
     root = part.root
-    instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
     total = part.runs if runs is None else len(runs)
-    results, room = plan(part.env, instances, root, total, part.budget, memory)
+    results, room = plan(part.needs, total, memory)
     config, place = np.divmod(np.arange(total) if runs is None else runs, part.num_seeds)
     done, steps, running, compiling = 0, 0, 0.0, 0.0
 

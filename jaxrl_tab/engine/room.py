@@ -1,7 +1,6 @@
 """How much memory runs take, and so how many are computed at once."""
 
 import functools
-import json
 import logging
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -12,10 +11,9 @@ import numpy as np
 from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
-from jaxrl_tab.engine import programs, provenance
+from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.log import Log
-from jaxrl_tab.engine.traced import in_full, unchecked
+from jaxrl_tab.engine.traced import gives, in_full, unchecked
 from jaxrl_tab.exact import planning
 
 LANES = 64
@@ -52,20 +50,14 @@ class Forecast(NamedTuple):
 
 
 def plan(
-    env: Environment,
-    algorithms: Sequence[Algorithm],
-    root: jax.Array,
-    runs: int,
-    budget: Budget,
-    limit: int | None = None,
-    devices: Sequence[Any] | None = None,
+    needs: "Sequence[Needs]", runs: int, limit: int | None = None, devices: Sequence[Any] | None = None
 ) -> Plan:
     """Shares out the memory among results and calls. What does not fit beside a call is written to disk.
 
     Args:
-        env, root, budget, devices: as in `run`.
-        algorithms: an instance for each program.
+        needs: what one run of each program needs.
         runs: how many there are of all programs together.
+        devices: the JAX devices that compute; all by default.
         limit: the bytes to share out, in the machine and on each device with memory of its own; by default
             half of what is free there.
 
@@ -73,7 +65,6 @@ def plan(
         InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
     """
     devices = tuple(devices or jax.local_devices())
-    needs = [needs_of(env, algorithm, root, budget) for algorithm in algorithms]
     results = needs[0].results
     if any(other.results != results for other in needs):
         raise InputError("what record gives must be of the same shape in all runs")
@@ -106,28 +97,16 @@ def plan(
     return Plan(memory.Results(results, runs, on_disk), device)
 
 
-def gives(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Any:
-    """The shapes of what a run gives: its table, and its Log. Nothing is compiled."""
-    return needs_of(env, algorithm, root, budget).results
-
-
 def forecast(
-    env: Environment,
-    algorithm: Algorithm,
-    root: jax.Array,
-    runs: int,
-    budget: Budget,
-    limit: int | None = None,
-    devices: Sequence[Any] | None = None,
+    needs: "Needs", runs: int, limit: int | None = None, devices: Sequence[Any] | None = None
 ) -> Forecast:
-    """What so many runs of one program will take; arguments as in `plan`. Nothing is compiled."""
+    """What so many runs of one program will take; the others as in `plan`. Nothing is compiled."""
     devices = tuple(devices or jax.local_devices())
-    one = needs_of(env, algorithm, root, budget)
     room = memory.free(devices) // 2 if limit is None else limit
-    lanes, most = width_of_call(one.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
+    lanes, most = width_of_call(needs.call, runs, room // len(devices) if _on_cpu(devices) else room, devices)
     blocks = -(-runs // lanes)
-    working = len(devices) * one.call.bytes(lanes, min(most, -(-blocks // len(devices))))
-    return Forecast(blocks, runs * memory.size(one.results), working)
+    working = len(devices) * needs.call.bytes(lanes, min(most, -(-blocks // len(devices))))
+    return Forecast(blocks, runs * memory.size(needs.results), working)
 
 
 def _on_cpu(devices: Sequence[Any]) -> bool:
@@ -230,57 +209,17 @@ def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Bu
     return needs_of_program(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=1024)
 def needs_of_program(budget: Budget, signature: Signature) -> Needs:
-    return programs.kept(
-        ("needs", budget, signature.name), lambda: _traced_needs(budget, signature), _packed, _unpacked
-    )
-
-
-def _traced_needs(budget: Budget, signature: Signature) -> Needs:
-    traced = traced_program(budget, signature)
     root, seed, algorithm, envs = signature.arguments
     env, _ = envs
-    results, _ = traced.out_info
-    # The table once, where it is in the state.
-    carried = {id(x): x.aval for x in traced.jaxpr.jaxpr.outvars}
+    results, others = jax.eval_shape(lambda algorithm, env: gives(algorithm, env, budget), algorithm[0], env)
     call = memory.Call(
-        shared=memory.size((root, envs)) + _tables(env),
+        shared=memory.size((root, envs)) + _tables(*_hashable(env)),
         kept=memory.size((seed, algorithm, results)),
-        working=_working(env, budget, memory.size(carried)),
+        working=_working(env, budget, memory.size((results, others))),
     )
-    return Needs(jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), results), call)
-
-
-def _packed(needs: Needs) -> bytes:
-    table, log = needs.results
-    arrays = {name: [x.dtype.name, *x.shape] for name, x in {"table": table, **log.named()}.items()}
-    return json.dumps({"call": [int(n) for n in needs.call], "arrays": arrays}).encode()
-
-
-def _unpacked(data: bytes) -> Needs:
-    """The needs of which `_packed` makes just these bytes. Raises ValueError where there are none."""
-    try:
-        read = json.loads(data)
-        arrays = {name: _array(*x) for name, x in read["arrays"].items()}
-        needs = Needs((arrays.pop("table"), Log.of(arrays)), memory.Call(*map(_count, read["call"])))
-        if _packed(needs) == data:
-            return needs
-    except (AttributeError, KeyError, TypeError, ValueError):
-        pass
-    raise ValueError("it does not say what a run needs")
-
-
-def _array(dtype: Any, *shape: Any) -> jax.ShapeDtypeStruct:
-    if np.dtype(dtype).kind not in "biuf":
-        raise ValueError("neither truth values nor numbers")
-    return jax.ShapeDtypeStruct(tuple(map(_count, shape)), np.dtype(dtype))
-
-
-def _count(n: Any) -> int:
-    if type(n) is not int or n < 0:
-        raise ValueError("not a number of things")
-    return n
+    return Needs(results, call)
 
 
 @functools.lru_cache(maxsize=64)
@@ -298,8 +237,15 @@ def traced_program(budget: Budget, signature: Signature) -> Any:
     return jax.jit(one).trace(*signature.arguments)
 
 
-def _tables(env: Environment) -> int:
+def _hashable(tree: Any) -> tuple[Any, tuple]:
+    leaves, treedef = jax.tree.flatten(tree)
+    return treedef, tuple(leaves)
+
+
+@functools.lru_cache(maxsize=64)  # many programs have the same environment
+def _tables(treedef: Any, avals: tuple) -> int:
     """The bytes of all outcomes of a finite environment, which its step reads from tables."""
+    env = jax.tree.unflatten(treedef, avals)
     if not isinstance(env, FiniteEnvironment):
         return 0
     model = jax.eval_shape(planning.enumerate_model, env)

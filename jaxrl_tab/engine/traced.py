@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, PRNGKeyArray
 
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.checks import concrete
@@ -21,6 +21,7 @@ from jaxrl_tab.exact import planning
 from jaxrl_tab.lanes.outside import prepared
 
 T = TypeVar("T")
+EXACT = {Learns.ACTIONS: ("greedy_value", "q_error"), Learns.STATES: ("v_error",)}  # the fields of the Log
 
 
 # Compiled by itself where nobody else does, so that a second call is quick; inlined where somebody does.
@@ -40,6 +41,23 @@ def unchecked(
     measure = _make_measure(algorithm, env, full, budget.record)
     algorithm = restricted(algorithm, available_actions(env))
     return loop.run(stream, algorithm, env, budget, measure)
+
+
+def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], Any]:
+    """Arrays of the shapes of what a run gives, (table, Log), and of what else is in the state of the learner.
+
+    Neither a step nor an exact value is traced, which takes far longer than all of this.
+    """
+    algorithm = restricted(algorithm, available_actions(env))
+    learner = init_learner(algorithm, env)
+    q = learner.q  # some methods work it out
+    measured: dict[str, Any] = {}
+    if budget.exact:
+        measured |= dict.fromkeys(EXACT[of_method(algorithm).learns], jnp.zeros((), q.dtype))
+    if budget.record is not None:
+        measured["recorded"] = recorded(budget.record, algorithm, learner)
+    others = [x for x in jax.tree.leaves(learner) if x is not q]
+    return (q, loop.empty_log(q.dtype, budget, measured)), others
 
 
 def problem_of(stream: rng.Stream, env: Any) -> Any:
@@ -104,4 +122,4 @@ def _exact_measurer(algorithm: Any, env: Environment) -> Measured:
     if of_method(algorithm).learns is Learns.STATES:
         return algorithm.measurer(env)
     measure = planning.measurer(env, algorithm.gamma)
-    return lambda learner: dict(zip(("greedy_value", "q_error"), measure(learner.q), strict=True))
+    return lambda learner: dict(zip(EXACT[Learns.ACTIONS], measure(learner.q), strict=True))

@@ -14,6 +14,7 @@ Its modules, from the ground up:
     progress   how far an experiment is, and how long it will go on
     executors  where shards are computed: in this process, or in others, here or on other machines
     again      settings run again, to record what was learned on the way
+    painter    a process beside this one that draws pictures
     files      the files of results in the folder
     runner     an experiment in a folder: `run` and `resume`
 """

@@ -18,7 +18,7 @@ from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.results import save
 from jaxrl_tab.envs import ENVIRONMENT
-from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment import painter, storage
 from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp
 from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, SELECTION, SUMMARY, Store
 
@@ -160,24 +160,18 @@ def write_files(
 
     folder = store.path
     about = {"command": records["sessions"][0]["command"], "version": __version__}
-    files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
-    files.append(_write_table(folder / SUMMARY, outcome.summary))
-    if outcome.fresh:
-        files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
-        files.append(_write_table(folder / SELECTION, outcome.selection))
     scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
-    names = storage.file_names(outcome.envs)
     try:
         with storage.as_run_error(folder):
             scratch.mkdir(parents=True, exist_ok=True)
-            for label, methods in outcome.methods.items():
-                place = scratch / storage.PICTURES / names[label] if len(outcome.envs) > 1 else scratch
-                if formats:
-                    from jaxrl_tab.show import plot  # and with it Matplotlib, which the report does not need
-
-                    plot.save_all(methods, outcome.envs[label], place, formats)
-            about_all = _about(store, records)
-            report.write_methods(scratch, outcome.methods, about_all, outcome.fresh_methods, again, toml)
+            with painter.drawing(_drawings(outcome, scratch, formats) if formats else ()):
+                files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
+                files.append(_write_table(folder / SUMMARY, outcome.summary))
+                if outcome.fresh:
+                    files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
+                    files.append(_write_table(folder / SELECTION, outcome.selection))
+                about_all = _about(store, records)
+                report.write_methods(scratch, outcome.methods, about_all, outcome.fresh_methods, again, toml)
         for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
             goal = folder / file.relative_to(scratch)
             with storage.as_run_error(goal):
@@ -188,6 +182,17 @@ def write_files(
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     store.keep_files(str(file.relative_to(folder)) for file in files)
+
+
+def _drawings(outcome: Outcome, folder: Path, formats: Sequence[Format]) -> list[painter.Drawing]:
+    """The pictures of each environment; where there are several, each has a folder of its own."""
+    names = storage.file_names(outcome.envs)
+    several = len(outcome.envs) > 1
+    place = {label: folder / storage.PICTURES / names[label] if several else folder for label in outcome.envs}
+    return [
+        painter.Drawing(methods, outcome.envs[label], place[label], formats)
+        for label, methods in outcome.methods.items()
+    ]
 
 
 def _write_data(file: Path, datasets: "Mapping[str, xr.Dataset]", outcome: Outcome, about: Any) -> Path:

@@ -7,7 +7,7 @@ import jax
 
 from jaxrl_tab.core import memory
 from jaxrl_tab.engine import room, speeds
-from jaxrl_tab.engine.part import Part, leaves_as_arrays
+from jaxrl_tab.engine.part import Part
 
 
 class PartPlan(NamedTuple):
@@ -94,16 +94,8 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
     plans, known = {}, speeds.read()
     for name, part in parts.items():
         forecasts = [
-            room.forecast(
-                part.env,
-                leaves_as_arrays(part.configs[members[0]]),
-                part.root,
-                len(members) * part.num_seeds,
-                part.budget,
-                limit,
-                devices,
-            )
-            for members in part.programs
+            room.forecast(needs, len(members) * part.num_seeds, limit, devices)
+            for needs, members in zip(part.needs, part.programs, strict=True)
         ]
         plans[name] = PartPlan(
             programs=len(forecasts),

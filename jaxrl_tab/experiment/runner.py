@@ -25,9 +25,9 @@ import numpy as np
 from jaxrl_tab.core import names
 from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import backend, batch, provenance, room, speeds
+from jaxrl_tab.engine import backend, batch, provenance, speeds
 from jaxrl_tab.engine.log import Log
-from jaxrl_tab.engine.part import Computed, Part, leaves_as_arrays
+from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
@@ -245,8 +245,7 @@ def _has_shard(store: Store, job: Job, number: int, shard: Shard) -> bool:
 
 def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
     """(shape, dtype) of each array of a shard."""
-    method = leaves_as_arrays(part.configs[part.programs[shard.program][0]])
-    q, log = room.gives(part.env, method, part.root, part.budget)
+    q, log = part.needs[shard.program].results
     shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in {"q": q, **log.named()}.items()}
     return shapes | {"seconds": ((2,), np.dtype(float))}
 
@@ -303,9 +302,8 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> N
     """Raises InputError where there is not enough memory for a shard, or disk for all."""
     needed = 0
     for part in parts.values():
-        instances = [leaves_as_arrays(part.configs[members[0]]) for members in part.programs]
         runs = min(part.runs, shard_runs(part))
-        planned = plan(part.env, instances, part.root, runs, part.budget, limit)
+        planned = plan(part.needs, runs, limit)
         needed += size(planned.results.arrays) // runs * part.runs
     if 2 * needed > (room := shutil.disk_usage(folder).free):  # the shards, and results.nc
         raise InputError(

@@ -27,11 +27,9 @@ import json
 import re
 import tomllib
 from collections.abc import Collection, Mapping
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
-
-import jax
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import memory, modules, notebook
@@ -39,7 +37,6 @@ from jaxrl_tab.core.checks import checked
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError, as_path, nearest, one_line, shown
 from jaxrl_tab.core.pytree import field
-from jaxrl_tab.core.types import init_learner
 from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import recorded_shapes
@@ -238,10 +235,10 @@ class Experiment:
                             num_seeds=self.seeds,
                             seed=self.seed,
                         )
-                        for config, *_ in part.programs:  # policies in tables must be of the task's size
-                            jax.eval_shape(partial(init_learner, part.configs[config], env))
                     with at("record"):
                         recorded_shapes(record, part.configs[0], env)
+                    with at("method", i):
+                        _ = part.needs  # policies in tables must be of the task's size
                     parts[f"{environment['label']}/{method['label']}"] = part
         return parts
 

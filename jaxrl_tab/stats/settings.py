@@ -1,7 +1,7 @@
 """Which setting of a method is best, how good it is, and how methods differ at their best settings."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -45,6 +45,7 @@ class Settings:
     def __init__(self, ds: xr.Dataset, by: Measure = score) -> None:
         self.ds, self.by, self.prediction = ds, by, has_errors(ds)
         self._once: dict[Any, Any] = {}
+        self._intervals: dict[float, Interval] = {}
 
     @classmethod
     def of(cls, ds: "Sweep", by: Measure = score) -> "Settings":
@@ -107,11 +108,9 @@ class Settings:
     def interval_at(self, confidence: float) -> Interval:
         """The mean score with its interval, [*hyperparameters]: see `score_interval`."""
         check_within("confidence", confidence, FRACTION)
-        return self._intervals(confidence)
-
-    @cached_property
-    def _intervals(self) -> Callable[[float], Interval]:
-        return cache(self._interval)  # a cache of this object, which goes when it does
+        if confidence not in self._intervals:
+            self._intervals[confidence] = self._interval(confidence)
+        return self._intervals[confidence]
 
     def _interval(self, confidence: float) -> Interval:
         good = self._higher_is_better

@@ -73,7 +73,7 @@ def explorer(
     levels = levels_of(middles, measures[0].kind == "cost")
     scores = _common([scores_of(sweep.flat.ds, measures, levels) for sweep in sweeps.values()])
     first = next(iter(sweeps.values()))
-    stage = scene(env, methods, first.final([first.best]).mean((0, 1)).max(-1))
+    stage = scene(env, methods, first.final(first.best).mean(0).max(-1))
     blocks, shown = {}, []
     for i, (name, sweep) in enumerate(sweeps.items()):
         blocks[f"curves-{i}"] = as_text(packed_floats(curves[name]))
@@ -140,9 +140,9 @@ class _Sweep:
         merit = self.flat.flat(self.own.merit)[setting]
         return ranks(np.argsort(np.nan_to_num(merit, nan=-np.inf), kind="stable").tolist())
 
-    def final(self, settings: Sequence[int]) -> np.ndarray:
-        """The tables at the end, [settings, seeds, S, A]."""
-        return self.flat.flat(self.own.ds.q)[list(settings)]
+    def final(self, setting: int) -> np.ndarray:
+        """The tables at the end, [seeds, S, A]."""
+        return self.flat.flat(self.own.ds.q)[setting]
 
     def tables(self, name: str, stage: Scene, again: Again | None) -> Iterator[tuple[int, Block]]:
         """The views of the settings for which there is room, by their numbers."""
@@ -155,10 +155,9 @@ class _Sweep:
                 except (InputError, RunError) as error:
                     self.missing = f"{error}."
             if over is None:
-                over = OverTime(self.final([setting])[0][:, None])
-            visits = None if over.visits is None else over.visits[:, :, stage.states]
-            over = OverTime(over.tables[:, :, stage.states], visits)
-            packed = block(over, np.searchsorted(places, self.singles(setting)), averaged(places))
+                over = OverTime(self.final(setting)[:, None])
+            singles = np.searchsorted(places, self.singles(setting))
+            packed = block(over, stage.states, singles, averaged(places))
             room -= packed.numbers
             if room < 0 and setting != self.best:
                 return
@@ -179,7 +178,7 @@ class _Sweep:
         more = min(flat.seeds, MORE_STEPS // steps, MORE_NUMBERS // numbers)
         places = np.unique([*range(more), *singles])
         over = again(name, self.best, places, flat.every)
-        if not np.array_equal(over.tables[:, -1], self.final([self.best])[0][places], equal_nan=True):
+        if not np.array_equal(over.tables[:, -1], self.final(self.best)[places], equal_nan=True):
             raise RunError("the best setting, run again, gave other numbers: this is another kind of machine")
         return over, places
 

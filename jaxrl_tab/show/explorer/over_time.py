@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxrl_tab.core import memory
 from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.show.explorer.packing import Steps, as_text, codes, packed_codes, packed_sets
 
@@ -61,7 +62,9 @@ def averaged(places: np.ndarray) -> int:
     return int((places == np.arange(len(places))).sum())
 
 
-def block(over: OverTime, singles: Sequence[int] | np.ndarray, first: int) -> Block:
+def block(
+    over: OverTime, states: np.ndarray | slice, singles: Sequence[int] | np.ndarray, first: int
+) -> Block:
     """The views of some runs: mean and median of the first ones, where these are several; and single runs.
 
     A mean of tables has arrows of its own, which need be those of no run. So the arrows of mean and median are a
@@ -69,24 +72,23 @@ def block(over: OverTime, singles: Sequence[int] | np.ndarray, first: int) -> Bl
 
     Args:
         over: of these runs.
+        states: which states there are to be seen.
         singles: the places, in `over`, of the runs that are looked at one by one.
         first: how many runs a mean is of.
     """
-    # Where no action may be taken, nothing is learned: there is no number to show.
-    tables = np.where(over.tables == UNAVAILABLE, np.nan, over.tables)
-    shown, sets, agree, visits = tables[singles], greedy(over.tables[singles]), b"", over.visits
+    tables, visits = over.tables[singles][:, :, states], over.visits
+    shown, sets, agree = _learned(tables), greedy(tables), b""
     if visits is not None:
-        visits = visits[singles]
+        visits = visits[singles][:, :, states]
     if first > 1:
-        with np.errstate(invalid="ignore", over="ignore"):
-            averages = np.stack([tables[:first].mean(0, dtype=float), np.median(tables[:first], axis=0)])
+        averages, vote = _over_runs(over.tables[:first], np.arange(over.tables.shape[2])[states])
         shown = np.concatenate([averages, shown])
-        vote = _vote(over.tables[:first])
         most = vote >= vote.max(-1, keepdims=True) - 1e-6
         sets = np.concatenate([most[None], sets])
         agree = np.rint(100 * np.where(most, vote, 0).sum(-1)).astype(np.uint8).tobytes()
         if visits is not None:
-            visits = np.concatenate([np.asarray(over.visits)[:first].mean(0, dtype=float)[None], visits])
+            mean = np.asarray(over.visits)[:first].mean(0, dtype=float)[:, states]
+            visits = np.concatenate([mean[None], visits])
     steps, visit_step = Steps.of(shown), None
     parts, numbers = [packed_codes(codes(shown, steps)), packed_sets(sets), agree], shown.size
     if visits is not None:
@@ -95,7 +97,7 @@ def block(over: OverTime, singles: Sequence[int] | np.ndarray, first: int) -> Bl
         numbers += visits.size
     data = {
         "moments": shown.shape[1],
-        "actions": tables.shape[-1],
+        "actions": over.tables.shape[-1],
         "visited": 0 if visits is None else visits.shape[-1],
         "averaged": first if first > 1 else 0,
         "low": steps.low,
@@ -104,6 +106,30 @@ def block(over: OverTime, singles: Sequence[int] | np.ndarray, first: int) -> Bl
         "visits": visit_step,
     }
     return Block(as_text(*parts), numbers, data)
+
+
+def _learned(tables: np.ndarray) -> np.ndarray:
+    """Where no action may be taken, nothing is learned: there is no number to show."""
+    return np.where(tables == UNAVAILABLE, np.nan, tables)
+
+
+def _over_runs(tables: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and median over runs, [2, moments, states, A], and their vote, [moments, states, A].
+
+    Of some states at a time, since there may be many runs.
+    """
+    averages, votes = [], []
+    for some in memory.blocks(
+        len(states), 16 * tables[:, :, 0].size
+    ):  # bytes: in float64, and as much beside
+        part = tables[:, :, states[some]]
+        votes.append(_vote(part))
+        part = _learned(part)
+        with np.errstate(invalid="ignore", over="ignore"):
+            averages.append(
+                np.stack([part.mean(0, dtype=float), np.median(part, axis=0, overwrite_input=True)])
+            )
+    return np.concatenate(averages, 2), np.concatenate(votes, 1)
 
 
 def greedy(q: np.ndarray) -> np.ndarray:
