@@ -40,7 +40,9 @@ def by_credit(q, fades, kept, steps):
     def run(fade):
         def one(values, step):
             s, a, x, ends = step
-            values, before = values.marked(s, a, kept)
+            values = values.begun()
+            before = values.entry(s, a)
+            values = values.marked(s, a, kept)
             row = values.row(s)
             values = values.credited(x).faded(jnp.where(ends, 0, fade))
             return values, (before, row[a], values.q, values.z)

@@ -20,10 +20,10 @@ class QLambda(TraceControl):
     """
 
     def update(self, key, state: TraceState, t: Transition):
-        state, q = self.mark(state, t)
+        state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
         row_next = state.values.row(t.s_next)
         q_next = policies.largest(row_next)
-        delta = t.r + t.discount * q_next - q
+        delta = t.r + t.discount * q_next - state.values.entry(t.s, t.a)
         is_greedy = tables.entry(row_next, a_next) == q_next
         return self.learn(state, t, delta, cut=~is_greedy), a_next

@@ -82,9 +82,9 @@ class SarsaLambda(TraceControl):
         return SarsaLambdaState(values, clock, q_old, values.q if self.offline else None)
 
     def update(self, key, state: SarsaLambdaState, t: Transition):
-        state, q = self.mark(state, t)
+        state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        q_next = state.values.entry(t.s_next, a_next)
+        q, q_next = state.values.entry(t.s, t.a), state.values.entry(t.s_next, a_next)
         if state.q_start is not None:  # off-line
             q = tables.entry(state.q_start, t.s, t.a)
             q_next = tables.entry(state.q_start, t.s_next, a_next)

@@ -68,18 +68,15 @@ class TraceControl(TDControl):
     def probs(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
         return self.selection.probs(state.row(s), state.clock, s)
 
-    def mark(self, state: Any, t: Transition) -> tuple[Any, Float[Array, ""]]:
-        """Begins the step: z(S, A) <- z(S, A) + 1, or what the kind of the traces makes of it; and Q(S, A)."""
-        state = self.begin(state, t)
-        kept = KEPT[self.trace](step_size(self.alpha, state.clock, t.s, t.a))
-        values, q = state.values.marked(t.s, t.a, kept)
-        return state._replace(values=values), q
+    def begin(self, state: Any, t: Transition) -> Any:
+        state = super().begin(state, t)
+        return state._replace(values=state.values.begun())
 
     def learn(
         self, state: Any, t: Transition, delta: Float[Array, ""], cut: Bool[Array, ""] | bool = False
     ) -> Any:
-        """Q <- Q + alpha delta z, and then z <- gamma lambda z; or z <- 0 where the traces are `cut`."""
+        """z(S, A) <- z(S, A) + 1 and Q <- Q + alpha delta z; then z <- gamma lambda z, or 0 where they are `cut`."""
         alpha = step_size(self.alpha, state.clock, t.s, t.a)
-        values = state.values.credited(alpha * delta)
+        values = state.values.marked(t.s, t.a, KEPT[self.trace](alpha)).credited(alpha * delta)
         values = values.faded(jnp.where(t.last | cut, 0, t.discount * self.lam))
         return state._replace(values=values, clock=end_step(state.clock, t.last))

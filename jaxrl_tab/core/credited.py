@@ -34,7 +34,7 @@ class Credited(NamedTuple):
     Attributes:
         base: Q without what is still to be credited, float [S, A].
         marks: the traces, each divided by `scale`, float [S, A].
-        scale: float [], in [0, 1]; where it is `SMALL` or less, the marks take it up when the next pair is marked.
+        scale: float [], in [0, 1]; where it is `SMALL` or less, the marks take it up as the next step begins.
         credit: what a pair is still to be credited with for each of its marks, float [].
     """
 
@@ -61,28 +61,18 @@ class Credited(NamedTuple):
         """Q(s, a)."""
         return tables.entry(self.base, s, a) + tables.entry(self.marks, s, a) * self.credit
 
-    def marked(
-        self, s: Int[Array, ""], a: Int[Array, ""], kept: Float[Array, ""] | float
-    ) -> "tuple[Credited, Float[Array, '']]":
-        """z(s, a) <- kept z(s, a) + 1.
-
-        It comes first in a step, before anything is read: then XLA writes into both tables in place.
-
-        Returns:
-            The values, and Q(s, a), which stays what it is.
-        """
+    def begun(self) -> "Credited":
+        """With a scale that is not small, as each step begins; nothing that can be read changes."""
         is_due = self.scale <= SMALL
         marks = tables.changed_where(is_due, _scaled, self.marks, self.scale)
-        scale = jnp.where(is_due, 1, self.scale)
-        base, old = tables.entry(self.base, s, a), tables.entry(marks, s, a)
-        new = kept * old + 1 / scale
-        marked = Credited(
-            tables.put(self.base, base + (old - new) * self.credit, s, a),
-            tables.put(marks, new, s, a),
-            scale,
-            self.credit,
-        )
-        return marked, base + old * self.credit
+        return self._replace(marks=marks, scale=jnp.where(is_due, 1, self.scale))
+
+    def marked(self, s: Int[Array, ""], a: Int[Array, ""], kept: Float[Array, ""] | float) -> "Credited":
+        """z(s, a) <- kept z(s, a) + 1; Q(s, a) stays what it is, but for its last bits."""
+        base, old = tables.entry(self.base, s, a), tables.entry(self.marks, s, a)
+        new = kept * old + 1 / self.scale
+        base = base + (old - new) * self.credit
+        return self._replace(base=tables.put(self.base, base, s, a), marks=tables.put(self.marks, new, s, a))
 
     def added(self, s: Int[Array, ""], a: Int[Array, ""], x: Float[Array, ""]) -> "Credited":
         """Q(s, a) <- Q(s, a) + x, for this pair alone."""
