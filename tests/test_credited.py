@@ -42,9 +42,8 @@ def by_credit(q, fades, kept, steps):
             s, a, x, ends = step
             values = values.begun()
             before = values.entry(s, a)
-            values = values.marked(s, a, kept)
             row = values.row(s)
-            values = values.credited(x).faded(jnp.where(ends, 0, fade))
+            values = values.learned(s, a, kept, x).faded(jnp.where(ends, 0, fade))
             return values, (before, row[a], values.q, values.z)
 
         return jax.lax.scan(one, credited.start(jnp.asarray(q)), steps)
@@ -66,7 +65,7 @@ def test_after_each_step_it_is_what_a_loop_over_all_pairs_makes_of_it(kept):
     for i, fade in enumerate(FADES):
         wants = [np.array(x) for x in zip(*by_a_loop(q, fade, kept, steps()), strict=True)]
         np.testing.assert_allclose(before[i], wants[0], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(read[i], before[i], rtol=1e-9, atol=1e-9)  # marking does not move Q
+        np.testing.assert_allclose(read[i], wants[0], rtol=1e-9, atol=1e-9)
         for got, want in zip(tables, wants[1:], strict=True):
             np.testing.assert_allclose(got[i], want, rtol=1e-9, atol=1e-9)
 

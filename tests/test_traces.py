@@ -253,7 +253,7 @@ UNIFORM = Table(np.full((3, 4), 0.25))
 
 
 def transition(s, a, r, s_next, discount=0.5, last=False):
-    return Transition(*map(jnp.asarray, (s, a, float(r), s_next, float(discount), last)))
+    return Transition(*map(jnp.asarray, (s, a, r * 1.0, s_next, float(discount), last)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -325,6 +325,27 @@ def test_watkins_cuts_where_the_next_action_is_not_greedy_and_only_there(trace):
     np.testing.assert_array_equal(second, best + 0.5 * (4 - best))
     # The error of the second step, 4 - 2 = 2, with alpha 0.5 and the trace 0.5 * 0.5; both ties go on.
     np.testing.assert_array_equal(after, [0.75, 0.75, 0.5, 0.5])
+
+
+@pytest.mark.parametrize("cls", [rl.SarsaLambda, rl.QLambda])
+def test_actions_that_are_tied_at_a_bump_are_equally_likely(cls):
+    """A' is drawn before the update, so A, tried for the first time, is still tied with those that were not.
+
+    Broken once: the pair marked before A' is drawn, which moves the last bit of its value -> fails.
+    """
+    method = cls(alpha=0.1, epsilon=0.0, gamma=1.0)
+
+    @jax.vmap
+    def a_next(key, reward):
+        first, second, third = jax.random.split(key, 3)
+        state, _ = method.update(first, method.init(3, 4), transition(0, 0, reward, 1, 1))
+        state, _ = method.update(second, state, transition(1, 0, reward, 2, 1))
+        return method.update(third, state, transition(2, 3, -1, 2, 1))[1]
+
+    rewards = np.repeat(-np.random.default_rng(0).random(16), 100)
+    drawn = jax.jit(a_next)(jax.random.split(jax.random.key(0), len(rewards)), rewards).reshape(16, 100)
+    counts = np.stack([(np.asarray(drawn) == a).sum(1) for a in range(4)], 1)
+    assert (abs(counts - 25) < 5 * np.sqrt(100 * 0.25 * 0.75)).all()
 
 
 # --- wrong input -------------------------------------------------------------------------------------

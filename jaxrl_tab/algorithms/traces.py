@@ -77,6 +77,6 @@ class TraceControl(TDControl):
     ) -> Any:
         """z(S, A) <- z(S, A) + 1 and Q <- Q + alpha delta z; then z <- gamma lambda z, or 0 where they are `cut`."""
         alpha = step_size(self.alpha, state.clock, t.s, t.a)
-        values = state.values.marked(t.s, t.a, KEPT[self.trace](alpha)).credited(alpha * delta)
+        values = state.values.learned(t.s, t.a, KEPT[self.trace](alpha), alpha * delta)
         values = values.faded(jnp.where(t.last | cut, 0, t.discount * self.lam))
         return state._replace(values=values, clock=end_step(state.clock, t.last))

@@ -67,20 +67,26 @@ class Credited(NamedTuple):
         marks = tables.changed_where(is_due, _scaled, self.marks, self.scale)
         return self._replace(marks=marks, scale=jnp.where(is_due, 1, self.scale))
 
-    def marked(self, s: Int[Array, ""], a: Int[Array, ""], kept: Float[Array, ""] | float) -> "Credited":
-        """z(s, a) <- kept z(s, a) + 1; Q(s, a) stays what it is, but for its last bits."""
+    def learned(
+        self, s: Int[Array, ""], a: Int[Array, ""], kept: Float[Array, ""] | float, x: Float[Array, ""]
+    ) -> "Credited":
+        """z(s, a) <- kept z(s, a) + 1; and then Q <- Q + x z, for all pairs."""
+        # Marking moves the last bits of Q(s, a), so it comes when all is read that decides between actions. The mark
+        # is worked out from x, which was made of that, so that XLA reads first, too: else it would copy the tables.
+        one = jnp.where(x == x, 1.0, jnp.nan)  # with an x that is NaN, all of Q is NaN
         base, old = tables.entry(self.base, s, a), tables.entry(self.marks, s, a)
-        new = kept * old + 1 / self.scale
+        new = kept * old + one / self.scale
         base = base + (old - new) * self.credit
-        return self._replace(base=tables.put(self.base, base, s, a), marks=tables.put(self.marks, new, s, a))
+        return Credited(
+            tables.put(self.base, base, s, a),
+            tables.put(self.marks, new, s, a),
+            self.scale,
+            self.credit + x * self.scale,
+        )
 
     def added(self, s: Int[Array, ""], a: Int[Array, ""], x: Float[Array, ""]) -> "Credited":
         """Q(s, a) <- Q(s, a) + x, for this pair alone."""
         return self._replace(base=tables.add(self.base, s, a, x))
-
-    def credited(self, x: Float[Array, ""]) -> "Credited":
-        """Q <- Q + x z, for all pairs."""
-        return self._replace(credit=self.credit + x * self.scale)
 
     def faded(self, by: Float[Array, ""]) -> "Credited":
         """z <- by z, for all pairs; `by` is in [0, 1]. Where it is 0, Q is the base alone then."""
