@@ -16,6 +16,6 @@ def runs_of(env: Any, method: Any, budget: Budget, number: int = 200, **grid: An
     """So many seeds of a method with one setting."""
     env = rl.make(env) if isinstance(env, str) else env
     part = prepare(env, method, grid, budget, num_seeds=number)
-    algorithm = jax.tree.map(lambda x: np.asarray(x)[None], leaves_as_arrays(part.configs[0]))
+    algorithm = jax.tree.map(lambda x: np.asarray(x)[None, None], leaves_as_arrays(part.configs[0]))
     seeds = np.arange(number, dtype=np.uint32)[None]
     return Runs(env, algorithm, part.root, seeds, budget, np.arange(number))

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.lanes import kernel
+from jaxrl_tab.lanes.program import MANY
 from jaxrl_tab.lanes.program import compile as compile_lanes
 from jaxrl_tab.lanes.target import Target, host
 
@@ -51,7 +52,7 @@ class Guarded:
 
 
 def by_lanes(
-    function: Any, *args: np.ndarray, shared: Any = (), target: Target | None = None
+    function: Any, *args: np.ndarray, shared: Any = (), target: Target | None = None, lanes: int = MANY
 ) -> list[np.ndarray]:
     """What the machine code of `lanes` gives, for arguments with a leading axis of lanes.
 
@@ -62,11 +63,13 @@ def by_lanes(
         args: its arguments; their number of lanes is padded to whole blocks with lanes of zeros.
         shared: further arguments, the same in all lanes.
         target: the processor for which it is compiled, by default this one with short vectors.
+        lanes: for how many it is compiled; 1: for one alone, and they follow one another.
     """
     count = len(args[0])
     closed = jax.make_jaxpr(function)(*(x[0] for x in args), *shared)
     varying = [True] * len(args) + [False] * len(shared)
-    program = compile_lanes(closed, varying, [None] * len(args) + list(shared), target=target or narrow())
+    others, target = [None] * len(args) + list(shared), target or narrow()
+    program = compile_lanes(closed, varying, others, target=target, lanes=lanes)
     more = -count % program.lanes
     full = [np.concatenate([x, np.zeros((more, *x.shape[1:]), x.dtype)]) for x in args]
     guarded = Guarded()
@@ -96,7 +99,8 @@ def assert_same_bits(results: Any, expected: Any) -> None:
         assert same.all(), f"of result {k}, {(~same).sum()} of {same.size} differ: {shown}"
 
 
-def assert_as_xla(function: Any, *args: np.ndarray, shared: Any = (), target: Target | None = None) -> None:
-    assert_same_bits(
-        by_lanes(function, *args, shared=shared, target=target), by_xla(function, *args, shared=shared)
-    )
+def assert_as_xla(
+    function: Any, *args: np.ndarray, shared: Any = (), target: Target | None = None, lanes: int = MANY
+) -> None:
+    found = by_lanes(function, *args, shared=shared, target=target, lanes=lanes)
+    assert_same_bits(found, by_xla(function, *args, shared=shared))

@@ -1,12 +1,13 @@
 """How long an experiment will take, from what was measured on this machine: before it begins, and on the way."""
 
+import json
 import logging
 
 import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab.engine import programs, speeds
-from jaxrl_tab.engine.speeds import Speed
+from jaxrl_tab.engine.speeds import Known, Speed
 from jaxrl_tab.experiment import plan
 from jaxrl_tab.experiment.progress import seconds_left
 
@@ -21,22 +22,36 @@ SARSA = "steps of Sarsa in WindyGridworld, 70 states"
 
 
 def test_a_forecast_is_blocks_times_steps_times_what_one_took():
-    """130 runs are three blocks of 64. Broken once: the runs are counted, and not the blocks -> fails."""
-    known = {SARSA: Speed(1e-6, 0.5)}
+    """130 runs are three blocks of 64. Broken once: the runs are counted, and not the blocks; or a program that was
+
+    made before as one that is compiled -> each fails.
+    """
+    known = Known({SARSA: Speed(1e-6, 0.5, 0.1)})
     assert speeds.forecast(part_of(seeds=130), known) == (pytest.approx(3 * 8000 * 1e-6 + 0.5), True)
-    two_programs = part_of({"name": "n-step-sarsa", "n": [1, 4]})
-    known = {"steps of NStepSarsa in WindyGridworld, 70 states": Speed(2e-6, 0.25)}
-    assert speeds.forecast(two_programs, known) == (pytest.approx(2 * 2 * 8000 * 2e-6 + 2 * 0.25), True)
+    two = part_of({"name": "n-step-sarsa", "n": [1, 4]})
+    known = Known({"steps of NStepSarsa in WindyGridworld, 70 states": Speed(2e-6, 0.25, 0.05)})
+    running = 2 * 2 * 8000 * 2e-6
+    assert speeds.forecast(two, known) == (pytest.approx(running + 2 * 0.25), True)
+    known = known._replace(programs=(two.needs[1].program, "another"))
+    assert speeds.forecast(two, known) == (pytest.approx(running + 0.25 + 0.05), True)
+
+
+def test_programs_have_names_of_their_own():
+    """With other values of a hyperparameter it is the same program. Broken once: no budget in it -> fails."""
+    name = lambda *method, **budget: part_of(*method, **budget).needs[0].program
+    same = name(), name(seeds=7), name({"name": "sarsa", "alpha": 0.25})
+    others = name("q-learning"), name(steps=80), name(episodes=8), name(steps=8000, log_every=50)
+    assert len(set(same)) == 1 and len({same[0], *others}) == 5
 
 
 def test_what_was_never_run_takes_the_mean_of_what_was_counted_alike():
     """Broken once: the speeds of episodes are taken for steps -> fails."""
-    known = {SARSA: Speed(1e-6, 0.1), "steps of Mine in Walk, 5 states": Speed(4e-6, 0.4)}
-    known["episodes of Mine in Walk, 5 states"] = Speed(1.0, 1.0)
+    of_steps = {SARSA: Speed(1e-6, 0.1, 0.01), "steps of Mine in Walk, 5 states": Speed(4e-6, 0.4, 0.04)}
+    known = Known(of_steps | {"episodes of Mine in Walk, 5 states": Speed(1.0, 1.0, 1.0)})
     seconds, is_measured = speeds.forecast(part_of("q-learning"), known)
     assert not is_measured
     assert seconds == pytest.approx(2 * 8000 * 2e-6 + 0.2)  # the geometric means
-    assert speeds.forecast(part_of("q-learning", episodes=5), {SARSA: known[SARSA]}) is None
+    assert speeds.forecast(part_of("q-learning", episodes=5), Known(of_steps)) is None
     assert (
         speeds.forecast(part_of(exact=True, steps=8000), known).is_measured is False
     )  # exact values cost, too
@@ -44,21 +59,29 @@ def test_what_was_never_run_takes_the_mean_of_what_was_counted_alike():
 
 def test_what_is_measured_is_kept_and_read_again(programs_folder, caplog):
     """As a mean over shards; what is over at once is not. Broken once: the last shard alone counts -> fails."""
-    assert speeds.read() == {}
+    assert speeds.read() == Known()
     clock = speeds.Clock()
-    clock.finished(part_of(), 64, 0.1, 0.3)
-    clock.finished(part_of(), 64, 0.3, 0.0)
-    clock.finished(part_of("q-learning"), 64, 0.001, 0.3)
+    clock.finished(part_of(), 0, 64, 0.1, 0.3)
+    clock.finished(part_of(), 0, 64, 0.3, 0.0)
+    clock.finished(part_of("q-learning"), 0, 64, 0.001, 0.3)
     clock.keep()
-    assert speeds.read() == {SARSA: (pytest.approx(0.4 / (2 * 8000)), pytest.approx(0.3))}
+    running = pytest.approx(0.4 / (2 * 8000))
+    assert speeds.read().speeds == {SARSA: (running, pytest.approx(0.3), pytest.approx(0.06))}
+    assert speeds.read().programs == tuple(part_of(x).needs[0].program for x in ("sarsa", "q-learning"))
+    clock = speeds.Clock()  # in a later process: the program is kept, and what it took to make it is, too
+    clock.finished(part_of(), 0, 64, 0.2, 0.05)
+    clock.keep()
+    assert speeds.read().speeds == {SARSA: (running, pytest.approx(0.3), pytest.approx(0.05))}
     (file,) = (path for path in programs_folder.rglob("*.program"))
     file.write_bytes(file.read_bytes()[:-1] + b"!")
     with caplog.at_level(logging.WARNING):
-        assert speeds.read() == {}
+        assert speeds.read() == Known()
     assert "is not used: it is damaged, or was not written here" in caplog.text
-    for nonsense in (b"", b"[]", b'{"x": [0, 1]}', b'{"x": [1]}', b'{"x": [1, -1]}', b'{"x": [NaN, 1]}'):
+    of = lambda *speed: json.dumps({"speeds": {"x": speed}, "programs": []}).encode()
+    wrong = [of(0, 1, 1), of(1), of(1, -1, 1), of(1, 1, float("nan")), b'{"speeds": {}}', b'{"x": [1, 1, 1]}']
+    for nonsense in (b"", b"[]", b'{"speeds": [], "programs": []}', *wrong):
         programs.note(speeds.NAME, nonsense)
-        assert speeds.read() == {}
+        assert speeds.read() == Known()
 
 
 def test_a_plan_says_how_long_it_takes_when_it_was_run_before(programs_folder):

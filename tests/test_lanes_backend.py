@@ -406,3 +406,23 @@ def test_as_many_threads_as_cores_unless_devices_were_chosen():
     assert run("os; jax.config.update('jax_num_cpu_devices', 5)") == "5"
     assert run("os", XLA_FLAGS="--xla_force_host_platform_device_count=3") == "3"
     assert by_lanes.threads() == 2 and by_lanes.threads(jax.devices()[:1]) == 1
+
+
+def test_a_quick_run_alone_starts_no_thread_once_it_is_known_to_be_quick(monkeypatch):
+    """So many steps take as long as they did before; episodes may take longer, and one must be able to stop them.
+
+    Broken once: episodes, and what took long, without a thread -> fails.
+    """
+    threads = []
+    called = by_lanes._called
+    monkeypatch.setattr(by_lanes, "_called", lambda *args: threads.append(args) or called(*args))
+
+    def in_a_thread(**budget):
+        threads.clear()
+        rl.train(jax.random.key(0), rl.Sarsa(), rl.make("two-doors"), **budget)
+        return bool(threads)
+
+    assert [in_a_thread(num_steps=37) for _ in range(3)] == [True, False, False]
+    assert [in_a_thread(num_episodes=3) for _ in range(2)] == [True, True]
+    monkeypatch.setattr(by_lanes, "ASK_SECONDS", 0)
+    assert in_a_thread(num_steps=37)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from lanes_tools import assert_same_bits, by_lanes, by_xla, narrow
 
-from jaxrl_tab.lanes import vectors
+from jaxrl_tab.lanes import ahead, vectors
 from jaxrl_tab.lanes.target import host
 
 LANES = 16
@@ -37,3 +37,17 @@ def test_random_functions_give_the_numbers_of_xla(seeds, monkeypatch):
 def test_the_bits_do_not_depend_on_the_width_of_the_vectors(seed):
     _, short, wide = results(seed, narrow(), host())
     assert_same_bits(short, wide)
+
+
+@pytest.mark.parametrize("seeds", [range(200, 206), range(206, 212)], ids=str)
+def test_one_lane_alone_gives_the_same(seeds, monkeypatch):
+    """All that can be is worked out ahead, in loops of any length, whether it pays or not.
+
+    Broken once: the conditions of a case are in another order where it is read -> fails.
+    """
+    monkeypatch.setattr(ahead, "OFTEN", 1)
+    monkeypatch.setattr(ahead, "LONG", 1)
+    for seed in seeds:
+        function, inputs = lanes_fuzz.function(seed), lanes_fuzz.inputs(np.random.default_rng(seed), LANES)
+        alone, among_others = (by_lanes(function, *inputs.values(), lanes=n) for n in (1, LANES))
+        assert_same_bits(alone, among_others)

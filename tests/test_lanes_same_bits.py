@@ -180,6 +180,31 @@ def done_by(runs, target, lanes):
     return made.lanes, [x[: len(runs)] for x in outputs]
 
 
+ALONE = [
+    "sarsa",
+    "monte-carlo",
+    "sarsa-lambda",
+    "double-q-learning",
+    "td",
+    "schedules",
+    "a policy in a table",
+]
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_a_run_alone_gives_what_it_gives_among_others(name):
+    """Broken once: a turn takes the action of the one before -> fails."""
+    case = CASES[name]
+    of_one = {key: value[1] if isinstance(value, list) else value for key, value in case.grid.items()}
+    budget = Budget(
+        None if case.episodes else 120, case.episodes, 50 if case.episodes is None else 2, exact=False
+    )
+    runs = runs_of(env_of(case), case.method, budget, 5, **of_one)
+    (lanes, alone), (_, among_others) = done_by(runs, host(), 1), done_by(runs, narrow(), 5)
+    assert lanes == 1
+    assert_same_bits(alone, among_others)
+
+
 def targets():
     """This processor with its vectors, with shorter ones, and with the shortest."""
     of_eight = ",".join(f"-{x[1:]}" if x.startswith("+avx512") else x for x in host().features.split(","))

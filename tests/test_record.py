@@ -6,10 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from keeping import forget
 
 import jaxrl_tab as rl
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.engine import traced
 from jaxrl_tab.envs.base import FixedStart
 
 METHOD = rl.Sarsa(alpha=0.5, epsilon=0.25)
@@ -91,3 +93,29 @@ def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
     np.testing.assert_array_equal(sweep({"alpha": 0.25}, num_seeds=2).log.rewards, log.rewards[0, :2])
     other = sweep({"alpha": 0.25}, num_seeds=2, seed=1).log
     assert not np.isin(other.rewards, log.rewards).any()
+
+
+@pytest.mark.parametrize("backend", ["lanes", "xla"])
+@pytest.mark.parametrize(
+    "length", [{"num_steps": 120}, {"num_steps": 125}, {"num_episodes": 12}, {"num_episodes": 7}], ids=str
+)
+def test_how_many_rows_are_measured_at_once_changes_nothing(backend, length, monkeypatch):
+    """One at a time, or up to five: 12 rows in fours or threes, 7 one by one, and a shorter one after 12.
+
+    Broken once: the rows of a group in another order, or `measure.of` of the last learner alone -> fails.
+    """
+    options = length | {"log_every": 10 if "num_steps" in length else 1, "backend": backend, "num_seeds": 3}
+
+    def swept(rows):
+        monkeypatch.setattr(traced, "rows_at_once", lambda learner, solves: rows)
+        forget()
+        traced.unchecked.clear_cache()
+        record = lambda state: {"q_all": state.q, "first": state.q[0, 0]}
+        return rl.sweep(rl.make("random-walk"), "td", exact=True, record=record, **options)
+
+    one, several = swept(1), swept(5)
+    assert one.log.recorded["q_all"].std(axis=-3).any()  # from row to row
+    for x, y in zip(
+        jax.tree.leaves((one.q, one.log)), jax.tree.leaves((several.q, several.log)), strict=True
+    ):
+        np.testing.assert_array_equal(x, y)

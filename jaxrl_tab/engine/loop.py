@@ -70,11 +70,22 @@ BEFORE_RESET, BEFORE_START = 4, 5  # at time 0
 INSTANCE = 6  # the problem of a run, where the environment draws one
 
 Step: TypeAlias = Callable[[Run, _Decisions], tuple[Run, Log, "Happened"]]
-Measured: TypeAlias = Callable[[Any], dict[str, Any]]
+
+
+class Measure(NamedTuple):
+    """What is measured at the end of a row.
+
+    Attributes:
+        of: gives fields of the Log from the state of the learner.
+        most: of how many rows it may be measured at once.
+    """
+
+    of: Callable[[Any], dict[str, Any]]
+    most: int
 
 
 def run(
-    stream: rng.Stream, algorithm: Algorithm, env: Environment, budget: Budget, measure: Measured | None
+    stream: rng.Stream, algorithm: Algorithm, env: Environment, budget: Budget, measure: Measure | None
 ) -> tuple[Any, Log]:
     """What a method learned in an environment, and what happened.
 
@@ -83,7 +94,7 @@ def run(
         algorithm: the method, which takes available actions only.
         env: the environment.
         budget: how long the run is.
-        measure: gives fields of the Log from the state of the learner, at the end of every row.
+        measure: what is measured at the end of every row.
     """
     start = _make_start(algorithm, env)
     step = _make_step(algorithm, env, start)
@@ -225,7 +236,7 @@ def _keys(stream: rng.Stream, t: Int[Array, ""]) -> _Decisions:
 
 
 def _run_steps(
-    stream: rng.Stream, step: Step, run: Run, num_steps: int, log_every: int, measure: Measured | None
+    stream: rng.Stream, step: Step, run: Run, num_steps: int, log_every: int, measure: Measure | None
 ) -> tuple[Run, Log]:
     """`num_steps` steps, with a row of the log after each `log_every` and after the last."""
 
@@ -235,18 +246,55 @@ def _run_steps(
         return run, jax.tree.map(jnp.add, total, log)
 
     def row(run: Run, size: int) -> tuple[Run, Log]:
-        run, log = lax.fori_loop(0, size, one, (run, _zero_log(run.g.dtype)))
-        return run, log._replace(**measure(run.learner)) if measure else log
+        return lax.fori_loop(0, size, one, (run, _zero_log(run.g.dtype)))
 
-    run, log = lax.scan(lambda run, _: row(run, log_every), run, length=num_steps // log_every)
+    def whole_row(run: Run, _: None) -> tuple[Run, Any, dict[str, Any]]:
+        run, log = row(run, log_every)
+        return run, run.learner, log._asdict()
+
+    run, fields = _rows(whole_row, run, None, num_steps // log_every, measure)
+    log = Log(**fields)
     if rest := num_steps % log_every:
         run, last_row = row(run, rest)
+        if measure:
+            last_row = last_row._replace(**measure.of(run.learner))
         log = jax.tree.map(lambda rows, x: jnp.append(rows, x[None], axis=0), log, last_row)
     return run, log
 
 
+def _rows(
+    row: Callable, carry: Any, xs: Any, count: int, measure: Measure | None
+) -> tuple[Any, dict[str, Any]]:
+    """`count` rows, one after another: `row(carry, x)` gives the carry, the learner, and fields of the Log.
+
+    By `lanes` measuring is a call of what XLA compiled, which takes as long as hundreds of steps. So several rows are
+    measured together, if that may be; as many as divide `count`, since a shorter rest would be a program of its own.
+    """
+    together = max(n for n in range(1, measure.most + 1) if count % n == 0) if measure else 1
+
+    def one(carry, x):
+        carry, learner, fields = row(carry, x)
+        return carry, fields | measure.of(learner) if measure else fields
+
+    if together == 1:
+        return lax.scan(one, carry, xs, length=count)
+
+    def some(carry, xs):
+        def unmeasured(carry, x):
+            carry, learner, fields = row(carry, x)
+            return carry, (learner, fields)
+
+        assert measure
+        carry, (learners, fields) = lax.scan(unmeasured, carry, xs, length=together)
+        return carry, fields | jax.vmap(measure.of)(learners)
+
+    split = lambda x: x.reshape(-1, together, *x.shape[1:])
+    carry, fields = lax.scan(some, carry, jax.tree.map(split, xs), length=count // together)
+    return carry, jax.tree.map(lambda x: x.reshape(count, *x.shape[2:]), fields)
+
+
 def _run_episodes(
-    stream: rng.Stream, step: Step, run: Run, num_episodes: int, log_every: int, measure: Measured | None
+    stream: rng.Stream, step: Step, run: Run, num_episodes: int, log_every: int, measure: Measure | None
 ) -> tuple[Run, Log]:
     """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
     rows = -(-num_episodes // log_every)
@@ -258,10 +306,10 @@ def _run_episodes(
 
     def row(carry, target):
         carry = _run_until(stream, step, carry, target, log_every)
-        return carry, measure(carry[0].learner)
+        return carry, carry[0].learner, {}
 
     targets = jnp.minimum(log_every * jnp.arange(1, rows + 1), num_episodes)
-    (run, log, _), measured = lax.scan(row, carry, targets)
+    (run, log, _), measured = _rows(row, carry, targets, rows, measure)
     return run, log._replace(**measured)
 
 

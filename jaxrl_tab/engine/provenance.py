@@ -54,8 +54,8 @@ _ABOVE = {
 
 def settings() -> dict[str, Any]:
     """The settings that change numbers, JAX's and the backend, as they are in this thread: name -> plain value."""
-    current = jax.config.values
-    values = {name: current[name] for name in SETTINGS if name in current} | {BACKEND: backend.chosen()}
+    values = {name: getattr(jax.config, name) for name in SETTINGS if hasattr(jax.config, name)}
+    values[BACKEND] = backend.chosen()
     return {name: x.value if isinstance(x, enum.Enum) else x for name, x in values.items()}
 
 

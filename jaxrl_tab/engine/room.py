@@ -1,6 +1,7 @@
 """How much memory runs take, and so how many are computed at once."""
 
 import functools
+import hashlib
 import logging
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -198,10 +199,12 @@ class Needs(NamedTuple):
     Attributes:
         results: the shapes of its table and its Log.
         call: the bytes of a call.
+        program: a name of its program, which is another one where the program is.
     """
 
     results: Any
     call: memory.Call
+    program: str
 
 
 def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Needs:
@@ -213,13 +216,15 @@ def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Bu
 def needs_of_program(budget: Budget, signature: Signature) -> Needs:
     root, seed, algorithm, envs = signature.arguments
     env, _ = envs
-    results, others = jax.eval_shape(lambda algorithm, env: gives(algorithm, env, budget), algorithm[0], env)
+    shapes = jax.eval_shape(lambda algorithm, env: gives(algorithm, env, budget), algorithm[0], env)
+    results, others, waiting = shapes
     call = memory.Call(
         shared=memory.size((root, envs)) + _tables(*_hashable(env)),
         kept=memory.size((seed, algorithm, results)),
-        working=_working(env, budget, memory.size((results, others))),
+        working=_working(env, budget, memory.size((results, others))) + memory.size(waiting),
     )
-    return Needs(results, call)
+    program = hashlib.sha256(f"{budget} {signature.treedef} {signature.avals}".encode()).hexdigest()[:16]
+    return Needs(results, call, program)
 
 
 @functools.lru_cache(maxsize=64)

@@ -1,5 +1,6 @@
 """One run as a function that is traced: with the problem that it draws, and what is measured at the ends of rows."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
 
@@ -9,18 +10,19 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, PRNGKeyArray
 
-from jaxrl_tab.core import rng
+from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.checks import concrete
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
 from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.log import Log, recorded
-from jaxrl_tab.engine.loop import Measured
+from jaxrl_tab.engine.loop import Measure
 from jaxrl_tab.exact import planning
 from jaxrl_tab.lanes.outside import prepared
 
 T = TypeVar("T")
+WAITING = 2**13  # bytes of a run: states of the learner at the ends of rows, until they are measured
 EXACT = {Learns.ACTIONS: ("greedy_value", "q_error"), Learns.STATES: ("v_error",)}  # the fields of the Log
 
 
@@ -43,21 +45,24 @@ def unchecked(
     return loop.run(stream, algorithm, env, budget, measure)
 
 
-def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], Any]:
-    """Arrays of the shapes of what a run gives, (table, Log), and of what else is in the state of the learner.
+def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], Any, Any]:
+    """Arrays of the shapes of what a run gives, and of what it carries beside. No step and no exact value is traced.
 
-    Neither a step nor an exact value is traced, which takes far longer than all of this.
+    Returns:
+        (table, Log); what else is in the state of the learner; and states of it that wait to be measured.
     """
     algorithm = restricted(algorithm, available_actions(env))
     learner = init_learner(algorithm, env)
     q = learner.q  # some methods work it out
-    measured: dict[str, Any] = {}
+    others = [x for x in jax.tree.leaves(learner) if x is not q]
+    measured, waiting, learns = {}, None, of_method(algorithm).learns
     if budget.exact:
-        measured |= dict.fromkeys(EXACT[of_method(algorithm).learns], jnp.zeros((), q.dtype))
+        measured |= dict.fromkeys(EXACT[learns], jnp.zeros((), q.dtype))
     if budget.record is not None:
         measured["recorded"] = recorded(budget.record, algorithm, learner)
-    others = [x for x in jax.tree.leaves(learner) if x is not q]
-    return (q, loop.empty_log(q.dtype, budget, measured)), others
+    if measured and (rows := rows_at_once(learner, budget.exact and learns is Learns.ACTIONS)) > 1:
+        waiting = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), learner)
+    return (q, loop.empty_log(q.dtype, budget, measured)), others, waiting
 
 
 def problem_of(stream: rng.Stream, env: Any) -> Any:
@@ -94,14 +99,12 @@ def _restored(full: T, obj: T) -> T:
 # --- what is measured at the end of a row -----------------------------------------------------------
 
 
-def _make_measure(
-    algorithm: Algorithm, env: Environment, full: Any, record: Record | None
-) -> Measured | None:
-    """What is measured at the end of a row, from the state of the learner, as fields of the Log."""
+def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Record | None) -> Measure | None:
+    """What is measured at the end of a row."""
     if full is None and record is None:
         return None
 
-    def make(algorithm: Algorithm, env: Environment, full: Any) -> Measured:
+    def make(algorithm: Algorithm, env: Environment, full: Any) -> Callable[[Any], dict[str, Any]]:
         measures = []
         if full is not None:
             with planning.doubled():
@@ -114,10 +117,19 @@ def _make_measure(
         return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
 
     like = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
-    return prepared(make, algorithm, env, full, like=like)
+    solves = full is not None and of_method(algorithm).learns is Learns.ACTIONS
+    return Measure(prepared(make, algorithm, env, full, like=like), rows_at_once(like, solves))
 
 
-def _exact_measurer(algorithm: Any, env: Environment) -> Measured:
+def rows_at_once(learner: Any, solves: bool) -> int:
+    """Of how many rows it is measured at once what a learner has learned: of one, where that solves a linear system.
+
+    Else of as many as may wait in `WAITING` bytes.
+    """
+    return 1 if solves else max(1, WAITING // max(1, memory.size(learner)))
+
+
+def _exact_measurer(algorithm: Any, env: Environment) -> Callable[[Any], dict[str, Any]]:
     """The exact numbers beside a method: in prediction those of its own `measurer`."""
     if of_method(algorithm).learns is Learns.STATES:
         return algorithm.measurer(env)

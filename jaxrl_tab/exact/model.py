@@ -222,6 +222,13 @@ def while_loop(model: Model, go_on: Callable[[Any], Any], body: Callable[[Any], 
     return carry
 
 
+def either(model: Model, condition: Any, yes: Callable[[], T], no: Callable[[], T]) -> T:
+    """`lax.cond`, or the same in plain Python where the model is NumPy."""
+    if array_module(model) is jnp:
+        return lax.cond(condition, yes, no)
+    return yes() if condition else no()
+
+
 def available_only(model: Model, q: Float[Any, "... S A"]) -> Float[Any, "... S A"]:
     """`q` with UNAVAILABLE in place of what the model does not have."""
     return (
@@ -260,11 +267,32 @@ def spread(
     return np.array(reached, bool)
 
 
-def reaching(model: Model, taken: Bool[Any, "S A K"], states: Bool[Any, " S"]) -> Bool[Any, " S"]:
-    """The states from which `states` can be reached along the outcomes `taken`, these included, bool [S]."""
+def reaching(
+    model: Model, taken: Bool[Any, "S A K"], states: Bool[Any, " S"]
+) -> tuple[Bool[Any, " S"], Bool[Any, " S"], Bool[Any, " S"]]:
+    """From which states those of three sets can be reached along the outcomes `taken`, these included, bool [S] each.
+
+    The first set is `states`. The second and the third are what is left over: the states from which the set before
+    cannot be reached.
+    """
     if array_module(model) is np:
-        return spread(model.s_next[taken], np.nonzero(taken)[0], states)
-    return settle(lambda x: x | (taken & x[model.s_next]).any((1, 2)), states)
+        source, target, found = model.s_next[taken], np.nonzero(taken)[0], []
+        for _ in range(3):
+            found.append(spread(source, target, states))
+            states = ~found[-1]
+        return found[0], found[1], found[2]
+
+    # One set after another in the same loop: three loops would take three times as long to compile.
+    def grow(carry: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
+        number, states, found = carry
+        more = states | (taken & states[model.s_next]).any((1, 2))
+        is_whole = (more == states).all()
+        found = jnp.where(np.arange(3)[:, None] == number, more, found)
+        return number + is_whole, jnp.where(is_whole, ~more, more), found
+
+    nothing = jnp.zeros((3, len(taken)), bool)
+    found = lax.while_loop(lambda carry: carry[0] < 3, grow, (jnp.int32(0), states, nothing))[2]
+    return found[0], found[1], found[2]
 
 
 def from_state_to_state(model: Model, weight: Float[np.ndarray, "S A K"]) -> Any:

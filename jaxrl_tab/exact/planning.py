@@ -4,7 +4,8 @@ The environment is enumerated once into a `Model` (every outcome of every action
 is sums over it (book, chapter 4). For people the model is float64 NumPy. Inside `train`, where the value of
 the greedy policy is asked for at every log row, it is JAX arrays, in float64 too (`doubled`), although the
 learner beside it is in float32. The formulas are written once, with operators that both understand; only
-loops (`while_loop`), what leads where (`reachable`, `reaching`, `_home`) and linear systems (`_solve`) tell them apart.
+loops and branches (`while_loop`, `either`), what leads where (`reachable`, `reaching`, `_home`) and linear
+systems (`_solve`) tell them apart.
 
 **Every state is judged by its own numbers.** A state in which rewards are a million million times larger
 changes no answer elsewhere, unless it can be reached from there. So linear systems are solved without

@@ -16,6 +16,7 @@ from jaxrl_tab.exact.model import (
     Model,
     array_module,
     backup,
+    either,
     from_state_to_state,
     reaching,
     settle,
@@ -25,6 +26,7 @@ from jaxrl_tab.exact.model import (
 
 ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
+ANYTHING = -1  # the number of the round in which any action is taken, before the first policy is known
 BLOCK, MAX_BLOCKS = 16, 6  # states that are taken out of a dense chain at once, and how many times
 
 
@@ -88,9 +90,8 @@ def _home(model: Model, free: Bool[Any, "S A"]) -> Bool[Any, " S"]:
 def _fate(model: Model, probs: Float[Any, "S A"]) -> tuple[Any, Any, Any]:
     """The states settled under a policy, those caught, and those that may end up caught, bool [S] each."""
     taken = (probs > 0)[:, :, None] & (model.prob > 0)
-    settled = ~reaching(model, taken, (taken & (model.reward != 0)).any((1, 2)))
-    caught = ~reaching(model, taken, settled)
-    return settled, caught, reaching(model, taken, caught)
+    to_rewards, to_settled, doomed = reaching(model, taken, (taken & (model.reward != 0)).any((1, 2)))
+    return ~to_rewards, ~to_settled, doomed
 
 
 # The values of a policy.
@@ -271,40 +272,50 @@ def iterate_policies(model: Model, epsilon: float, gamma: Any) -> Round:
         return Round(probs, v, q, caught, best > v + unit * (size + sizes), improved, n)
 
     def improve(last):
-        return judged(where(last.better[:, None], last.improved, last.probs), last.n + 1)
+        probs = where(last.better[:, None], last.improved, last.probs)
+        if not epsilon:
+            first = lambda: _first_policy(model, last.v, last.caught)
+            probs = either(model, last.n == ANYTHING, first, lambda: probs)
+        return judged(probs, last.n + 1)
 
     def go_on(last):
-        return last.better.any() & ~last.caught.any() & (last.n < MAX_ROUNDS)
+        return (last.n < 0) | last.better.any() & ~last.caught.any() & (last.n < MAX_ROUNDS)
 
-    # A made-up round comes first, whose improvement is the first policy: so a program has `judged` only once.
-    probs = _first_policy(model, epsilon, gamma)
-    nothing, no = 0 * probs, probs[:, 0] < 0
+    # A made-up round comes first, whose improvement is to take any action: so a program has `judged` only once.
+    anything = _any_action(model)
+    nothing, no = 0 * anything, anything[:, 0] < 0
+    begin = np.int32(ANYTHING if epsilon else ANYTHING - 1)
     return while_loop(
-        model, go_on, improve, Round(probs, nothing[:, 0], nothing, no, ~no, probs, np.int32(-1))
+        model, go_on, improve, Round(anything, nothing[:, 0], nothing, no, ~no, anything, begin)
     )
 
 
-def _first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]:
+def _any_action(model: Model) -> Float[Any, "S A"]:
+    """The policy [S, A] that takes all available actions equally often."""
+    namespace = array_module(model)
+    is_available = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
+    return is_available / is_available.sum(-1, keepdims=True).astype(model.prob.dtype)
+
+
+def _first_policy(model: Model, v: Float[Any, " S"], caught: Bool[Any, " S"]) -> Float[Any, "S A"]:
     """A policy [S, A] to improve, which at gamma = 1 is caught only where every policy is.
 
     Any action, equally likely; but where one can stay for ever for nothing, that, if the rest costs more. For
     nothing is worth more than a loop that is free, and no single step of improvement would find it: with
     "wait for 0" or "take 1, then pay 3" waiting looks worth what the rest is worth.
+
+    Args:
+        v, caught: of the policy that takes any action.
     """
-    namespace = array_module(model)
-    is_available = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
-    anything = is_available / is_available.sum(-1, keepdims=True).astype(model.prob.dtype)
-    if epsilon:
-        return anything
+    where, anything = array_module(model).where, _any_action(model)
     free = ((model.prob == 0) | (model.reward == 0)).all(-1)
     home = _home(model, free)
     staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
-    staying = (staying & is_available).astype(model.prob.dtype)
+    staying = (staying & (anything > 0)).astype(model.prob.dtype)
     staying = staying / staying.sum(-1, keepdims=True)
-    v, _, caught = policy_values(model, anything, gamma)
-    mixed = namespace.where((home & (v < 0))[:, None], staying, anything)
+    mixed = where((home & (v < 0))[:, None], staying, anything)
     lost = caught.any() | _fate(model, mixed)[1].any()
-    return namespace.where(lost, staying, mixed)
+    return where(lost, staying, mixed)
 
 
 def from_start(model: Model, v: Float[Any, " S"]) -> Any:

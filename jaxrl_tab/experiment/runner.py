@@ -214,7 +214,8 @@ def _compute(
             let_go()
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
             if isinstance(executor, Local):  # others may have other machines
-                clock.finished(part, job.shards[number].runs, *map(float, arrays["seconds"]))
+                shard = job.shards[number]
+                clock.finished(part, shard.program, shard.runs, *map(float, arrays["seconds"]))
     clock.keep()
     return bool(missing)
 

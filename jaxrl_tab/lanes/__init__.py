@@ -34,6 +34,7 @@ From scalar code to LLVM's language:
     operations  how each operation of `scalars` is written, for a vector
     names       under which name each value is known, and the slots in which it waits
     segment     straight code for a group, with loops in it that lanes leave one by one
+    ahead       what a loop of one lane alone works out before it is wanted
     emit        a kernel: loops that all lanes leave together, and the segments between them
 
 And to a function that can be called:

@@ -2,7 +2,7 @@
 
 live      which values and which stores the outputs need, through loops and memory
 same      what a loop carries but never changes: it is what was there before the loop
-varies    what differs from lane to lane; all else is worked out once for all of them
+varies    what differs from lane to lane; all else is worked out once for all of them. Of one lane alone nothing does
 ranges    between which bounds a whole number lies: an index that is proved to be in range is not clamped
 uses      how often a value is used
 """
@@ -36,9 +36,14 @@ def buffer_of(value: Value) -> Buffer | None:
 
 
 class Facts:
-    """The facts about the code of a region."""
+    """The facts about the code of a region.
 
-    def __init__(self, region: Region):
+    Attributes:
+        alone: whether it is for one lane alone.
+    """
+
+    def __init__(self, region: Region, alone: bool = False):
+        self.alone = alone
         self._loop_of: dict[
             Value, tuple[Value, int]
         ] = {}  # of what is carried: its loop, and its place there
@@ -51,7 +56,8 @@ class Facts:
         self.uses = self._count(region)
         self.varying: set[Any] = set()
         self.masked: set[Buffer] = set()  # written within a loop that lanes leave one by one
-        self._spread(region)
+        if not alone:
+            self._spread(region)
         self.range: dict[Value, tuple[int, int]] = {}
         self.after: dict[Value, tuple[int, int]] = {}  # of what counts the turns of a loop: when it is over
         self._bound(region)
@@ -141,13 +147,13 @@ class Facts:
         """How often an operation is done, so far as the loops around it tell."""
         times = 1
         while (loop := self._around.get(value)) is not None:
-            times *= self._turns_of(loop)
+            times *= self.turns_of(loop)
             value = loop
         return times
 
     def ends_soon(self, loop: Value) -> bool:
         """Whether a loop has few turns for sure."""
-        return self.counter(loop) is not None and self._turns_of(loop) <= SOON
+        return self.counter(loop) is not None and self.turns_of(loop) <= SOON
 
     def is_within_another(self, loop: Value) -> bool:
         """Whether a loop stands in another one."""
@@ -161,7 +167,8 @@ class Facts:
             for param, after in zip(loop.attr.condition.params, loop.attr.body.results, strict=True)
         )
 
-    def _turns_of(self, loop: Value) -> int:
+    def turns_of(self, loop: Value) -> int:
+        """How many turns a loop has: at most, or, if nothing is known, as is usual."""
         if self.is_branch(loop):
             return 1
         if (counter := self.counter(loop)) is None:

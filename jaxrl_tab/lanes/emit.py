@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxrl_tab.lanes.ahead import Ahead
 from jaxrl_tab.lanes.analysis import Facts
 from jaxrl_tab.lanes.code import Outside, Region, Unsupported, Value
 from jaxrl_tab.lanes.layout import Layout
@@ -94,12 +95,14 @@ class _Emitter:
 
     # --- regions and loops
 
-    def region(self, region: Region) -> None:
+    def region(self, region: Region, ahead: Ahead | None = None) -> None:
         """The operations of a region that no lane leaves before the others, or only by the masks around."""
         for value in region.ops:
             if value not in self.facts.live or value.op in ("result", "const"):
                 continue
-            if value.op == "outside":
+            if ahead is not None and value in ahead.values:
+                ahead.read(value)
+            elif value.op == "outside":
                 self.outside(value.attr)
             elif value.op == "loop":
                 if not self.facts.varies(value):
@@ -127,6 +130,8 @@ class _Emitter:
         self.fill(params, value.args, varying)
         self.close()
         first = [self.names.scalar(value.args[k]) for k in uniform]
+        ahead = Ahead(self.names, f, value)
+        ahead.before()
         head, body, end, after = (f.label(name) for name in ("head", "body", "end", "done"))
         before = f.block
         f.line(f"br label %{head}")
@@ -136,6 +141,8 @@ class _Emitter:
             kind = type_of(params[k].dtype)
             f.line(f"{names[k]} = phi {kind} [ {x}, %{before} ], [ {names[k]}.next, %{end} ]")
             self.names.scalars[params[k]] = names[k]
+        if ahead.values:
+            f.line(f"{ahead.turn} = phi i32 [ 0, %{before} ], [ {ahead.turn}.next, %{end} ]")
         self.region(loop.condition)
         self.close()
         condition = self.names.scalar(loop.condition.results[0])
@@ -143,7 +150,8 @@ class _Emitter:
             condition = going_on(f, condition)
         f.line(f"br i1 {condition}, label %{body}, label %{after}")
         f.begin(body)
-        self.region(loop.body)
+        ahead.begin()
+        self.region(loop.body, ahead)
         self.fill(params, results, varying)
         self.close()
         f.line(f"br label %{end}")
@@ -151,6 +159,8 @@ class _Emitter:
         for k in uniform:  # a new name for what may be a literal or an older name
             kind, x = type_of(params[k].dtype), self.names.scalar(results[k])
             f.line(f"{names[k]}.next = select i1 true, {kind} {x}, {kind} {x}")
+        if ahead.values:
+            f.line(f"{ahead.turn}.next = add i32 {ahead.turn}, 1")
         f.line(f"br label %{head}")
         f.begin(after)
 
@@ -206,7 +216,8 @@ class _Emitter:
 
     def uniform_store(self, value: Value) -> None:
         f, kind = self.function, in_memory(value.dtype)
-        address, x = uniform_address(self.names, f, value), self.names.scalar(value.args[1])
+        index, x = value.args[0], self.names.scalar(value.args[1])
+        address = uniform_address(self.names, f, value.attr, index)
         x = f.value(f"zext i1 {x} to i8") if value.dtype == bool else x
         f.line(f"store {kind} {x}, ptr {address}")
 

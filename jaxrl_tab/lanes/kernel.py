@@ -1,6 +1,8 @@
 """A compiled program that can be called."""
 
 import ctypes
+import math
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -34,10 +36,11 @@ class Kernel:
 
     Attributes:
         program: what it does.
+        seconds: how long the last call took.
     """
 
     def __init__(self, program: Program):
-        self.program = program
+        self.program, self.seconds = program, math.inf
         self._function = machine.loaded(program.code, program.target)
         self._calls = [calls.callable_of(call) for call in program.calls]
         self._tables = _pointers(program.tables)
@@ -73,12 +76,13 @@ class Kernel:
                 stop.set()
 
         arrays, called = _pointers([*given, *outputs]), machine.CALLED(outside)
-        blocks = n // program.lanes
+        blocks, begun = n // program.lanes, time.perf_counter()
         self._function(0, blocks, first, arrays, self._tables, stop.flag.ctypes.data, called)
         if raised:
             raise raised[0]
         if stop.is_set:
             raise Stopped
+        self.seconds = time.perf_counter() - begun
         return outputs
 
 

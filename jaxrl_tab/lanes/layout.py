@@ -70,12 +70,15 @@ class Layout:
                     "tables", self.tables.setdefault(buffer, len(self.tables))
                 )
             else:
-                address = f"getelementptr i8, ptr %scratch, i64 {self.scratch}"
-                self._place[buffer] = self.function.entry(address)
                 of_lanes = self.lanes if buffer in self.facts.varying else 1
-                size = bytes_of(buffer.dtype) * self.stride(buffer) * of_lanes
-                self.scratch += -(-size // LINE) * LINE + APART
+                self._place[buffer] = self.room(bytes_of(buffer.dtype) * self.stride(buffer) * of_lanes)
         return self._place[buffer]
+
+    def room(self, size: int) -> str:
+        """The name of the address of so many bytes, with which the thread works."""
+        address = self.function.entry(f"getelementptr i8, ptr %scratch, i64 {self.scratch}")
+        self.scratch += -(-size // LINE) * LINE + APART
+        return address
 
     def _pointer(self, array: str, k: int) -> str:
         address = self.function.entry(f"getelementptr ptr, ptr %{array}, i32 {k}")

@@ -58,6 +58,14 @@ class Names:
             f"alloca [{self.layout.lanes} x {in_memory(np.dtype(dtype))}], align {LINE}"
         )
 
+    def operands(self, value: Value) -> list[Value]:
+        """What an operation takes: of a product that is fused with it, the factors."""
+        args = self.facts.args(value)
+        if (product := self.product_in(value)) is not None:
+            place, factors = product
+            args[place : place + 1] = self.facts.args(factors)
+        return args
+
     def product_in(self, value: Value) -> tuple[int, Value] | None:
         """Where an addition takes a product that nobody else uses: its place, and the product.
 

@@ -80,9 +80,8 @@ def write(site: Site) -> str:
 
 
 def write_fused(site: Site, place: int, product: tuple[str, str]) -> str:
-    """An addition or subtraction of a product (its argument at `place`), rounded once."""
-    a, b = product
-    other = site.args[1 - place]
+    """An addition or subtraction of a product (its argument at `place`), rounded once; the site has the other one."""
+    (a, b), (other,) = product, site.args
     if site.value.op == "sub":
         a, other = (a, _negated(site, other)) if place == 0 else (_negated(site, a), other)
     return site.intrinsic("fma", a, b, other)

@@ -113,7 +113,7 @@ def compile(
     """
     target = target or host()
     code = lower(closed, varying, others or [None] * len(varying), results)
-    facts = Facts(code.region)
+    facts = Facts(code.region, alone=lanes == 1 and not code.calls)
     emitted = emit(code, facts, target, *block(code, facts, target, lanes))
     of = lambda variables: [(v.aval.shape, np.dtype(v.aval.dtype)) for v in variables]
     return Program(

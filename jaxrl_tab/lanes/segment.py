@@ -286,9 +286,9 @@ def going_on(writer: Writer, condition: str) -> str:
 
 def operation(names: Names, writer: Writer, value: Value, name, width: int) -> str:
     """Writes an operation of `scalars`; `name` gives the names of its arguments."""
-    product = names.product_in(value)
-    args = names.facts.args(value)
-    site = operations.Site(writer, names.facts, value, [name(x) for x in args], width)
+    product, args = names.product_in(value), names.facts.args(value)
+    named = [name(x) for k, x in enumerate(args) if product is None or k != product[0]]
+    site = operations.Site(writer, names.facts, value, named, width)
     if product is None:
         return operations.write(site)
     place, factors = product
@@ -297,18 +297,25 @@ def operation(names: Names, writer: Writer, value: Value, name, width: int) -> s
 
 
 def uniform(names: Names, writer: Writer, value: Value) -> str:
-    """Writes an operation that is the same in all lanes: for one number."""
-    if value.op != "load":
-        if value.op in ("row", "part"):
-            raise Unsupported("a row that is the same in all lanes")
+    """Writes an operation that is the same in all lanes: for one number. Of a row it is the address."""
+    if value.op == "row":
+        return uniform_address(names, writer, value.attr[0], value.args[0])
+    if value.op == "part":
+        kind, row = in_memory(value.dtype), names.scalar(value.args[0])
+        address = writer.value(f"getelementptr {kind}, ptr {row}, i64 {value.attr}")
+    elif value.op == "load":
+        address = uniform_address(names, writer, value.attr, value.args[0])
+    else:
         return operation(names, writer, value, names.scalar, 0)
-    x = writer.value(f"load {in_memory(value.dtype)}, ptr {uniform_address(names, writer, value)}")
+    x = writer.value(f"load {in_memory(value.dtype)}, ptr {address}")
     return writer.value(f"trunc i8 {x} to i1") if value.dtype == bool else x
 
 
-def uniform_address(names: Names, writer: Writer, value: Value) -> str:
-    """Where the entry lies that a load or a store wants, of a buffer that is the same in all lanes."""
-    index = writer.value(f"sext i32 {names.scalar(value.args[0])} to i64")
-    return writer.value(
-        f"getelementptr {in_memory(value.dtype)}, ptr {names.layout.place(value.attr)}, i64 {index}"
-    )
+def uniform_address(names: Names, writer: Writer, buffer: Buffer, index: Value) -> str:
+    """Where an entry lies of a buffer that is the same in all lanes, or of one lane alone."""
+    kind, start = in_memory(buffer.dtype), names.layout.place(buffer)
+    if buffer.role in ("input", "output"):
+        lane = writer.value(f"mul i64 {names.layout.first_lane}, {buffer.size}")
+        start = writer.value(f"getelementptr {kind}, ptr {start}, i64 {lane}")
+    at = writer.value(f"zext i32 {names.scalar(index)} to i64")
+    return writer.value(f"getelementptr {kind}, ptr {start}, i64 {at}")
