@@ -39,9 +39,9 @@ def plant(file, data):
 
 @pytest.fixture(scope="module")
 def unoptimised():
-    """XLA compiles the programs of a file without optimising them: in two thirds of the time, but with other bits.
+    """XLA compiles the programs of a file without optimising them: in two fifths of the time, but with other bits.
 
-    For files in which nothing is compared with what `lanes` gives, to the last bit.
+    `lanes` then gives these, too. What both give to a user is compared in tests/test_lanes_*.py, which do without it.
     """
 
     def optimise(chosen):

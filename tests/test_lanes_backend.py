@@ -179,6 +179,17 @@ def test_what_is_not_compiled_says_so_once_and_is_right(used, caplog):
 # --- what is recorded --------------------------------------------------------------------------------
 
 
+def test_where_xla_does_not_optimise_the_bits_are_its_own_too():
+    """A product is then rounded before it is added to something, where a user's XLA does both at once.
+
+    Broken once: `target` asks the flags of XLA alone; the setting left out of what is recorded -> fails.
+    """
+    runs = {"num_steps": 300, "log_every": 100, "env": "windy-gridworld"}
+    with provenance.using({"jax_disable_most_optimizations": True}):
+        assert provenance.settings()["jax_disable_most_optimizations"] is True
+        assert_same_bits(*(arrays(swept(**runs, backend=name)) for name in ("lanes", "xla")))
+
+
 def test_the_backend_and_its_version_are_recorded():
     """With no version where it does not count."""
     with backend.using("lanes"):

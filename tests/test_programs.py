@@ -4,7 +4,9 @@ import ast
 import errno
 import os
 import pickle
+import platform
 import stat
+import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -188,6 +190,18 @@ def test_another_version_and_another_processor_have_other_programs(programs_fold
     with jax.default_matmul_precision("highest"):  # of this thread alone
         names.add(programs._file("a"))
     assert len(names) == 4
+
+
+def test_another_system_has_other_programs_and_no_process_is_started_to_ask_for_it(monkeypatch):
+    """Each start does it. Broken once: `platform.platform` -> fails; the release is left out -> fails."""
+    monkeypatch.setattr(subprocess, "check_output", lambda *_, **__: pytest.fail("a process"))
+    monkeypatch.setattr(platform, "_uname_cache", None)
+    ask = programs._code_and_machine.__wrapped__
+    here = ask()
+    for part in ("system", "release", "version", "machine", "libc_ver"):
+        with monkeypatch.context() as patched:
+            patched.setattr(platform, part, lambda: "another")
+            assert ask() != here, part
 
 
 def test_where_nobody_asked_nothing_is_written(tmp_path, monkeypatch):

@@ -103,13 +103,12 @@ def _draw_solutions(env: Any, solutions: Mapping[str, tuple[np.ndarray, ...]], f
             plot.panels(row, env, v, best, title)
         plot.save(figure, folder / "values.png")
         return
-    height = 1.2 + 5.8 * env.shape[0] / env.shape[1] if isinstance(env, Grid) else 3.6
-    figure = plot.canvas(plot.WIDTH, height * len(solutions))
+    figure = plot.canvas(plot.WIDTH if isinstance(env, Grid) else plot.NARROW)
     axes = np.ravel(figure.subplots(len(solutions)))
     for ax, title, (_, v, q) in zip(axes, titles, solutions.values(), strict=True):
         if isinstance(env, Grid):
             plot.values(ax, env, v, q)
         else:
             plot.action_values(ax, env, np.where(q == policies.UNAVAILABLE, np.nan, q))
-        ax.set_title(title, fontsize=plot.TITLE)
+        ax.set_title(plot.literal(title), fontsize=plot.TITLE)
     plot.save(figure, folder / "values.png")

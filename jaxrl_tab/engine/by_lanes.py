@@ -58,8 +58,12 @@ def threads(devices: Sequence[Any] | None = None) -> int:
 
 
 def target() -> Target:
-    """This processor. Where XLA is told not to round a product and a sum at once, `lanes` does not do it either."""
-    return host().without("fma") if provenance.is_left_out("fma") else host()
+    """This processor. Where XLA does not round a product and a sum at once, `lanes` does not do it either.
+
+    That is so where XLA is told not to use such instructions, or not to optimise.
+    """
+    apart = provenance.is_left_out("fma") or jax.config.read(provenance.UNOPTIMISED)
+    return host().without("fma") if apart else host()
 
 
 class ByLanes:

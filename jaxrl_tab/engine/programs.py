@@ -212,8 +212,9 @@ def _is_own(cls: type) -> bool:
 def _code_and_machine() -> bytes:
     """All that a program depends on and nobody passes, but for flags and settings."""
     devices = [(d.platform, d.device_kind) for d in jax.devices()]
-    machine = platform.platform(), platform.machine(), provenance.features(), devices
-    return repr((provenance.installed(), machine)).encode()
+    # All that `platform.platform` says; but that starts a process, to ask for the processor.
+    system = [getattr(platform, part)() for part in ("system", "release", "version", "machine", "libc_ver")]
+    return repr((provenance.installed(), system, provenance.features(), devices)).encode()
 
 
 # --- files -------------------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from jaxrl_tab.engine import backend
 from jaxrl_tab.lanes import machine
 
 PACKAGE = Path(__file__).parent.parent
+UNOPTIMISED = "jax_disable_most_optimizations"
 SETTINGS = (
     "jax_enable_x64",
     "jax_default_prng_impl",
@@ -36,7 +37,7 @@ SETTINGS = (
     "jax_default_matmul_precision",
     "jax_numpy_dtype_promotion",
     "jax_optimization_level",
-    "jax_disable_most_optimizations",
+    UNOPTIMISED,
 )
 BACKEND = "backend"  # the name of that setting which is not JAX's
 # It says how many devices the CPU is, and no number depends on that.
@@ -55,6 +56,7 @@ _ABOVE = {
 def settings() -> dict[str, Any]:
     """The settings that change numbers, JAX's and the backend, as they are in this thread: name -> plain value."""
     values = {name: getattr(jax.config, name) for name in SETTINGS if hasattr(jax.config, name)}
+    values[UNOPTIMISED] = jax.config.read(UNOPTIMISED)  # of which JAX makes no attribute
     values[BACKEND] = backend.chosen()
     return {name: x.value if isinstance(x, enum.Enum) else x for name, x in values.items()}
 
@@ -148,9 +150,13 @@ def _change(name: str, before: Any, after: Any) -> str:
 def sources() -> str:
     """The digest of this package's sources, as they were when it was first asked for."""
     digest = hashlib.sha256()
-    for file in sorted(PACKAGE.rglob("*.py")):
-        data = file.read_bytes()
-        digest.update(f"{file.relative_to(PACKAGE).as_posix()} {len(data)}\n".encode() + data)
+    for folder, folders, names in os.walk(PACKAGE):  # twice as fast as by `Path`: each start does it
+        folders.sort()
+        for file in (os.path.join(folder, name) for name in sorted(names) if name.endswith(".py")):
+            with open(file, "rb") as opened:
+                data = opened.read()
+            place = file.removeprefix(f"{PACKAGE}{os.sep}").replace(os.sep, "/")
+            digest.update(f"{place} {len(data)}\n".encode() + data)
     return digest.hexdigest()[:16]
 
 

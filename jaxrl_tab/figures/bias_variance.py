@@ -34,7 +34,7 @@ def _draw(datasets):
     from jaxrl_tab.show import plot
 
     by_n, by_lambda = datasets["n-step-td"].v_error, datasets["td-lambda"].v_error
-    canvas = plot.canvas(plot.WIDTH, 6.2)
+    canvas = plot.canvas(plot.WIDTH)
     (first, second), (third, last) = canvas.subplots(2, 2, sharex=True, sharey=True)
     panels = {"n-step TD": (first, by_n, "n", "n")}
     for ax, (trace, title) in zip((second, third), TRACES.items(), strict=True):

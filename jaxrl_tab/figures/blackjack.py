@@ -68,8 +68,8 @@ def _draw(datasets):
             deep.append(ax := canvas.add_subplot(grid[2 + row, column], projection="3d"))
             values = _surface(ax, q[usable].max(-1))
             ax.set_title(f"{title}\n{name}", fontsize=plot.TYPE)
-    plot.color_bar(shares, flat, "share that hit", shrink=0.5, aspect=30)
-    plot.color_bar(values, deep, shrink=0.5, aspect=30, pad=0.12)
+    plot.color_bar(shares, flat, "share that hit", length=0.5)
+    plot.color_bar(values, deep, length=0.5)
     episodes = f"{ds.attrs['num_episodes']:,}".replace(",", " ")
     plot.head(canvas, f"Blackjack: every-visit Monte Carlo, step 1/N, ε = {EPSILON}, {episodes} episodes")
     return canvas

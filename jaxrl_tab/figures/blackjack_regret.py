@@ -92,7 +92,7 @@ def _worst(datasets):
 def _draw(datasets):
     from jaxrl_tab.show import plot
 
-    canvas = plot.canvas(plot.NARROW, 4.4)
+    canvas = plot.canvas(plot.NARROW)
     ax = canvas.subplots()
     regret = _regret(datasets)
     for epsilon, color in zip(EPSILONS, plot.COLORS, strict=False):
@@ -103,7 +103,7 @@ def _draw(datasets):
     ax.set(xscale="log", yscale="log", ylim=(1e-4, 0.2))
     seeds = regret.sizes["seed"]
     plot.head(canvas, f"Blackjack, every-visit Monte Carlo, step 1/N\n{seeds} seeds and their mean")
-    plot.legend(ax, loc="lower left")
+    plot.legend(ax)
     return canvas
 
 

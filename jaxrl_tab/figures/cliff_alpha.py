@@ -44,7 +44,7 @@ def _draw(datasets):
     from jaxrl_tab import stats
     from jaxrl_tab.show import plot, words
 
-    canvas = plot.canvas(plot.WIDTH, 5.2)
+    canvas = plot.canvas(plot.WIDTH)
     ax = canvas.subplots()
     styles: dict[str, dict[str, Any]] = {"interim": {"ls": ":", "mfc": "white"}, "asymptotic": {"ls": "-"}}
     for phase, style in styles.items():
@@ -54,7 +54,8 @@ def _draw(datasets):
             errors = abs(np.stack([low, high]) - mean.values)
             line = {"color": color, "marker": marker, "ms": 5, "lw": 1.5, "capsize": 2}
             name = words.title_of(method)
-            ax.errorbar(ds.alpha, mean, errors, label=f"{name}, {phase}", **line, **style)
+            curve = ax.errorbar(ds.alpha, mean, errors, **line, **style)
+            curve.lines[0].set_label(f"{name}, {phase}")
             if (last := float(mean[-1])) < LOWEST:
                 text = f"{name} at α = 1: −{-last:.0f}, and falling on"
                 at = {"xytext": (0, 4), "textcoords": "offset points", "ha": "right", "fontsize": plot.SMALL}
@@ -70,11 +71,7 @@ def _draw(datasets):
     phases = "episodes 1 to 100 (interim) and 501 to 1000 (asymptotic)"
     seeds = datasets["sarsa"].sizes["seed"]
     plot.head(canvas, f"Cliff walking, ε = {EPSILON}: {phases}", seeds)
-    # Matplotlib names lines first; here they come last, in a column of their own.
-    handles, labels = ax.get_legend_handles_labels()
-    order = np.roll(np.arange(len(handles)), -len(exact))
-    look = {"loc": "outside lower center", "ncols": 3, "frameon": False, "fontsize": plot.SMALL}
-    canvas.legend([handles[i] for i in order], [labels[i] for i in order], **look)
+    plot.legend(ax)
     return canvas
 
 

@@ -33,7 +33,7 @@ def best_soft() -> float:
 def _draw(datasets):
     from jaxrl_tab.show import plot, words
 
-    canvas = plot.canvas(plot.NARROW, 4.2)
+    canvas = plot.canvas(plot.NARROW)
     ax = canvas.subplots()
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
         plot.mean_curve(ax, ds.row + 1, ds.returns, words.title_of(method), color, lw=1)
@@ -43,7 +43,7 @@ def _draw(datasets):
     plot.tidy(ax, "episodes", "sum of rewards in the episode")
     ax.set(ylim=(-100, 0), xlim=(0, 500))
     plot.head(canvas, f"Cliff walking, α = {ALPHA}, ε = {EPSILON}", datasets["sarsa"].sizes["seed"])
-    plot.legend(ax, loc="lower right")
+    plot.legend(ax)
     return canvas
 
 

@@ -124,7 +124,7 @@ def _paths(datasets, weighting):
 def _draw(datasets):
     from jaxrl_tab.show import plot
 
-    canvas = plot.canvas(plot.WIDTH, 4)
+    canvas = plot.canvas(plot.WIDTH)
     left, right = canvas.subplots(1, 2)
     for weighting, color in zip(WEIGHTINGS, plot.COLORS, strict=False):
         ds = datasets[weighting]
@@ -140,7 +140,7 @@ def _draw(datasets):
         f"Blackjack, 13 with a usable ace against 2\nmean and pointwise 95% interval over {seeds} seeds",
         fontsize=plot.TYPE,
     )
-    plot.legend(left, loc="lower left")
+    plot.legend(left)
 
     for weighting, color in zip(WEIGHTINGS, plot.COLORS, strict=False):
         paths = _paths(datasets, weighting)
@@ -153,7 +153,7 @@ def _draw(datasets):
     right.set_title(
         "Infinite variance: the value of left for ever,\nlearned from going either way", fontsize=plot.TYPE
     )
-    plot.legend(right, loc="upper left", bbox_to_anchor=(0, -0.2), borderaxespad=0)
+    plot.legend(right)
     return canvas
 
 

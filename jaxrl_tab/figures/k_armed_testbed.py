@@ -39,7 +39,7 @@ def _late_reward(name):
 def _draw(datasets):
     from jaxrl_tab.show import plot
 
-    canvas = plot.canvas(plot.WIDTH, 3.5)
+    canvas = plot.canvas(plot.WIDTH)
     axes = canvas.subplots(1, 2, sharey=True)
     best = KArmedTestbed().expected_best_mean()
     colors = dict(zip(SETTINGS, plot.COLORS, strict=False))
@@ -52,7 +52,7 @@ def _draw(datasets):
         plot.tidy(ax, "plays", "mean reward" if ax is axes[0] else "")
         ax.set(xlim=(0, None), ylim=(-0.1, 1.65))
         ax.set_title(title, fontsize=plot.TYPE)
-        plot.legend(ax, loc="lower right")
+        plot.legend(ax)
     problems = datasets[GREEDY].sizes["seed"]
     plot.head(canvas, f"Ten-armed testbed: mean and pointwise 95% interval over {problems} problems")
     return canvas

@@ -27,7 +27,7 @@ def _share(method, first, last=None):
 def _draw(datasets):
     from jaxrl_tab.show import plot, words
 
-    canvas = plot.canvas(plot.NARROW, 4.2)
+    canvas = plot.canvas(plot.NARROW)
     ax = canvas.subplots()
     for (method, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
         plot.mean_curve(ax, ds.row + 1, 100 * _went_left(ds), words.title_of(method), color)
@@ -36,7 +36,7 @@ def _draw(datasets):
     plot.tidy(ax, "episodes", "% of runs that go left from A")
     ax.set(ylim=(0, 100), xlim=(0, None))
     plot.head(canvas, f"Maximization bias, α = {ALPHA}, ε = {EPSILON}", datasets[METHODS[0]].sizes["seed"])
-    plot.legend(ax, loc="upper right")
+    plot.legend(ax)
     return canvas
 
 

@@ -65,7 +65,7 @@ def _draw(datasets):
     arrived = _arrived(datasets)
     seed = arrived[path.lengths.values[arrived].argmin()]
     states = np.append(path.s[seed, : int(path.lengths[seed])], ENV.state(ENV.goal))
-    canvas = plot.canvas(plot.WIDTH, 6.8)
+    canvas = plot.canvas(plot.WIDTH)
     first, *others = canvas.subplots(2, 2).ravel()
     plot.walk(first, ENV, states, f"The path of the episode\n{len(states) - 1} steps")
     for ax, (method, (title, _)) in zip(others, METHODS.items(), strict=True):

@@ -45,7 +45,7 @@ def _share(behaviour, plays):
 def _draw(datasets):
     from jaxrl_tab.show import plot
 
-    canvas = plot.canvas(plot.NARROW, 4.2)
+    canvas = plot.canvas(plot.NARROW)
     ax = canvas.subplots()
     for (name, ds), color in zip(datasets.items(), plot.COLORS, strict=False):
         plot.mean_curve(ax, _plays(ds), ds.right, name, color)
@@ -56,7 +56,7 @@ def _draw(datasets):
     ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     ax.set_ylim(0, 1)
     plot.head(canvas, "Two doors, sample averages", datasets[GREEDY].sizes["seed"])
-    plot.legend(ax, loc="upper right")
+    plot.legend(ax)
     return canvas
 
 

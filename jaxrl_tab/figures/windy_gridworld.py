@@ -24,7 +24,7 @@ def _optimal_steps(moves):
 def _draw(datasets):
     from jaxrl_tab.show import plot
 
-    canvas = plot.canvas(plot.WIDTH, 3.4)
+    canvas = plot.canvas(plot.WIDTH)
     curve, grid = canvas.subplots(1, 2)
     plot.episodes_against_steps(curve, datasets)
     env = WindyGridworld()

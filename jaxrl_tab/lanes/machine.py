@@ -16,12 +16,22 @@ _KERNEL = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void
 
 @functools.cache
 def _llvm() -> Any:
-    """llvmlite, ready to make code for any processor that it knows."""
+    """llvmlite, ready to make code for this kind of processor."""
     from llvmlite import binding
 
-    binding.initialize_all_targets()
-    binding.initialize_all_asmprinters()
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
     return binding
+
+
+@functools.cache
+def _llvm_for(triple: str) -> Any:
+    """llvmlite, ready to make code for some kind of processor."""
+    llvm = _llvm()
+    if triple != llvm.get_process_triple():  # all others: that takes a millisecond
+        llvm.initialize_all_targets()
+        llvm.initialize_all_asmprinters()
+    return llvm
 
 
 def version() -> str:
@@ -31,7 +41,7 @@ def version() -> str:
 
 def _machine(target: Target) -> Any:
     return (
-        _llvm()
+        _llvm_for(target.triple)
         .Target.from_triple(target.triple)
         .create_target_machine(cpu=target.cpu, features=target.features, opt=OPTIMIZATION, jit=True)
     )

@@ -7,6 +7,7 @@ Its modules, from the ground up:
     states    the names of states
     steps     an episode as a table, a row for each step
     tasks     what people see of a task: the tables of its states, and what is exact
+    layout    where everything in a picture lies
     style     how pictures look: colours, markers, sizes, axes, legends
     moves     where greedy actions lead: paths, and how long they are
     curves    pictures of learning curves and of sensitivity to hyperparameters

@@ -1,31 +1,54 @@
 """Pictures of learning curves and of sensitivity to hyperparameters."""
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeAlias
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.transforms import ScaledTranslation, Transform
 
 from jaxrl_tab import stats
-from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.errors import InputError, check_choice, nearest
 from jaxrl_tab.show import words
-from jaxrl_tab.show.style import GREY, INK, SMALL, legend, line_styles, literal, tidy
-from jaxrl_tab.show.words import label_of, shortened, significant, text_of
+from jaxrl_tab.show.explorer.measures import STATISTICS, Flat, measures_of, statistics
+from jaxrl_tab.show.style import (
+    DASHES,
+    GREY,
+    INK,
+    MARKERS,
+    SMALL,
+    legend,
+    line_styles,
+    literal,
+    room,
+    tidy,
+    width_of,
+)
+from jaxrl_tab.show.words import label_of, shortened, significant, text_of, written
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
 from jaxrl_tab.stats.measures import error_interval, has_errors
 from jaxrl_tab.stats.settings import Settings
 
+Labels: TypeAlias = Mapping[str, str]  # what methods are called instead of their names
+
 MOST_POINTS, LEAST_POINTS = 40, 5  # of a learning curve; halved from the most until it has no late gaps
 FEW_TICKS, MOST_TICKS = 8, 25  # values, and states, beyond which not each has its tick on an axis
-MOST_MARKS = 24  # kinds of marks in a picture; beyond them nobody can tell which is which
 MOST_SEEDS = 0.9  # a learning curve is drawn where so many of the seeds finished an episode
 
 
-def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None:
+def episodes_against_steps(
+    ax: Axes,
+    datasets: Datasets,
+    *,
+    labels: Labels | None = None,
+    color_by: str | None = None,
+    **setting: Any,
+) -> None:
     """Episodes finished against time steps, mean and 95% interval over seeds (book, example 6.5).
 
     The slope is the pace: one episode in so many steps. Where episodes were the budget, the mean and its
@@ -34,12 +57,16 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None
     Args:
         ax: where to draw.
         datasets: a sweep for each method.
+        labels: what methods are called instead of their names; of some of them, or of all.
+        color_by: a hyperparameter that was swept; there is a curve for each of its values.
         setting: hyperparameters to hold, such as `alpha=0.5`; otherwise each method's best (`stats.best`).
 
     Raises:
-        InputError: no method swept the hyperparameter, or one that did not at this value.
+        InputError: no method swept the hyperparameter, or one that did not at this value; or there is no such
+            method as a label names.
     """
-    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+    lines, styles = _lines(datasets, labels, color_by)
+    for (label, own), style in zip(at_setting(lines, setting), styles, strict=True):
         by_steps = "num_steps" in own.ds.attrs
         spread, exact = ("episodes", "time_steps") if by_steps else ("time_steps", "episodes")
         interval = own.once(stats.progress_interval, spread)
@@ -52,20 +79,41 @@ def episodes_against_steps(ax: Axes, datasets: Datasets, **setting: Any) -> None
     tidy(ax, "time steps", "episodes finished")
     ax.set_xlim(left=0)
     ax.set_ylim(bottom=0)
-    legend(ax, loc="upper left")
+    legend(ax)
 
 
-def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **setting: Any) -> None:
+def learning_curves(
+    ax: Axes,
+    datasets: Datasets,
+    *,
+    soft: float = np.nan,
+    measure: str | None = None,
+    labels: Labels | None = None,
+    color_by: str | None = None,
+    **setting: Any,
+) -> None:
     """Mean return per episode against time steps (or episodes), with 95% interval and the exact optimum.
 
     Rows of the log are merged to at most `MOST_POINTS`, or fewer where seeds finish few episodes. A point is
     drawn at the end of its rows, and only where `MOST_SEEDS` of the seeds finished an episode in them: at
     first only the quick episodes are over, and their mean would flatter. Of methods of prediction the RMS
-    error of V is drawn, at the end of every row. Arguments and errors as in `episodes_against_steps`.
+    error of V is drawn, at the end of every row. Other arguments and errors as in `episodes_against_steps`.
+
+    Args:
+        soft: what the best policy is worth that explores as much; a dotted line unless NaN.
+        measure: what is drawn instead, by its name in the address of the report: "length" of episodes,
+            "reward" per step, or what was recorded, such as "greedy_value" or "q_error". Where it may be
+            infinite, its median is drawn.
     """
     by_steps = all("num_steps" in ds.attrs for ds in datasets.values())
+    datasets, styles = _lines(datasets, labels, color_by)
+    if measure not in (None, "v_error" if has_errors(*datasets.values()) else "return"):
+        _curves_of(ax, measure, at_setting(datasets, setting), styles)
+        ax.set_xlabel("time steps" if by_steps else "episodes")
+        legend(ax)
+        return
     if has_errors(*datasets.values()):
-        for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+        for (label, own), style in zip(at_setting(datasets, setting), styles, strict=True):
             x = (own.ds.steps if by_steps else own.ds.episodes).mean("seed").cumsum("row")
             line = {**style, "ms": 5, "markevery": max(1, len(x) // 8)}
             interval_curve(ax, x, own.once(error_interval), label, **line)
@@ -75,7 +123,7 @@ def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **set
         legend(ax)
         return
     shown, end = [], 0
-    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+    for (label, own), style in zip(at_setting(datasets, setting), styles, strict=True):
         points, interval, enough = _readable_curve(own)
         curve = stats.episode_curve(stats.merge_rows(own.ds.isel(seed=0), points))
         x = curve["time_steps" if "num_steps" in own.ds.attrs else "episodes"].values
@@ -92,7 +140,37 @@ def learning_curves(ax: Axes, datasets: Datasets, *, soft: float = np.nan, **set
     legend(ax)
 
 
-def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft: float = np.nan) -> None:
+def _curves_of(
+    ax: Axes, measure: str, settings: Iterable[tuple[str, Settings]], styles: Sequence[dict[str, Any]]
+) -> None:
+    """The curve of a measure for each of some settings, as the report has it."""
+    least, title = 0.0, ""
+    for (label, own), style in zip(settings, styles, strict=True):
+        measures = {one.key: one for one in measures_of(own.ds)}
+        check_choice(None, "the measure", measure, measures)
+        flat, one = Flat(own.ds), measures[measure]
+        numbers = dict(zip(STATISTICS, statistics(flat, [one], [0], [[]])[0, 0], strict=True))
+        bounds = ("low", "high") if one.middle == "mean" else ("median_low", "median_high")
+        low, high = (np.where(np.isfinite(x), x, np.nan) for x in (numbers[bound] for bound in bounds))
+        ax.plot(flat.x, numbers[one.middle], lw=1.7, ms=3.5, label=literal(label), **style)
+        ax.fill_between(flat.x, low, high, color=style["color"], alpha=0.2, lw=0)
+        title = one.title if one.middle == "mean" else f"{one.title}, median"
+        least = min(least, np.nanmin(numbers[one.middle], initial=0))
+    tidy(ax, "", title)
+    ax.set_xlim(left=0)
+    if least >= 0:
+        ax.set_ylim(bottom=0)
+
+
+def sensitivity(
+    ax: Axes,
+    datasets: Datasets,
+    parameter: str = "alpha",
+    *,
+    soft: float = np.nan,
+    labels: Labels | None = None,
+    color_by: str | None = None,
+) -> None:
     """Mean return of the last tenth against a hyperparameter, with 95% intervals and the exact optimum.
 
     Of methods of prediction it is the mean RMS error of V over all rows. Other swept hyperparameters stay at
@@ -104,12 +182,14 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
 
     Args:
         soft: as in `learning_curves`.
+        labels, color_by: as in `episodes_against_steps`.
 
     Raises:
-        InputError: no method swept the parameter.
+        InputError: no method swept the parameter, or `color_by`; or there is no such method as a label names.
     """
     if not any(parameter in stats.hyperparameters(ds) + stats.drawn(ds) for ds in datasets.values()):
         raise InputError(f"no method swept {parameter!r}")
+    datasets, styles = _lines(datasets, labels, color_by)
     prediction = has_errors(*datasets.values())
     series, drawn = {}, set()
     for name, own in Methods.of(datasets).settings.items():
@@ -128,22 +208,28 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
             parts = [part.expand_dims(parameter) for part in parts]
         series[name] = label, ds[parameter].values, parts
     place = _places(ax, [x for _, x, _ in series.values()])
+    few = len(np.unique(np.concatenate([place(x) for _, x, _ in series.values()]))) <= FEW_TICKS
     shown, incomplete = [], False
-    for name, style in zip(datasets, line_styles(), strict=False):
+    for name, style in zip(datasets, styles, strict=True):
         if name not in series:
             continue
         label, x, parts = series[name]
+        if few:
+            style["transform"] = _aside(ax, list(series).index(name), len(series))
         x, (*interval, _, late) = place(x), (part.values for part in parts)
         # Where runs diverged the interval may be infinite, and its bar would have no end.
         mean, low, high = (np.where(np.isfinite(part), part, np.nan) for part in interval)
         between = x.dtype.kind == "f" and name not in drawn  # nothing lies between two schedules, or draws
         style["ls"] = "-" if between else "none"
-        ax.errorbar(
-            x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, color=style["color"]
-        )
+        alike = {key: style[key] for key in ("color", "transform") if key in style}
+        if between and not few:
+            ax.fill_between(x, low, high, alpha=0.2, lw=0, **alike)
+        else:
+            ax.errorbar(x, mean, np.nan_to_num([mean - low, high - mean]), ls="none", capsize=3, **alike)
         ax.plot(x, mean, lw=1.8, ms=5.5, label=literal(label), **style)
         late &= np.isfinite(mean)
-        ax.plot(x[late], mean[late], ls="none", ms=3, marker=style["marker"], color="white", zorder=5)
+        hollow = {**style, "ls": "none", "color": "white"}
+        ax.plot(x[late], mean[late], ms=3, zorder=5, **hollow)
         shown += [mean, low, high]
         incomplete |= bool(late.any())
     if incomplete:
@@ -159,6 +245,35 @@ def sensitivity(ax: Axes, datasets: Datasets, parameter: str = "alpha", *, soft:
     legend(ax)
 
 
+def _lines(
+    datasets: Datasets, labels: Labels | None, color_by: str | None
+) -> tuple[Methods, list[dict[str, Any]]]:
+    """What there is a line for, by its name, and how each is drawn: each method, or each value of `color_by`."""
+    methods = Methods.of(datasets).renamed(labels or {})
+    if color_by is None:
+        return methods, list(itertools.islice(line_styles(), len(methods)))
+    swept = {name: None for ds in methods.values() for name in stats.hyperparameters(ds)}
+    if color_by not in swept:
+        hint = f"; {nearest(color_by, swept)}" if swept else ""
+        raise InputError(f"no method swept {color_by!r}{hint}")
+    having = [ds for ds in methods.values() if color_by in ds.dims]
+    values = list(dict.fromkeys(v for ds in having for v in ds[color_by].values.tolist()))
+    values = values if any(isinstance(v, str) for v in values) else sorted(values)
+    colors = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(values)))
+    parts, styles = {}, []
+    for i, (name, ds) in enumerate(methods.items()):
+        dash = DASHES[i % len(DASHES)]
+        if color_by not in ds.dims:
+            parts[name] = ds
+            styles.append({"color": GREY, "marker": MARKERS[i % len(MARKERS)], "ls": dash})
+            continue
+        for value in ds[color_by].values.tolist():
+            j = values.index(value)
+            parts[f"{name}, {words.symbol(color_by)} = {written(value)}"] = ds.sel({color_by: value})
+            styles.append({"color": colors[j], "marker": MARKERS[(i + j) % len(MARKERS)], "ls": dash})
+    return Methods(parts), styles
+
+
 def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
     """A function from values of a hyperparameter to where they lie, and the x axis that fits all `tried`.
 
@@ -168,6 +283,11 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
         x = np.unique(np.concatenate(tried).astype(float))
         if x.min() > 0 and x.max() > 10 * x.min():
             ax.set_xscale("log")
+            margin = (x.max() / x.min()) ** 0.06
+            ax.set_xlim(x.min() / margin, x.max() * margin)
+        else:
+            margin = 0.06 * np.ptp(x) or 0.5
+            ax.set_xlim(x.min() - margin, x.max() + margin)
         if len(x) <= FEW_TICKS:
             ax.set_xticks(x, [f"{v:g}" for v in x])
             ax.xaxis.set_minor_locator(NullLocator())
@@ -177,11 +297,21 @@ def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndar
             ax.xaxis.set_minor_locator(NullLocator())
         return lambda x: x.astype(float)
     names = list(dict.fromkeys(text_of(v) for x in tried for v in x.tolist()))
+    shown = [shortened(name) for name in names]
     # Longer names would run into one another.
-    tilt = {"rotation": 20, "ha": "right"} if sum(map(len, names)) > 30 else {}
-    ax.set_xticks(range(len(names)), [literal(shortened(name)) for name in names], **tilt)
+    tilt = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"}
+    too_long = (width_of(shown) + SMALL) * len(names) > room(ax)
+    ax.set_xticks(range(len(names)), map(literal, shown), **tilt if too_long else {})
     ax.set_xlim(-0.5, len(names) - 0.5)
     return lambda x: np.array([names.index(text_of(v)) for v in x.tolist()])
+
+
+def _aside(ax: Axes, i: int, count: int) -> Transform:
+    """Data, moved to the side by some points: so that marks at the same place, of methods 0, 1 ..., can be seen."""
+    assert ax.figure is not None
+    step = min(4, 24 / count)
+    points = ScaledTranslation((i - (count - 1) / 2) * step / 72, 0, ax.figure.dpi_scale_trans)
+    return ax.transData + points
 
 
 def _error_axis(ax: Axes, means: list[np.ndarray]) -> None:
@@ -224,12 +354,14 @@ def _readable_curve(own: Settings, points: int = MOST_POINTS) -> tuple[int, stat
     return _readable_curve(own, points // 2)
 
 
-def at_setting(datasets: Datasets, held: Mapping[str, Any]) -> Iterable[tuple[str, Settings]]:
+def at_setting(
+    datasets: Datasets, held: Mapping[str, Any], labels: Labels | None = None
+) -> Iterable[tuple[str, Settings]]:
     """(label, one combination of hyperparameters) for each method: what is `held`, and else its best."""
     for name in held:
         if not any(name in stats.hyperparameters(ds) for ds in datasets.values()):
             raise InputError(f"no method swept {name!r}")
-    for name, own in Methods.of(datasets).settings.items():
+    for name, own in Methods.of(datasets).renamed(labels or {}).settings.items():
         own_held = {key: value for key, value in held.items() if key in stats.hyperparameters(own.ds)}
         setting = stats.best(own.ds, **own_held) if own_held else own.best
         yield (
@@ -262,14 +394,11 @@ def _return_axis(ax: Axes, shown: list[np.ndarray], optimum: float, soft: float)
     """
     values = np.concatenate([*shown, [optimum, soft]])
     values = values[np.isfinite(values)]
-    lines = (("exact optimum", optimum, (0, (5, 3)), 2, "bottom"), ("best ε-soft", soft, ":", -2, "top"))
-    for name, y, style, offset, side in lines:
+    if np.isclose(soft, optimum):
+        soft = np.nan
+    for name, y, style in (("exact optimum", optimum, (0, (5, 3))), ("best ε-soft", soft, ":")):
         if np.isfinite(y):
-            ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1)
-            text = f"{name} {significant(y, 4)}"
-            at = {"xytext": (0, offset), "xycoords": ax.get_yaxis_transform(), "textcoords": "offset points"}
-            label = ax.annotate(text, (0.02, y), **at, va=side, fontsize=SMALL, zorder=6)
-            label.set_path_effects([patheffects.withStroke(linewidth=3, foreground="white")])
+            ax.axhline(y, color=INK, ls=style, lw=1.3, zorder=1, label=f"{name} {significant(y, 4)}")
     if not values.size:
         return
     low, high = values.min(), values.max()

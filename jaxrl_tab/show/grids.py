@@ -13,9 +13,9 @@ from jaxrl_tab import stats
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.envs.base import COMPASS, Grid
 from jaxrl_tab.show.moves import Moves, greedy_actions, preferring, tables_of_seeds
-from jaxrl_tab.show.style import ALARM, COLORS, GREY, INK, SMALL, axes_title, color_bar
+from jaxrl_tab.show.style import COLORS, GREY, INK, SMALL, InCell, axes_title, color_bar
 from jaxrl_tab.show.words import label_of, seeds_in_words, significant
-from jaxrl_tab.stats.columns import Method
+from jaxrl_tab.stats.settings import Settings
 
 
 def greedy_path(
@@ -23,10 +23,10 @@ def greedy_path(
 ) -> None:
     """The path of the policy that is greedy to `q`, from start to goal, on the grid with its wind below.
 
-    Faint arrows are the greedy actions of all cells in which `q` prefers any; hatched cells cannot be
-    reached. Where several actions are greedy the path takes one that leads to the goal soonest, so "goes
-    round for ever" is said only where no choice among them gets there. Where chance plays, the path takes
-    the most likely outcome (of equally likely ones the middle one).
+    It is a band. Arrows are the greedy actions of all cells in which `q` prefers any, faint beside the path;
+    hatched cells cannot be reached. Where several actions are greedy the path takes one that leads to the goal
+    soonest, so "goes round for ever" is said only where no choice among them gets there. Where chance plays,
+    the path takes the most likely outcome (of equally likely ones the middle one).
 
     Args:
         ax: where to draw.
@@ -40,17 +40,14 @@ def greedy_path(
     prefers = preferring(q) & ~moves.terminal & moves.reachable
     _draw_grid(ax, env, moves)
     rows, columns = np.divmod(path, env.shape[1])
-    arrows = greedy_actions(q) & prefers[:, None]
-    for s, *step in zip(path[:-1], np.diff(rows), np.diff(columns), strict=True):
-        # The path itself shows this one.
-        arrows[s] &= (np.asarray(COMPASS[: env.num_actions]) != step).any(-1)
-    _draw_arrows(ax, env, arrows, "#9a9a9a")
+    color = COLORS[5] if arrives else COLORS[4]
+    outline = [patheffects.withStroke(linewidth=8, foreground="white")]
+    round_ends: dict[str, Any] = {"solid_capstyle": "round", "solid_joinstyle": "round"}
+    ax.plot(columns, rows, color=color, lw=5.5, zorder=2.5, path_effects=outline, **round_ends)
+    on_path = np.isin(np.arange(env.num_states), path)
+    for some, ink in ((~on_path, "#9a9a9a"), (on_path, INK)):
+        _draw_arrows(ax, env, greedy_actions(q) & (prefers & some)[:, None], ink)
     _draw_ends(ax, env)
-
-    color = COLORS[0] if arrives else ALARM
-    outline = [patheffects.withStroke(linewidth=4.5, foreground="white")]
-    ax.plot(columns, rows, color=color, lw=2.2, zorder=4, path_effects=outline)
-    ax.plot(columns, rows, "o", color=color, ms=5, mec="white", mew=0.8, zorder=5)
     length = f"{len(path) - 1} steps to the goal" if arrives else "goes round for ever"
     if moves.stochastic:
         length = f"likeliest outcomes: {length}"
@@ -68,7 +65,7 @@ def values(
 ) -> None:
     """A heat map of the values `v`, float [S], with the arrows of all greedy actions of `q`, [S, A].
 
-    Hatched cells cannot be reached from the start.
+    Hatched cells cannot be reached from the start; the goal has no value, for nothing is done there.
 
     Args:
         ax: where to draw.
@@ -78,22 +75,27 @@ def values(
         limits: the values at the ends of the colours, so that pictures compare; by default those of `v`.
     """
     moves = Moves.of(env)
-    shown = np.isfinite(v) & moves.reachable
+    shown = np.isfinite(v) & moves.reachable & ~moves.terminal
     low, high = limits
     cells = np.ma.masked_array(v, ~shown).reshape(env.shape)
     image = ax.imshow(cells, cmap="viridis", vmin=low, vmax=high, zorder=1)
     _draw_grid(ax, env, moves)
     if q is not None:
-        _draw_arrows(ax, env, greedy_actions(q) & (shown & ~moves.terminal)[:, None], "white", raised=0.1)
-    _draw_ends(ax, env, aside=True)
-    for s in np.flatnonzero(shown & ~moves.terminal):
-        row, column = divmod(int(s), env.shape[1])
-        text = ax.text(
-            column, row + 0.37, significant(v[s], 4), size=SMALL, ha="center", va="center", color="white"
-        )
+        _draw_arrows(ax, env, greedy_actions(q) & shown[:, None], "white", raised=0.12)
+    _draw_ends(ax, env)
+    numbers = {int(s): significant(v[s], 4) for s in np.flatnonzero(shown)}
+    style = {
+        "longest": max(map(len, numbers.values()), default=0),
+        "size": SMALL,
+        "color": "white",
+        "zorder": 4,
+    }
+    for s, number in numbers.items():
+        row, column = divmod(s, env.shape[1])
+        text = InCell(column, row + 0.33, number, (0.9, 0.26), **style)
         text.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
-    assert ax.figure is not None
-    color_bar(image, [ax], shrink=0.75, pad=0.02)
+        ax.add_artist(text)
+    color_bar(image, [ax])
 
 
 def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
@@ -107,7 +109,7 @@ def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
     moved = (down != 0) | (right != 0)  # against the edge it stays
     x, y = columns[:-1] - 0.12 * down, rows[:-1] + 0.12 * right
     _quiver(ax, x[moved], y[moved], right[moved], down[moved], COLORS[0], width=0.07)
-    _draw_ends(ax, env, aside=True)
+    _draw_ends(ax, env, reached=True)
     axes_title(ax, title)
 
 
@@ -121,7 +123,7 @@ def changes(ax: Axes, env: Grid, change: np.ndarray, title: str) -> None:
     faint = 0.3 + 0.7 * size.astype(float) / size.max(initial=0)
     color = np.column_stack([np.tile(to_rgb(COLORS[1]), (len(size), 1)), faint])
     _quiver(ax, columns + 0.1 * right, rows + 0.1 * down, 0.4 * right, 0.4 * down, color, width=0.065)
-    _draw_ends(ax, env, aside=True)
+    _draw_ends(ax, env)
     axes_title(ax, title)
 
 
@@ -136,9 +138,8 @@ def _draw_grid(ax: Axes, env: Grid, moves: Moves) -> None:
         if strength:
             ax.add_patch(Rectangle((column - 0.5, -0.5), 1, rows, color=shade, lw=0, zorder=0))
         if wind.any():
-            ax.text(
-                column, rows - 0.1, significant(strength), ha="center", va="center", color=INK, size=SMALL
-            )
+            text = InCell(column, rows - 0.1, significant(strength), (0.9, 0.6), color=INK, size=SMALL)
+            ax.add_artist(text).set_clip_on(False)
     if wind.any():
         ax.text(-0.65, rows - 0.1, "wind", ha="right", va="center", color=INK, size=SMALL)
     style = {"fc": "#f4f4f4", "ec": "#bdbdbd", "hatch": "////", "lw": 0, "zorder": 1}
@@ -188,19 +189,20 @@ def _quiver(
     ax.quiver(x, y, right, down, **size, **head, color=color, zorder=3)
 
 
-def _draw_ends(ax: Axes, env: Grid, aside: bool = False) -> None:
-    """The start and the goal; as letters in a corner where arrows need the middle of the cell."""
-    disc = None if aside else {"boxstyle": "circle,pad=0.25", "fc": "white", "ec": INK, "lw": 1}
-    style = {"size": SMALL, "weight": "bold", "ha": "center", "va": "center", "color": INK, "zorder": 6}
-    corner = 0.32 if aside else 0
-    for (row, column), letter in ((env.start, "S"), (env.goal, "G")):
-        text = ax.text(column - corner, row - corner, letter, bbox=disc, **style)
+def _draw_ends(ax: Axes, env: Grid, reached: bool = False) -> None:
+    """The letters of the start and the goal; in a corner of a cell whose middle has an arrow, or is `reached`."""
+    style = {"size": SMALL, "weight": "bold", "color": INK, "zorder": 6}
+    aside, middle = (0.27, 0.5), (0.0, 0.5)
+    ends = ((env.start, "S", aside), (env.goal, "G", aside if reached else middle))
+    for (row, column), letter, (corner, part) in ends:
+        text = InCell(column - corner, row - corner, letter, (part, part), **style)
         text.set_path_effects([patheffects.withStroke(linewidth=2, foreground="white")])
+        ax.add_artist(text)
 
 
-def median_path(ax: Axes, env: Grid, own: Method) -> None:
-    """The greedy path that is the median over seeds in length, at the best setting of a method."""
-    label, ds = label_of(own.name, stats.named(own.ds, own.best)), own.at_best.ds
+def median_path(ax: Axes, env: Grid, name: str, own: Settings) -> None:
+    """The greedy path that is the median over seeds in length, at the best setting of the method of this name."""
+    label, ds = label_of(name, stats.named(own.ds, own.best)), own.at_best.ds
     moves = Moves.of(env)
     lengths = np.concatenate([moves.distance(q)[:, env.start_state].copy() for q in tables_of_seeds(ds)])
     median = np.argsort(lengths, kind="stable")[(len(lengths) - 1) // 2]

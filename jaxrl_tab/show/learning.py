@@ -65,17 +65,24 @@ def pictures(env: Environment, tables: Float[np.ndarray, "n S A"], titles: Seque
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    drawn, places = [], None
+    from jaxrl_tab.show import plot
+
+    drawn: list[Any] = []
+    size: Any = None
+    places: list[Any] = []
     for figure in _figures(env, tables, titles):
-        if places:  # all lie as in the first: to work it out takes longer than to draw
+        figure.set_dpi(DPI)
+        if places:  # all lie as in the first, so that nothing jumps
             figure.set_layout_engine("none")
+            figure.set_size_inches(size)
             for ax, place in zip(figure.axes, places, strict=True):
                 ax.set_position(place)
-        figure.set_dpi(DPI)
+        else:
+            plot.lay_out(figure)
+            size, places = figure.get_size_inches(), [ax.get_position(original=True) for ax in figure.axes]
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # `savefig` would draw everything twice
         drawn.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
-        places = [ax.get_position() for ax in figure.axes]
     # The last picture, of what was learned by the end, has all colours that the others have.
     palette = drawn[-1].quantize(COLORS)
     return [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in drawn]
@@ -119,7 +126,7 @@ def _figures(env: Environment, tables: np.ndarray, titles: Sequence[str]) -> "It
     panels = bool(of_environment(env).panels())
     for table, values, title in zip(q, v, titles, strict=True):
         if isinstance(env, Grid):
-            figure = plot.canvas(plot.WIDTH, 1.2 + 5.8 * env.shape[0] / env.shape[1])
+            figure = plot.canvas(plot.WIDTH)
             ax = figure.subplots()
             plot.values(ax, env, values, None if of_states else table, limits)
         elif panels:
@@ -130,7 +137,7 @@ def _figures(env: Environment, tables: np.ndarray, titles: Sequence[str]) -> "It
             yield figure
             continue
         else:
-            figure = plot.canvas(plot.WIDTH, 3.6)
+            figure = plot.canvas(plot.NARROW)
             ax = figure.subplots()
             if of_states:
                 ax.plot(np.flatnonzero(inner), values[inner], "o-", color=plot.COLORS[0])

@@ -13,15 +13,17 @@ from jaxrl_tab import stats
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
-from jaxrl_tab.show.curves import MOST_MARKS, MOST_TICKS, at_setting, interval_curve
+from jaxrl_tab.show.curves import MOST_TICKS, Labels, at_setting, interval_curve
 from jaxrl_tab.show.style import (
     CELL,
     COLORS,
     INK,
+    MOST_NAMED,
     NARROW,
     SMALL,
     TYPE,
     WIDTH,
+    InCell,
     canvas,
     color_bar,
     legend,
@@ -32,6 +34,8 @@ from jaxrl_tab.show.style import (
 from jaxrl_tab.show.tasks import tables_of, uniform_values
 from jaxrl_tab.show.words import significant
 from jaxrl_tab.stats.along import Datasets
+
+NARROWEST, MOST_CELL = 0.25, 0.5  # inches: the width of a cell
 
 
 def panels(
@@ -62,15 +66,17 @@ def panels(
     for ax, table in zip(axes, tables_of(env), strict=True):
         values = np.ma.masked_array(v, ~shown)[table.states]
         image = ax.imshow(values, cmap="viridis", vmin=low, vmax=high)
-        for row, column in np.argwhere(shown[table.states]):
-            s = table.states[row, column]
-            text = _cell(float(v[s]))
-            if best is not None:
-                text += "\n" + _either([names[a] for a in np.flatnonzero(best[s])])
+        cells = [(row, column, table.states[row, column]) for row, column in np.argwhere(shown[table.states])]
+        texts = [_cell(float(v[s])) for *_, s in cells]
+        if best is not None:
+            chosen = [_either([names[a] for a in np.flatnonzero(best[s])]) for *_, s in cells]
+            texts = [f"{value}\n{action}" for value, action in zip(texts, chosen, strict=True)]
+        longest = max((len(line) for text in texts for line in text.split("\n")), default=0)
+        style = {"longest": longest, "size": CELL, "linespacing": 1}
+        for (row, column, s), text in zip(cells, texts, strict=True):
             is_bright = v[s] > low + 0.6 * (high - low)  # the colour of the cell
             color = INK if is_bright else "white"
-            middle = {"ha": "center", "va": "center", "linespacing": 1}
-            ax.text(column, row, literal(text), size=CELL, color=color, **middle)
+            ax.add_artist(InCell(column, row, literal(text), (0.94, 0.94), color=color, **style))
         ax.set_xticks(range(len(table.columns)), map(literal, table.columns))
         ax.set_yticks(range(len(table.rows)), map(literal, table.rows))
         ax.set_xlabel(literal(table.along), fontsize=TYPE)
@@ -79,7 +85,7 @@ def panels(
         ax.spines[:].set_visible(False)
         over = title if ax is axes[0] else ""  # it may be as long as all the tables are wide
         ax.set_title(literal("\n".join(filter(None, [over, table.title]))), fontsize=TYPE, loc="left")
-    color_bar(image, axes, location="bottom", shrink=0.5, aspect=40, pad=0.01)
+    color_bar(image, axes, below=True, length=0.5)
 
 
 def _cell(x: float) -> str:
@@ -95,13 +101,18 @@ def _either(names: Sequence[str]) -> str:
     return "\n".join(names) if len(names) < 3 else f"{len(names)} tied"
 
 
-def panels_canvas(env: Environment, rows: int) -> tuple[Figure, np.ndarray]:
-    """A figure with the axes for so many rows of `panels`, [rows, panels]."""
+def panels_canvas(env: Environment, rows: int, width: float = WIDTH) -> tuple[Figure, np.ndarray]:
+    """A figure with the axes for so many rows of `panels`, [rows, panels].
+
+    It is at most so many inches wide. Where cells would be too narrow for their texts the panels of a row lie
+    one below the other.
+    """
     tables = tables_of(env)
     widths = [1.5 + len(table.columns) for table in tables]  # in cells, with the names of the rows
-    cell = min(0.5, WIDTH / sum(widths))
-    tallest = max(len(table.rows) for table in tables)
-    figure = canvas(max(NARROW, cell * sum(widths)), (1.3 + cell * tallest) * rows + 0.5)
+    if width / sum(widths) < NARROWEST:
+        figure = canvas(min(width, MOST_CELL * max(widths)))
+        return figure, figure.subplots(rows * len(tables), 1, squeeze=False).reshape(rows, len(tables))
+    figure = canvas(min(width, max(NARROW, MOST_CELL * sum(widths))))
     return figure, figure.subplots(rows, len(tables), squeeze=False, width_ratios=widths)
 
 
@@ -109,7 +120,7 @@ def action_values(ax: Axes, env: Environment, q: np.ndarray) -> None:
     """A mark for the value of each action, `q` [S, A], in each state that is not terminal.
 
     Where there are more actions than states, the actions lie along the axis and the marks tell the states
-    apart. Of more than `MOST_MARKS` kinds of marks two are left: for the largest value and for all others.
+    apart. Of more than `MOST_NAMED` kinds of marks two are left: for the largest value and for all others.
     """
     states = np.flatnonzero(~planning.terminal_states(planning.exact_model(env)))
     along, marked = ("state", states.astype(str)), ("action", np.array(of_environment(env).action_names))
@@ -118,7 +129,7 @@ def action_values(ax: Axes, env: Environment, q: np.ndarray) -> None:
         along, marked = marked, along
         x, shown = np.arange(env.num_actions), q[states]
     style = {"ls": "none", "ms": 5}
-    if len(shown) > MOST_MARKS:
+    if len(shown) > MOST_NAMED:
         ax.plot(x, shown.T, ".", color="#9a9a9a")[0].set_label(f"any {marked[0]}")
         ax.plot(x, np.nanmax(shown, 0), "o", color=COLORS[0], label=f"the best {marked[0]}", **style)
     else:
@@ -131,11 +142,12 @@ def action_values(ax: Axes, env: Environment, q: np.ndarray) -> None:
     ax.margins(0.1)
     tidy(ax, along[0], "value")
     if len(shown) > 1:
-        columns = -(-min(len(shown), MOST_MARKS) // 12)
-        legend(ax, title=marked[0], loc="center left", bbox_to_anchor=(1, 0.5), ncols=columns)
+        legend(ax, title=marked[0], title_fontsize=SMALL, alignment="left")
 
 
-def state_values(ax: Axes, datasets: Datasets, env: Environment, **setting: Any) -> None:
+def state_values(
+    ax: Axes, datasets: Datasets, env: Environment, *, labels: Labels | None = None, **setting: Any
+) -> None:
     """The V that methods of prediction learned, mean and 95% interval over seeds, beside the exact v_pi.
 
     States that are terminal or out of reach are left out. v_pi is drawn where pi is the policy in which all
@@ -143,7 +155,7 @@ def state_values(ax: Axes, datasets: Datasets, env: Environment, **setting: Any)
     """
     model = planning.exact_model(env)
     states = np.flatnonzero(planning.reachable(model) & ~planning.terminal_states(model))
-    for (label, own), style in zip(at_setting(datasets, setting), line_styles(), strict=False):
+    for (label, own), style in zip(at_setting(datasets, setting, labels), line_styles(), strict=False):
         interval_curve(ax, states, own.once(_values_learned, tuple(states.tolist())), label, **style)
     if (exact := uniform_values(datasets, env)) is not None:
         ax.plot(states, exact[states], color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=1)

@@ -9,7 +9,6 @@ figure is wider than `WIDTH`, a column of text, so that its type can be read whe
 Datasets are those of `SweepResult.to_xarray`, one for each method, by the name that the legend shows.
 """
 
-import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -24,6 +23,7 @@ from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.curves import (
+    Labels,
     at_setting,
     common_optimum,
     common_soft_optimum,
@@ -54,7 +54,6 @@ from jaxrl_tab.show.style import (
     DPI,
     GREY,
     INK,
-    LINE,
     MARKERS,
     NARROW,
     SMALL,
@@ -76,6 +75,7 @@ from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
 
 Kind: TypeAlias = Literal["png", "pdf", "svg"]
+LEAST_OF_TWO = 4.8  # inches: the width of a figure in which two axes lie side by side
 
 __all__ = [
     "ALARM",
@@ -121,32 +121,40 @@ __all__ = [
 ]
 
 
-def overview(datasets: Datasets, env: Environment) -> Figure:
+def overview(
+    datasets: Datasets, env: Environment, *, width: float = WIDTH, labels: Labels | None = None
+) -> Figure:
     """The curves of `save_all` in one figure; on grids with the greedy path of the method with the best mean.
 
     Args:
         datasets: a sweep for each method, at least one.
         env: the environment of all of them.
+        width: of the figure, inches.
+        labels: what methods are called instead of their names; of some of them, or of all.
+
+    Raises:
+        InputError: a label is of no method, or two are the same.
     """
-    methods = Methods.of(datasets, env)
+    methods = Methods.of(datasets, env).renamed(labels or {})
     curves = _curves(methods, env)
     if isinstance(env, Grid) and not stats.is_prediction(*methods.values()):
-        winner = methods.settings[stats.ranked(methods.settings)[0]]
-        curves["greedy_path"] = lambda ax: median_path(ax, env, winner)
-    columns = min(2, len(curves))
-    rows = -(-len(curves) // columns)
-    figure = canvas(WIDTH, 2.8 * rows + 0.4)
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+        winner = stats.ranked(methods.settings)[0]
+        curves["greedy_path"] = lambda ax: median_path(ax, env, winner, methods.settings[winner])
+    figure, grid = _squares(len(curves), width)
     for ax, draw in zip(grid, curves.values(), strict=False):
         draw(ax)
-    for ax in grid[len(curves) :]:
-        ax.remove()
-    _say_what_ran(figure, datasets, env, intervals=True)
+    _say_what_ran(figure, methods, env, intervals=True)
     return figure
 
 
 def save_all(
-    datasets: Datasets, env: Environment, folder: Path | str, kind: Kind | Sequence[Kind] = "png"
+    datasets: Datasets,
+    env: Environment,
+    folder: Path | str,
+    kind: Kind | Sequence[Kind] = "png",
+    *,
+    width: float = WIDTH,
+    labels: Labels | None = None,
 ) -> list[Path]:
     """Writes the pictures of a sweep into `folder`, which is made if need be.
 
@@ -160,14 +168,16 @@ def save_all(
         env: the environment of all of them.
         folder: where to write; files of these names are overwritten.
         kind: of the files, or several kinds. "pdf" and "svg" are sharp at any size, as for a paper.
+        width: of the widest figure, inches: that of the text of a page, or of one of its columns, such as 3.3.
+        labels, errors: as in `overview`.
 
     Returns:
         The files written.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    methods = Methods.of(datasets, env)
-    figures = pictures(methods, env) | {"overview": overview(methods, env)}
+    methods = Methods.of(datasets, env).renamed(labels or {})
+    figures = pictures(methods, env, width=width) | {"overview": overview(methods, env, width=width)}
     files = {
         folder / f"{name}.{one}": figure
         for name, figure in figures.items()
@@ -178,8 +188,9 @@ def save_all(
     return list(files)
 
 
-def save(figure: Figure, file: Path) -> None:
+def save(figure: Figure, file: Path | str) -> None:
     """Writes a figure as the ending of `file` says: .png, .pdf or .svg. The same figure gives the same bytes."""
+    file = Path(file)
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     lay_out(figure)
     # Journals take fonts of kind 42 (TrueType) alone.
@@ -189,18 +200,20 @@ def save(figure: Figure, file: Path) -> None:
         figure.savefig(file, metadata=undated.get(file.suffix), **quick)
 
 
-def pictures(datasets: Datasets, env: Environment) -> dict[str, Figure]:
+def pictures(
+    datasets: Datasets, env: Environment, *, width: float = WIDTH, labels: Labels | None = None
+) -> dict[str, Figure]:
     """The figures of `save_all` by their names, but for the overview, in which they are again."""
-    methods, figures = Methods.of(datasets, env), {}
+    methods, figures = Methods.of(datasets, env).renamed(labels or {}), {}
     for name, draw in _curves(methods, env).items():
-        figure = canvas(NARROW, 4.2)
+        figure = canvas(min(width, NARROW))
         draw(figure.subplots())
-        _say_what_ran(figure, datasets, env, intervals=True)
+        _say_what_ran(figure, methods, env, intervals=True)
         figures[name] = figure
     if isinstance(env, Grid) and not stats.is_prediction(*methods.values()):
-        figures["greedy_path"] = _all_paths(methods, env)
+        figures["greedy_path"] = _all_paths(methods, env, width)
     elif tables_of(env):
-        figures["values"] = value_tables(methods, env)
+        figures["values"] = value_tables(methods, env, width=width)
     return figures
 
 
@@ -222,14 +235,16 @@ def _curves(methods: Methods, env: Environment) -> dict[str, Callable[[Axes], No
     return curves
 
 
-def value_tables(datasets: Datasets, env: Environment) -> Figure:
+def value_tables(
+    datasets: Datasets, env: Environment, *, width: float = WIDTH, labels: Labels | None = None
+) -> Figure:
     """The panels of the environment: a row for what each method learned, and one for what is exact.
 
     What a method learned is the mean over seeds of its largest action value, and the action that is greedy
-    most often; of prediction the mean of V.
+    most often; of prediction the mean of V. Arguments and errors are as in `overview`.
     """
     learned = {}
-    for label, own in at_setting(datasets, {}):
+    for label, own in at_setting(datasets, {}, labels):
         ds = own.ds
         often = sum(greedy_actions(q).sum(0) for q in tables_of_seeds(ds))
         best = often == np.max(often, -1, keepdims=True)
@@ -244,7 +259,7 @@ def value_tables(datasets: Datasets, env: Environment) -> Figure:
         model = planning.exact_model(env)
         visited = exact[0][planning.reachable(model) & ~planning.terminal_states(model)]
         limits = visited.min(), visited.max()
-    figure, grid = panels_canvas(env, len(learned))
+    figure, grid = panels_canvas(env, len(learned), width)
     for row, (title, (v, best)) in zip(grid, learned.items(), strict=True):
         panels(row, env, v, best, title, limits)
     _say_what_ran(figure, datasets, env)
@@ -262,23 +277,28 @@ def _exact_table(datasets: Datasets, env: Environment) -> tuple[np.ndarray, np.n
     return v, greedy_actions(q)
 
 
-def _all_paths(methods: Methods, env: Grid) -> Figure:
+def _all_paths(methods: Methods, env: Grid, width: float) -> Figure:
     """The greedy path of every method, and an optimal one where there is a finite optimum."""
     optimum = common_optimum(methods)
     count = len(methods) + bool(np.isfinite(optimum))
-    columns, rows = min(2, count), -(-count // 2)
-    width = WIDTH * columns / 2
-    figure = canvas(width, (0.9 + 0.95 * width / columns * env.shape[0] / env.shape[1]) * rows)
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax, own in zip(grid, methods.settings.values(), strict=False):
-        median_path(ax, env, own)
+    figure, grid = _squares(count, width if count > 1 else width / 2)
+    for ax, (name, own) in zip(grid, methods.settings.items(), strict=False):
+        median_path(ax, env, name, own)
     if np.isfinite(optimum):
         gamma = stats.fixed(next(iter(methods.values()))).get("gamma", 1.0)
         _, q = planning.value_iteration(env, gamma)
         greedy_path(grid[len(methods)], env, q, "An optimal policy", optimum)
+    return figure
+
+
+def _squares(count: int, width: float) -> tuple[Figure, np.ndarray]:
+    """A figure with so many axes, two in a row where it is wide enough for them."""
+    columns = 2 if count > 1 and width >= LEAST_OF_TWO else 1
+    figure = canvas(width)
+    grid = figure.subplots(-(-count // columns), columns, squeeze=False).ravel()
     for ax in grid[count:]:
         ax.remove()
-    return figure
+    return figure, grid[:count]
 
 
 def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, *, intervals: bool = False) -> None:
@@ -289,14 +309,9 @@ def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, *, inter
     names = dict.fromkeys(shortened(title_of(str(ds.attrs["environment"]))) for ds in datasets.values())
     first, *others = [stats.fixed(ds) for ds in datasets.values()]
     common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
-    # Lines that fit the figure, broken between settings and not within.
-    settings = [setting.replace(" ", "\xa0") for setting in [*names, *unusual(env), *in_words(common)]]
-    line = int(LINE * figure.get_figwidth() / WIDTH)
-    lines = textwrap.wrap(", ".join(settings), line, break_on_hyphens=False)
-    lines += (
-        [f"mean over {seeds_in_words(datasets)}, and its 95% interval at each point"] if intervals else []
-    )
-    head(figure, "\n".join(lines).replace("\xa0", " "))
+    what = ", ".join([*names, *unusual(env), *in_words(common)])
+    over = f"mean over {seeds_in_words(datasets)}, and its 95% interval at each point" if intervals else ""
+    head(figure, f"{what}\n{over}")
 
 
 def __dir__() -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.errors import InputError, check_choice, shown
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.stats.along import Datasets, Interval
 from jaxrl_tab.stats.bootstrap import iqm_interval
@@ -296,6 +296,24 @@ class Methods(Mapping[str, xr.Dataset]):
 
     def __len__(self) -> int:
         return len(self.settings)
+
+    def renamed(self, names: Mapping[str, str]) -> "Methods":
+        """The same methods, with what is worked out of them, under other names.
+
+        Args:
+            names: the other names of some of the methods, by their own.
+
+        Raises:
+            InputError: there is no such method, or two would have the same name.
+        """
+        for name in names:
+            check_choice(None, "the method", name, self)
+        others = Methods({}, self.env)
+        for name, own in self.settings.items():
+            if (other := str(names.get(name, name))) in others.settings:
+                raise InputError(f"two methods cannot both be called {shown(other)}")
+            others.settings[other] = own
+        return others
 
     @property
     def prediction(self) -> bool:
