@@ -91,6 +91,18 @@ def both(function, dtype=F32):
     return [(function, arrays(dtype, *SMALL)), (function, arrays(dtype, *LARGE))]
 
 
+def row_of_each_turn(i):
+    """Of a known table and of one in memory, the same in all lanes; then a row of each lane's own."""
+    known, bools = jnp.arange(60.0).reshape(20, 3), jnp.arange(60).reshape(20, 3) % 4 > 1
+
+    def turn(k, total):
+        return total + jnp.where(
+            lax.dynamic_slice(bools, (k, 0), (1, 3)), lax.dynamic_slice(known, (k, 0), (1, 3)), k
+        )
+
+    return lax.fori_loop(0, 20, turn, jnp.zeros((1, 3))) * lax.dynamic_slice(known, (i, 0), (1, 3))
+
+
 CASES = {
     # number by number
     "add": each(lax.add, *ANY_TWO),
@@ -222,7 +234,8 @@ CASES = {
         )
         for sizes in ((1, 1), (1, 4), (3, 2), (2, 11), (7, 6), (9, 11))
     ]
-    + [(lambda i, n=n: lax.dynamic_slice(jnp.arange(60.0), (i,), (n,)), index()) for n in (1, 2, 40)],
+    + [(lambda i, n=n: lax.dynamic_slice(jnp.arange(60.0), (i,), (n,)), index()) for n in (1, 2, 40)]
+    + [(row_of_each_turn, index())],
     "dynamic_update_slice": [
         (lambda x, y, i: lax.dynamic_update_slice(x, y, (i,)), arrays(F32, *shape), arrays(F32, 3, seed=1), i)
         for shape in (SMALL, LARGE)

@@ -119,20 +119,33 @@ def one_of_three_branches(x, i):
     return *lax.switch(i, cases, y, z, w), y[3] + z
 
 
-@pytest.mark.parametrize("function", [one_branch, one_of_three_branches])
+def one_of_three_has_little_to_do(x, i):
+    return lax.switch(i, [lambda: much(x[0]), lambda: x[1] + x[2], lambda: much(x[3])])
+
+
+@pytest.mark.parametrize("function", [one_branch, one_of_three_branches, one_of_three_has_little_to_do])
 def test_a_lane_takes_its_branch_alone(function):
     """Broken once: a branch that gives back something else than the others is left out -> fails."""
     x = RNG.normal(size=(LANES, 12)).astype(np.float32)
     assert_as_xla(function, x, np.arange(-2, LANES - 2, dtype=np.int32))
 
 
-@pytest.mark.parametrize(("work", "branches"), [(much, 1), (lambda x: x * 2 + 1, 0)])
-def test_a_branch_with_much_to_do_is_left_out_where_no_lane_takes_it(work, branches):
-    """It is a loop of one turn at most; the branch that only gives back is none.
+@pytest.mark.parametrize(
+    ("function", "branches"),
+    [
+        (lambda x, i: lax.cond(i > 0, lambda: much(x), lambda: x), 1),
+        (lambda x, i: lax.cond(i > 0, lambda: much(x), lambda: x + 1), 1),
+        (lambda x, i: lax.cond(i > 0, lambda: x * 2 + 1, lambda: x), 0),
+        (lambda x, i: lax.fori_loop(0, (i > 0).astype(jnp.int32), lambda _, x: x * 2 + 1, x), 1),
+    ],
+    ids=["or nothing", "or little", "little or nothing", "counted"],
+)
+def test_a_branch_with_much_to_do_is_left_out_where_no_lane_takes_it(function, branches):
+    """It is a loop of one turn at most, as one that counts to 1 at most; a branch with little to do is none.
 
-    Broken once: all branches are worked out, or none -> fails.
+    Broken once: all branches are worked out, or none; a short one is a loop, too; one that counts is none -> fails.
     """
-    code, facts = lowered(lambda x, i: lax.cond(i > 0, lambda: work(x), lambda: x), Q[0, 0, 0], S[0])
+    code, facts = lowered(function, Q[0, 0, 0], S[0])
     loops = [value for value in operations(code.region) if value.op == "loop" and facts.varies(value)]
     assert len(loops) == branches
     assert all(facts.is_branch(loop) and facts.turns(loop.attr.body.ops[-1]) == 1 for loop in loops)

@@ -9,6 +9,7 @@ import pytest
 from jax import lax
 from lanes_tools import assert_as_xla
 
+from jaxrl_tab.lanes.analysis import Facts, operations
 from jaxrl_tab.lanes.lower import lower
 
 LANES, SIZE = 40, 50  # more numbers than are taken apart
@@ -139,6 +140,45 @@ def test_nothing_is_copied_that_nobody_else_uses():
 
     code = lower(jax.make_jaxpr(function)(X[0], N[0]), [True, True], [None, None])
     assert code.copied == frozenset()
+
+
+def put(x, number, i):
+    return lax.dynamic_update_slice(x, number[None], (i,))
+
+
+def taken(x, i):
+    return lax.dynamic_slice(x, (i,), (1,))[0]
+
+
+def test_what_was_just_written_is_not_read_again():
+    """Broken once: it is read -> fails."""
+
+    def function(x, i):
+        return taken(put(x, x[3] + 1, i), i)
+
+    code = lower(jax.make_jaxpr(function)(X[0], N[0]), [True, True], [None, None])
+    facts = Facts(code.region)
+    loads = [value for value in operations(code.region) if value.op == "load" and value in facts.live]
+    assert len(loads) == 1  # of x[3]
+
+
+def written_over(x, i):
+    """At the same place, under another name."""
+    return taken(put(put(x, x[3] + 1, i), x[4] * 2, i * i // jnp.maximum(i, 1)), i)
+
+
+def written_in_a_loop(x, i):
+    """In each turn it is read what the turn before has written."""
+    x = put(x, x[3] + 1, i)
+    return lax.fori_loop(0, i, lambda k, x: put(x, taken(x, i) * 2 + taken(x, i + k % 2), i), x)[:5], taken(
+        x, i
+    )
+
+
+@pytest.mark.parametrize("function", [written_over, written_in_a_loop])
+def test_what_was_written_over_is_read_again(function):
+    """Broken once: a number that was written is known under its index whatever is written later -> fails."""
+    assert_as_xla(function, X, N)
 
 
 def written(x, i, y, mode):

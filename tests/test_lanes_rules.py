@@ -55,6 +55,45 @@ def test_what_a_function_merely_calls_is_compiled():
     assert_as_xla(calls, np.random.default_rng(0).normal(size=(20, 40)).astype(np.float32))
 
 
+CHOICES = [  # c is a bool; between what has an operand in common, and what has not
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b + k, d * e + k),
+    lambda c, a, b, d, e, k, m: jnp.where(c, k + a * b, d * e + k),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b - k, d * e - k),
+    lambda c, a, b, d, e, k, m: jnp.where(c, k - a * b, k - d * e),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b - k, k - d * e),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b + 1, d * e + 1),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b + k, d + k),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b + k, a * d + k),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b + k, k),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b + d * e, d * e + k),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b, b * d) + k,
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b, d * e) + k,
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b, a) + k,
+    lambda c, a, b, d, e, k, m: jnp.where(c, a / b, d / b) + k,
+    lambda c, a, b, d, e, k, m: jnp.where(c, (a * b + k) * m + k, (d * e + k) * m + k),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b + k, jnp.where(a > 0, d * e + k, m * e + k)),
+    lambda c, a, b, d, e, k, m: jnp.where(c, a * b + k, d * e + k) * jnp.where(c, a * m, d * m) + b,
+    lambda c, a, b, d, e, k, m: (lambda x: jnp.where(c, x, d * e + k) * x)(a * b + k),
+    lambda c, a, b, d, e, k, m: (lambda x: jnp.where(c, x + k, d * e + k) * x)(a * b),
+    lambda c, a, b, d, e, k, m: jnp.stack([a * b + k, d * e + k])[c.astype(jnp.int32)],
+    lambda c, a, b, d, e, k, m: lax.cond(c, lambda: a * b + k, lambda: d * e + k),
+    lambda c, a, b, d, e, k, m: lax.cond(c, lambda: a * b, lambda: d * b) + k,
+]
+
+
+def test_a_choice_between_sums_or_products_is_rounded_as_by_xla():
+    """Broken once: what is common stays where it is; is taken out where somebody else uses the sum, or where it is
+
+    an entry at an index that is chosen -> fails.
+    """
+    rng, shape = np.random.default_rng(0), (256, len(CHOICES))
+
+    def all_choices(which, x):
+        return [choice(c, *row) for choice, c, row in zip(CHOICES, which, x, strict=True)]
+
+    assert_as_xla(all_choices, rng.random(shape) < 0.5, rng.normal(size=(*shape, 6)).astype(np.float32))
+
+
 MANY = 2**16  # numbers: all kinds of bits, those of an interval, and those of the size that programs have
 
 

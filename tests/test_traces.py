@@ -18,8 +18,6 @@ from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.schedules import Optax, Power
 from jaxrl_tab.core.types import Transition
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 TRACES = ("accumulating", "replacing", "dutch")
 METHODS = [
     *((rl.SarsaLambda, {"trace": trace}) for trace in TRACES),

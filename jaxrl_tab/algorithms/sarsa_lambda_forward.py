@@ -70,16 +70,15 @@ class SarsaLambdaForward(TDControl):
         return ForwardState(q, end_step(state.clock, t.last), remembered), a_next
 
 
-def _walk(lane, q, steps, length, gamma, lam):
+def _walk(lane, q, walk, gamma, lam):
     """The box above, for one lane (see `episode.learn`)."""
     gamma, lam = tables.entry(gamma, lane), tables.entry(lam, lane)
 
-    def back(i, carry):
+    def take(step, carry):
         q, g = carry
-        s, a, alpha, r, value, next_value = (tables.entry(x, lane, i) for x in steps)
+        s, a, alpha, r, value, next_value = step
         g = r + (1 - lam) * next_value + lam * g
         return tables.write(q, tables.entry(q, lane, s, a) + alpha * (g - value), lane, s, a), gamma * g
 
     # After the last step there is its own next value and nothing more, whatever lambda.
-    end = tables.entry(steps.next_value, lane, jnp.maximum(length - 1, 0))
-    return episode.backward(back, length, (q, end))[0]
+    return walk.back(take, (q, walk.last.next_value))[0]

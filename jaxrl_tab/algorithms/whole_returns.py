@@ -5,12 +5,13 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import episode, tables
 from jaxrl_tab.core.clock import Clock, at_visit, end_step
-from jaxrl_tab.core.episode import Episode
+from jaxrl_tab.core.episode import Episode, Walk
 from jaxrl_tab.core.policies import Policy
 from jaxrl_tab.core.types import Transition
 
@@ -20,14 +21,15 @@ FIRST_VISIT = "Only the return from the first time that (s, a) occurs in an epis
 class Step(NamedTuple):
     """What is remembered of a step: S, A, R, b(A | S), and whether its entry occurs for the first time.
 
-    On-policy no ratio is needed, and b is None.
+    On-policy no ratio is needed, and b is None. Where every visit counts, nobody asks which is the first, and
+    that is None.
     """
 
     s: Int[Array, "*t"]
     a: Int[Array, "*t"]
     r: Float[Array, "*t"]
     b: Float[Array, "*t"] | None
-    first: Bool[Array, "*t"]
+    first: Bool[Array, "*t"] | None
 
 
 class MonteCarloState(NamedTuple):
@@ -93,7 +95,8 @@ class WholeReturns(TDControl):
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> MonteCarloState:
         q, clock = super().init(num_states, num_actions)
         b = None if self.weighting is None else q[0, 0]
-        step = Step(jnp.int32(0), jnp.int32(0), q[0, 0], b, jnp.bool(False))
+        first = jnp.bool(False) if self.first_visit else None
+        step = Step(jnp.int32(0), jnp.int32(0), q[0, 0], b, first)
         return MonteCarloState(
             q,
             clock,
@@ -117,7 +120,10 @@ class WholeReturns(TDControl):
         walk = partial(_walk, Rules(self.weighting, self.first_visit, self.of_states))
         before = Learned(state.q, state.clock.visits, state.mean_weight)
         clock = state.clock._replace(visits=None)
-        inputs = Inputs(self.rest(state, t), pi, self.alpha, self.gamma, clock)
+        nothing = lambda: jnp.zeros((), state.q.dtype)
+        # Few episodes are cut short, and `lanes` leaves this out where none is.
+        rest = lax.cond(t.last & (t.discount > 0), lambda: self.rest(state, t), nothing)
+        inputs = Inputs(rest, pi, self.alpha, self.gamma, clock)
         after, remembered = episode.learn(walk, before, state.episode, step, t.last, inputs)
         clock = end_step(clock._replace(visits=after.visits), t.last)
         return MonteCarloState(after.q, clock, remembered, state.acting, after.mean_weight, seen)
@@ -131,7 +137,7 @@ class WholeReturns(TDControl):
         return a
 
 
-def _walk(rules: Rules, lane, learned: Learned, steps: Step, length, inputs: Inputs) -> Learned:
+def _walk(rules: Rules, lane, learned: Learned, walk: Walk, inputs: Inputs) -> Learned:
     """The boxes of `MonteCarlo` and `OffPolicyMonteCarlo`, for one lane (see `episode.learn`).
 
     C is kept as the mean weight: with alpha = 1/N, alpha W / mean = W / sum. A weight multiplies the return:
@@ -139,16 +145,16 @@ def _walk(rules: Rules, lane, learned: Learned, steps: Step, length, inputs: Inp
     """
     alpha, gamma, clock = jax.tree.map(lambda x: x[lane], inputs[2:])
 
-    def back(i, carry):
+    def take(step: Step, carry):
         (q, visits, mean_weight), g, w = carry
-        s, a, r, b, first = jax.tree.map(lambda x: tables.entry(x, lane, i), steps)
+        s, a, r, b, first = step
         at = lane, s, jnp.int32(0) if rules.of_states else a
-        counts = lambda new, old: jnp.where(first, new, old) if rules.first_visit else new
+        counts = lambda new, old: new if first is None else jnp.where(first, new, old)
 
         def weigh(q, visits, g, w):
-            if rules.weighting is None:
+            if b is None:  # on-policy
                 return g, w
-            row = jax.lax.dynamic_slice(q, (lane, s, jnp.int32(0)), (1, 1, q.shape[2]))[0, 0]
+            row = lax.dynamic_slice(q, (lane, s, jnp.int32(0)), (1, 1, q.shape[2]))[0, 0]
             target, counted = jax.tree.map(lambda x: x[lane], (inputs.pi, visits))
             rho = tables.entry(target.probs(row, clock._replace(visits=counted), s), a) / b
             return (rho * g, w) if rules.weighting == "per-decision" else (g, rho * w)
@@ -157,18 +163,18 @@ def _walk(rules: Rules, lane, learned: Learned, steps: Step, length, inputs: Inp
         if rules.of_states:  # the action is part of what follows the state
             g, w = weigh(q, visits, g, w)
         visits, n = episode.count(visits, first, *at)
-        step = at_visit(alpha, clock, n)
+        rate = at_visit(alpha, clock, n)
         if rules.weighting == "weighted":
             old = tables.entry(mean_weight, *at)
-            mean_weight = tables.write(mean_weight, counts(old + step * (w - old), old), *at)
+            mean_weight = tables.write(mean_weight, counts(old + rate * (w - old), old), *at)
             mean = tables.entry(mean_weight, *at)
-            step = step * jnp.where(w > 0, w / mean, 0)
+            rate = rate * jnp.where(w > 0, w / mean, 0)
         target = w * g if rules.weighting == "ordinary" else g
         old = tables.entry(q, *at)
-        q = tables.write(q, counts(old + step * (target - old), old), *at)
+        q = tables.write(q, counts(old + rate * (target - old), old), *at)
         if not rules.of_states:
             g, w = weigh(q, visits, g, w)
         return Learned(q, visits, mean_weight), gamma * g, w
 
     one = None if rules.weighting is None else jnp.ones((), inputs.rest.dtype)
-    return episode.backward(back, length, (learned, tables.entry(inputs.rest, lane), one))[0]
+    return walk.back(take, (learned, tables.entry(inputs.rest, lane), one))[0]

@@ -168,6 +168,8 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
     acts_after_update = of_method(algorithm).acts_after_update
 
     def step(run: Run, key: _Decisions) -> tuple[Run, Log, Happened]:
+        # Drawn before the update, on which it does not depend: so a processor works on both at the same time.
+        s_start = jnp.asarray(start.state(key.reset), jnp.int32)
         s_next, reward, terminal = env_step(key.step, run.s, run.a)
         s_next = jnp.asarray(s_next, jnp.int32)
         reward, terminal = jnp.asarray(reward, run.g.dtype), jnp.asarray(terminal, bool)
@@ -178,7 +180,6 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
         t = Transition(run.s, run.a, reward, s_next, discount, last)
         learner, a_next = algorithm.update(key.update, run.learner, t)
 
-        s_start = jnp.asarray(start.state(key.reset), jnp.int32)
         s = jnp.where(last, s_start, s_next)
         if acts_after_update and start.action == algorithm.policy:
             # A' and the first action of an episode are drawn alike: one draw serves, whichever is wanted.
@@ -298,10 +299,11 @@ def _run_episodes(
 ) -> tuple[Run, Log]:
     """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
     rows = -(-num_episodes // log_every)
-    log = jax.tree.map(lambda x: jnp.zeros(rows, x.dtype), _zero_log(run.g.dtype))
-    carry = run, log, jnp.int32(0)
+    nothing = _zero_log(run.g.dtype)
+    log = jax.tree.map(lambda x: jnp.zeros(rows, x.dtype), nothing)
+    carry = run, _Begun(log, jnp.int32(0), nothing), jnp.int32(0)
     if measure is None:
-        run, log, _ = _run_until(stream, step, carry, num_episodes, log_every)
+        run, (log, *_), _ = _run_until(stream, step, carry, num_episodes, log_every)
         return run, log
 
     def row(carry, target):
@@ -309,19 +311,35 @@ def _run_episodes(
         return carry, carry[0].learner, {}
 
     targets = jnp.minimum(log_every * jnp.arange(1, rows + 1), num_episodes)
-    (run, log, _), measured = _rows(row, carry, targets, rows, measure)
+    (run, (log, *_), _), measured = _rows(row, carry, targets, rows, measure)
     return run, log._replace(**measured)
 
 
+class _Begun(NamedTuple):
+    """The log of a run by episodes, and the row of it that has begun.
+
+    Attributes:
+        log: the rows, [rows]; zeros where they are not over.
+        over: how many are.
+        total: the sums of the row that is not.
+    """
+
+    log: Log
+    over: Int[Array, ""]
+    total: Log
+
+
 def _run_until(stream: rng.Stream, step: Step, carry, target: int | Int[Array, ""], log_every: int):
-    """Runs on until `target` episodes are over. `carry` is (run, log [rows], episodes)."""
+    """Runs on until `target` episodes are over, at the end of a row. `carry` is (run, rows, episodes)."""
 
     def one(carry):
-        run, log, episodes = carry
+        run, (log, over, total), episodes = carry
         run, now, _ = step(run, _keys(stream, run.t))
-        row = episodes // log_every
-        log = tables.lane_by_lane(_add_to_row, log, row, now)
-        return run, log, episodes + now.episodes
+        total, episodes = jax.tree.map(jnp.add, total, now), episodes + now.episodes
+        ends = (total.episodes == log_every) | (episodes == target)
+        log = tables.lane_by_lane(_put_row, log, over, total, ends)
+        total = jax.tree.map(lambda x: jnp.where(ends, 0, x), total)
+        return run, _Begun(log, over + ends.astype(jnp.int32), total), episodes
 
     return lax.while_loop(lambda carry: carry[-1] < target, one, carry)
 
@@ -331,9 +349,9 @@ def _zero_log(dtype: Any) -> Log:
     return Log(steps=count, episodes=count, returns=real, lengths=count, rewards=real)
 
 
-def _add_to_row(lane: Array, log: Log, row: Array, now: Log) -> Log:
-    """The sums of a step into its row, for `tables.lane_by_lane`."""
+def _put_row(lane: Array, log: Log, row: Array, total: Log, ends: Array) -> Log:
+    """The sums of a row into the log where the row ends, for `tables.lane_by_lane`: a loop of one turn or none."""
     at = lane, tables.entry(row, lane)
-    return jax.tree.map(
-        lambda table, x: tables.write(table, tables.entry(table, *at) + tables.entry(x, lane), *at), log, now
-    )
+    put = lambda table, x: tables.write(table, tables.entry(x, lane), *at)
+    times = tables.entry(ends, lane).astype(jnp.int32)
+    return lax.fori_loop(0, times, lambda _, log: jax.tree.map(put, log, total), log)

@@ -138,16 +138,18 @@ class CardGame(Finite):
         return prob, Outcome(s_next, reward, s_next == self.game.terminal)
 
     def tabulated_step(self) -> Callable[[Key[Array, ""], Int[Array, ""], Int[Array, ""]], Outcome]:
-        """As in `Finite`, but faster: the cards drawn do not depend on the state, so no row is loaded."""
+        """As in `Finite`, but faster: what is drawn from does not depend on the state, and the tables are small."""
         game, count = self.game, self.game.prob.shape[-1]
-        stick = jnp.asarray(game.prob[:, STICK, :3], float)
-        draws = jnp.asarray(game.prob[0, HIT], float)
-        entered, reward = jnp.asarray(game.s_next.ravel()), jnp.asarray(game.reward.ravel(), float)
+        draws, stick = jnp.asarray(game.prob[0, HIT], float), jnp.asarray(game.prob[:, STICK, :3], float)
+        after, win = jnp.asarray(game.s_next[:, HIT].ravel()), jnp.asarray(game.reward[:, STICK, 0], float)
 
         def step(key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
-            k = jnp.where(a == HIT, policies.sample(key, draws), policies.sample(key, tables.row(stick, s)))
-            i = (2 * s + a) * count + k
-            s_next = tables.entry(entered, i)
-            return Outcome(s_next, tables.entry(reward, i), s_next == game.terminal)
+            hits, card = a == HIT, policies.sample(key, draws)
+            result = policies.sample(key, tables.row(stick, s))  # of sticking: to win, to draw or to lose
+            s_next = jnp.where(hits, tables.entry(after, count * s + card), game.terminal)
+            terminal = s_next == game.terminal
+            loses = jnp.where(hits, terminal, result == 2) & (s != game.terminal)
+            wins = jnp.where(hits | (result > 0), 0, tables.entry(win, s))
+            return Outcome(s_next, jnp.where(loses, -1, wins), terminal)
 
         return step

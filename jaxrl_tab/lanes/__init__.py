@@ -18,6 +18,7 @@ From a jaxpr to scalar code:
     registry    which rule stands for which primitive
     rules       what each primitive means
     reciprocals quotients by what is the same in all lanes
+    choices     choices between sums, or products, with an operand in common
     lowering    the program of one lane, while it is written: calls, memory and loops
     lower       the program of one lane, from a jaxpr
     outside     what is left to XLA, as a function says it

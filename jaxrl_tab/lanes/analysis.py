@@ -160,8 +160,14 @@ class Facts:
         return loop in self._around
 
     def is_branch(self, loop: Value) -> bool:
-        """Whether a loop has one turn at most: it goes on while what it carries is True, and that is False then."""
+        """Whether a loop has one turn at most.
+
+        It goes on while what it carries is True, and that is False then; or it counts up to 1 at most.
+        """
         goes_on = loop.attr.condition.results[0]
+        if (counted := self._counted(loop)) is not None:
+            place, bound = counted
+            return self.bounds(bound)[1] - self.bounds(loop.args[place])[0] <= 1
         return any(
             goes_on is param and after.op == "const" and not after.number
             for param, after in zip(loop.attr.condition.params, loop.attr.body.results, strict=True)
@@ -282,8 +288,12 @@ class Facts:
 
         Where lanes leave a loop one by one, those that are done go on with numbers beyond the bound.
         """
+        return None if value in self.varying else self._counted(value)
+
+    def _counted(self, value: Value) -> tuple[int, Value] | None:
+        """Where each lane counts up by one as long as it is below a bound of its own: place and bound."""
         loop, test = value.attr, self.of(value.attr.condition.results[0])
-        if value in self.varying or test.op != "lt":
+        if test.op != "lt":
             return None
         for k, param in enumerate(loop.body.params):
             after = loop.body.results[k]

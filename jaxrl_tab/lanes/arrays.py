@@ -55,6 +55,10 @@ class Known:
             return self.item(0)  # all are the same
         return self.code.load(self.code.table(self.numbers), index)
 
+    def row(self, first: Value, count: int) -> list[Value]:
+        """Numbers that lie side by side, from index `first` on."""
+        return self.code.row(self.code.table(self.numbers), first, count)
+
 
 @dataclass(frozen=True)
 class Items:

@@ -37,7 +37,8 @@ class Value:
             in `scalars`. A constant may be an array: then an operation is worked out for all its numbers at once.
         dtype: bool, int32, uint32 or float32; a constant may have any.
         args: the values that the operation takes.
-        attr: what else it needs: the number of a constant, the Buffer of a load, the Loop of a loop.
+        attr: what else it needs: the number of a constant, the Buffer of a load, the Loop of a loop; of a select
+            True where the jaxpr itself chooses (`Builder.choice`).
     """
 
     __slots__ = ("args", "attr", "dtype", "op")
@@ -138,6 +139,13 @@ class Builder:
         key = name, dtype, *map(id, args)
         return self.once(key, lambda: self.add(Value(name, _compiled(dtype), args)))
 
+    def choice(self, which: Value, no: Value, yes: Value) -> Value:
+        """A select that XLA has as well, unlike that of an entry which it reads from memory: see `choices`."""
+        chosen = self.op("select", no.dtype, which, no, yes)
+        if chosen.args == (which, no, yes):
+            chosen.attr = True
+        return chosen
+
     def load(self, buffer: Buffer, index: Value) -> Value:
         if buffer.known is not None and index.op == "const":
             return self.const(buffer.known[index.attr])
@@ -155,6 +163,11 @@ class Builder:
 
     def store(self, buffer: Buffer, index: Value, x: Value) -> None:
         self.add(Value("store", buffer.dtype, (index, x), buffer))
+
+    def store_apart(self, buffer: Buffer, index: Value, x: Value) -> None:
+        """The same where nothing else is stored at this index in this version: what is loaded from there is `x`."""
+        self.store(buffer, index, x)
+        self.once(("load", id(buffer), buffer.version, id(index)), lambda: x)
 
     def table(self, numbers: np.ndarray) -> Buffer:
         """The buffer of an array that is known, one for all equal ones."""

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxrl_tab.lanes.arrays import Array, Known, Parts, Plain, Stale, Stored, is_small, made_of, size_of
+from jaxrl_tab.lanes.choices import choose_operands
 from jaxrl_tab.lanes.code import Buffer, Unsupported
 from jaxrl_tab.lanes.lowering import Lowering
 from jaxrl_tab.lanes.reciprocals import use_reciprocals
@@ -37,6 +38,7 @@ def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any], results: i
             for v, x in zip(wanted, code.closed(closed, *args)[:results], strict=True):
                 _give(code, v.aval, x)
             use_reciprocals(code.region)
+            choose_operands(code.region)
             return code
         except Stale as stale:
             copied |= {stale.site}

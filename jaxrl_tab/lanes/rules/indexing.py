@@ -58,7 +58,7 @@ def dynamic_slice(code: Lowering, equation: Any, x: Plain, *index: Plain) -> Pla
         return Known(x.numbers[tuple(places)], code)
     if is_small(sizes):
         first, offsets = flat_index(code, starts, x.shape), _offsets(x, sizes)
-        if isinstance(x, Stored) and 1 < len(offsets) == offsets[-1] + 1:
+        if isinstance(x, Stored | Known) and 1 < len(offsets) == offsets[-1] + 1:
             return made_of(code, sizes, x.dtype, x.row(first, len(offsets)))
         return made_of(code, sizes, x.dtype, [x.read(code.plus(first, int(k))) for k in offsets])
 
@@ -95,7 +95,7 @@ def dynamic_update_slice(code: Lowering, equation: Any, x: Plain, new: Plain, *i
         return made_of(code, x.shape, x.dtype, values)
     to = code.to_change(x)
     for place, number in zip(places, numbers, strict=True):
-        code.store(to.buffer, place, number)
+        code.store_apart(to.buffer, place, number)
     return to
 
 

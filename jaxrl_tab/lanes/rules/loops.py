@@ -65,7 +65,8 @@ def scan(code: Lowering, equation: Any, *args: Array) -> list[Array]:
 def cond(code: Lowering, equation: Any, which: Plain, *args: Array) -> Sequence[Array]:
     """Several branches, of which each is a loop of one turn at most: lanes that take another one write nothing.
 
-    Short branches are all worked out, and one of their results is chosen.
+    Short branches are all worked out, and one of their results is chosen. A short one among long ones is worked
+    out for all lanes, and the others replace what it gives.
     """
     branches, number = equation.params["branches"], which.item(0)
     number = code.op("convert", np.int32, number) if number.dtype == bool else number
@@ -74,14 +75,18 @@ def cond(code: Lowering, equation: Any, which: Plain, *args: Array) -> Sequence[
         return code.closed(branches[int(number.number)], *args)
     if all(_is_short(branch.jaxpr) for branch in branches):
         return _chosen(code, number, [code.closed(branch, *args) for branch in branches])
-    places = _places(branches)
-    results: list[Any] = [
-        args[places[k]] if k in places else _empty(code, v.aval.shape, v.aval)
-        for k, v in enumerate(equation.outvars)
-    ]
+    places: dict[int, int] = {}
+    if short := next((branch for branch in branches if _is_short(branch.jaxpr)), None):
+        results = code.closed(short, *args)
+    else:
+        places = _places(branches)
+        results = [
+            args[places[k]] if k in places else _empty(code, v.aval.shape, v.aval)
+            for k, v in enumerate(equation.outvars)
+        ]
     in_place = [k for k in places if not is_small(equation.outvars[k].aval.shape)]
     for case, branch in enumerate(branches):
-        if _gives_back(branch, places):
+        if branch is short or _gives_back(branch, places):
             continue
         taken = code.op("eq", bool, number, code.const(case, np.int32))
 
@@ -123,7 +128,7 @@ def _chosen(code: Lowering, number: Value, cases: Sequence[Sequence[Array]]) -> 
             chosen = xs[0].read(i)
             for k, x in enumerate(xs[1:], 1):
                 is_it = code.op("eq", bool, number, code.const(k, np.int32))
-                chosen = code.op("select", x.dtype, is_it, chosen, x.read(i))
+                chosen = code.choice(is_it, chosen, x.read(i))
             return chosen
 
         return made_by(code, xs[0].shape, xs[0].dtype, at)

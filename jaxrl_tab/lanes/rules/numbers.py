@@ -69,7 +69,8 @@ def operation(code: Lowering, equation: Any, first: Plain, *others: Plain) -> Pl
         raise Unsupported(f"the words of {first.dtype.name} as {dtype.name} are not compiled")
     if name == "div" and dtype.kind == "f" and _is_repeated(others[0], shape):
         return each_number(code, equation, lambda x, y: _times_reciprocal(code, x, y), args)
-    return each_number(code, equation, lambda *xs: code.op(name, dtype, *xs), args)
+    write = code.choice if name == "select" else lambda *xs: code.op(name, dtype, *xs)
+    return each_number(code, equation, write, args)
 
 
 def _is_repeated(x: Plain, shape: Sequence[int]) -> bool:
