@@ -232,7 +232,7 @@ CASES = {
             arrays(F32, 9, 11),
             index(40, 2),
         )
-        for sizes in ((1, 1), (1, 4), (3, 2), (2, 11), (7, 6))
+        for sizes in ((1, 1), (1, 4), (3, 2), (2, 11), (7, 6), (9, 11))
     ]
     + [(lambda i, n=n: lax.dynamic_slice(jnp.arange(60.0), (i,), (n,)), index()) for n in (1, 2, 40)]
     + [(row_of_each_turn, index())],
@@ -248,7 +248,7 @@ CASES = {
             arrays(I32, *sizes),
             index(40, 2),
         )
-        for sizes in ((1, 1), (3, 2), (7, 6))
+        for sizes in ((1, 1), (3, 2), (7, 6), (9, 11))
     ],
     "gather": [
         (lambda x, i, mode=mode: x.at[i].get(mode=mode), arrays(dtype, *shape), i)

@@ -73,6 +73,26 @@ def test_entries_and_rows_are_plain_indexing_with_any_lanes():
     np.testing.assert_array_equal(got, np.asarray(table)[:, 2])
 
 
+def _with_sum(table, x, y):
+    return table * x + y
+
+
+@pytest.mark.parametrize("in_turn", [True, False])
+def test_a_table_is_changed_where_the_condition_holds_with_any_lanes(in_turn, monkeypatch):
+    """Broken once: changed where it does not hold, or in the first lane -> each fails."""
+    monkeypatch.setattr(tables, "_lane_by_lane", lambda: in_turn)
+    rand = np.random.default_rng(0)
+    table, y = rand.normal(size=(2, 3, 4, 5, 2)).astype(np.float32)
+    x, is_due = rand.normal(size=(3, 4)).astype(np.float32), rand.random((3, 4)) < 0.5
+    change = lambda is_due, *args: tables.changed_where(is_due, _with_sum, *args)
+    got = jax.jit(jax.vmap(jax.vmap(change)))(is_due, table, x, y)
+    for i, j in np.ndindex(3, 4):
+        want = table[i, j] * x[i, j] + y[i, j] if is_due[i, j] else table[i, j]
+        np.testing.assert_allclose(got[i, j], want, rtol=1e-5, atol=1e-6)
+        one = change(*map(jnp.asarray, (is_due[i, j], table[i, j], x[i, j], y[i, j])))
+        np.testing.assert_allclose(one, want, rtol=1e-5, atol=1e-6)
+
+
 # --- random words ------------------------------------------------------------------------------------
 
 

@@ -1,7 +1,5 @@
 """Watkins's Q(lambda): Q-learning with eligibility traces (book, section 12.10; Watkins 1989)."""
 
-import jax.numpy as jnp
-
 from jaxrl_tab.algorithms.traces import TraceControl, TraceState
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.pytree import pytree
@@ -24,9 +22,8 @@ class QLambda(TraceControl):
     def update(self, key, state: TraceState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        row_next = tables.row(state.q, t.s_next)
+        row_next = state.values.row(t.s_next)
         q_next = policies.largest(row_next)
-        delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
-        goes_on = tables.entry(row_next, a_next) == q_next
-        state = self.learn(state, t, delta)
-        return state._replace(decay=jnp.where(goes_on, state.decay, 0)), a_next
+        delta = t.r + t.discount * q_next - state.values.entry(t.s, t.a)
+        is_greedy = tables.entry(row_next, a_next) == q_next
+        return self.learn(state, t, delta, cut=~is_greedy), a_next

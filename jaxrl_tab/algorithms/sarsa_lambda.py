@@ -1,13 +1,14 @@
 """Sarsa(lambda), the backward view: eligibility traces (book, section 12.7; Silver, lecture 5)."""
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.core import clock, tables
 from jaxrl_tab.core.clock import Clock
+from jaxrl_tab.core.credited import Credited
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
@@ -17,17 +18,24 @@ class SarsaLambdaState(NamedTuple):
     """A learner with traces, and what some kinds of them need besides.
 
     Attributes:
-        q, clock, z, decay: as in `traces.TraceState`.
+        values, clock: as in `traces.TraceState`.
         q_old: Q(S', A') as the last update found it, float []; with dutch traces, else None.
-        q_end: Q as it will be when the episode ends here, float [S, A]; off-line, else None.
+        q_start: Q at the start of the episode, by which it acts and learns, float [S, A]; off-line, else None.
     """
 
-    q: Float[Array, "S A"]
+    values: Credited
     clock: Clock
-    z: Float[Array, "S A"]
-    decay: Float[Array, ""]
     q_old: Float[Array, ""] | None
-    q_end: Float[Array, "S A"] | None
+    q_start: Float[Array, "S A"] | None
+
+    @property
+    def q(self) -> Float[Any, "... S A"]:
+        """Q, float [S, A]; of a batch [..., S, A]."""
+        return self.values.q if self.q_start is None else self.q_start
+
+    def row(self, s: Int[Array, ""]) -> Float[Array, " A"]:
+        """Q(s, .), float [A]."""
+        return self.values.row(s) if self.q_start is None else tables.row(self.q_start, s)
 
 
 @pytree
@@ -69,26 +77,30 @@ class SarsaLambda(TraceControl):
             raise InputError(problem, who=type(self).__name__, field="offline")
 
     def init(self, num_states: int, num_actions: int) -> SarsaLambdaState:
-        start = super().init(num_states, num_actions)
-        return SarsaLambdaState(
-            *start,
-            q_old=jnp.zeros_like(start.decay) if self.trace == "dutch" else None,
-            q_end=start.q if self.offline else None,
-        )
+        values, clock = super().init(num_states, num_actions)
+        q_old = jnp.zeros_like(values.credit) if self.trace == "dutch" else None
+        return SarsaLambdaState(values, clock, q_old, values.q if self.offline else None)
 
     def update(self, key, state: SarsaLambdaState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        q, q_next = tables.entry(state.q, t.s, t.a), tables.entry(state.q, t.s_next, a_next)
+        q, q_next = state.values.entry(t.s, t.a), state.values.entry(t.s_next, a_next)
+        if state.q_start is not None:  # off-line
+            q = tables.entry(state.q_start, t.s, t.a)
+            q_next = tables.entry(state.q_start, t.s_next, a_next)
         delta = t.r + t.discount * q_next - q
-        if state.q_end is not None:  # off-line
-            end = self.learn(state._replace(q=state.q_end), t, delta)
-            return end._replace(q=jnp.where(t.last, end.q, state.q), q_end=end.q), a_next
-        learned = self.learn(state, t, delta)
         if state.q_old is not None:  # dutch
-            # Q(S, A) is no longer what the last error counted on: all pairs but this step's own are told.
-            # In the first step of an episode there are none, so q_old may be anything.
-            alpha = clock.step_size(self.alpha, state.clock, t.s, t.a)
-            earlier = tables.add(learned.z, t.s, t.a, -jnp.ones_like(delta))
-            learned = learned._replace(q=learned.q + alpha * (q - state.q_old) * earlier, q_old=q_next)
-        return learned, a_next
+            # Q(S, A) is no longer what the last error counted on: all pairs but this step's own are told. In the
+            # first step of an episode there are no others, so q_old may be anything.
+            alpha, told = clock.step_size(self.alpha, state.clock, t.s, t.a), q - state.q_old
+            values = state.values.added(t.s, t.a, -alpha * told)
+            state, delta = state._replace(values=values, q_old=q_next), delta + told
+        state = self.learn(state, t, delta)
+        if state.q_start is not None:  # at the end of an episode no trace is left, so that Q is the base
+            q_start = tables.changed_where(t.last, _replaced, state.q_start, state.values.base)
+            state = state._replace(q_start=q_start)
+        return state, a_next
+
+
+def _replaced(old: Array, new: Array) -> Array:
+    return new

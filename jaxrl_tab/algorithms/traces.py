@@ -3,11 +3,12 @@
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import tables
+from jaxrl_tab.core import credited
 from jaxrl_tab.core.clock import Clock, end_step, step_size
+from jaxrl_tab.core.credited import Credited
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Transition
 
@@ -23,17 +24,21 @@ class TraceState(NamedTuple):
     """A learner that keeps action values, and how much of an error each pair is credited with.
 
     Attributes:
-        q: Q, float [S, A].
+        values: Q and the traces z. Traces fade at the end of a step, and none outlives its episode.
         clock: what the schedules of alpha and epsilon count.
-        z: the traces as the last update used them, float [S, A].
-        decay: what the next update multiplies them by before it marks its own pair: gamma lambda; or 0 where
-            they end, so that no trace outlives its episode; float [].
     """
 
-    q: Float[Array, "S A"]
+    values: Credited
     clock: Clock
-    z: Float[Array, "S A"]
-    decay: Float[Array, ""]
+
+    @property
+    def q(self) -> Float[Any, "... S A"]:
+        """Q, float [S, A]; of a batch [..., S, A]."""
+        return self.values.q
+
+    def row(self, s: Int[Array, ""]) -> Float[Array, " A"]:
+        """Q(s, .), float [A]."""
+        return self.values.row(s)
 
 
 @pytree
@@ -58,24 +63,20 @@ class TraceControl(TDControl):
     def init(self, num_states: int, num_actions: int) -> Any:
         """A TraceState; a method that remembers more makes its own state of it."""
         q, clock = super().init(num_states, num_actions)
-        return TraceState(q, clock, z=jnp.zeros_like(q), decay=jnp.zeros((), q.dtype))
+        return TraceState(credited.start(q), clock)
 
-    def learn(self, state: Any, t: Transition, delta: Float[Array, ""]) -> Any:
-        """z(S, A) <- z(S, A) + 1 and Q <- Q + alpha delta z, all pairs at once; then traces fade, or end.
+    def probs(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return self.selection.probs(state.row(s), state.clock, s)
 
-        They fade at the head of the next update, which lets XLA do all of this in place.
-        """
+    def begin(self, state: Any, t: Transition) -> Any:
+        state = super().begin(state, t)
+        return state._replace(values=state.values.begun())
+
+    def learn(
+        self, state: Any, t: Transition, delta: Float[Array, ""], cut: Bool[Array, ""] | bool = False
+    ) -> Any:
+        """z(S, A) <- z(S, A) + 1 and Q <- Q + alpha delta z; then z <- gamma lambda z, or 0 where they are `cut`."""
         alpha = step_size(self.alpha, state.clock, t.s, t.a)
-        z = tables.lane_by_lane(_mark, state.decay * state.z, KEPT[self.trace](alpha), t.s, t.a)
-        return state._replace(
-            q=state.q + alpha * delta * z,
-            z=z,
-            decay=jnp.where(t.last, 0, t.discount * self.lam),
-            clock=end_step(state.clock, t.last),
-        )
-
-
-def _mark(lane: Array, z: Array, kept: Array, s: Array, a: Array) -> Array:
-    """z(S, A) <- kept z(S, A) + 1, for `tables.lane_by_lane`."""
-    at = lane, tables.entry(s, lane), tables.entry(a, lane)
-    return tables.write(z, tables.entry(kept, lane) * tables.entry(z, *at) + 1, *at)
+        values = state.values.learned(t.s, t.a, KEPT[self.trace](alpha), alpha * delta)
+        values = values.faded(jnp.where(t.last | cut, 0, t.discount * self.lam))
+        return state._replace(values=values, clock=end_step(state.clock, t.last))

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
-from jaxtyping import Array, Int, Shaped, UInt32
+from jaxtyping import Array, Bool, Int, Shaped, UInt32
 
 T = TypeVar("T")
 
@@ -90,6 +90,34 @@ def lane_by_lane(body: Callable[..., T], tables: T, *inputs: Any) -> T:
         return split, _all_true(tables)
 
     return _with_lanes(one, one_rule)(tables, *inputs)
+
+
+def changed_where(
+    condition: Bool[Array, ""],
+    change: Callable[..., Shaped[Array, "..."]],
+    table: Shaped[Array, "..."],
+    *inputs: Shaped[Array, "..."],
+) -> Shaped[Array, "..."]:
+    """`change(table, *inputs)` where a condition holds; where it does not, `table`, of which nothing is touched.
+
+    Args:
+        condition: whether the table changes.
+        change: what it becomes, for one run; it must not close over anything that is traced.
+        table: a table.
+        inputs: arrays that `change` needs besides.
+    """
+
+    def body(lane: Array, table: Array, condition: Array, *inputs: Array) -> Array:
+        # A loop of one turn, for XLA would copy the tables of all lanes for `lax.cond`.
+        def once(carried: tuple[Array, Array]) -> tuple[Array, Array]:
+            table = carried[1]
+            new = change(*(entry(x, lane) for x in (table, *inputs)))
+            put = partial(lax.dynamic_update_index_in_dim, allow_negative_indices=False)
+            return jnp.bool_(False), put(table, new, lane, 0)
+
+        return lax.while_loop(lambda carried: carried[0], once, (entry(condition, lane), table))[1]
+
+    return lane_by_lane(body, table, condition, *inputs)
 
 
 def _lane_by_lane() -> bool:

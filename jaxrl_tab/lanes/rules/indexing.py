@@ -50,6 +50,8 @@ def _offsets(x: Plain, sizes: Sequence[int]) -> np.ndarray:
 @rule("dynamic_slice")
 def dynamic_slice(code: Lowering, equation: Any, x: Plain, *index: Plain) -> Plain:
     sizes = equation.params["slice_sizes"]
+    if tuple(sizes) == x.shape:
+        return x
     starts = _starts(code, x, index, sizes)
     if isinstance(x, Known) and all(i.op == "const" for i in starts):
         places = (slice(int(i.number), int(i.number) + n) for i, n in zip(starts, sizes, strict=True))
@@ -69,6 +71,8 @@ def dynamic_slice(code: Lowering, equation: Any, x: Plain, *index: Plain) -> Pla
 
 @rule("dynamic_update_slice")
 def dynamic_update_slice(code: Lowering, equation: Any, x: Plain, new: Plain, *index: Plain) -> Plain:
+    if new.shape == x.shape:
+        return new
     starts = _starts(code, x, index, new.shape)
     first = flat_index(code, starts, x.shape)
     if not is_small(new.shape):
