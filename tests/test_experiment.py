@@ -399,7 +399,7 @@ def test_the_plan_counts_programs_runs_blocks_and_bytes(parts, monkeypatch):
 
     5 sums in 4 bytes each, and a table [70, 8].
     """
-    monkeypatch.setattr(speeds, "read", dict)  # whatever other tests have kept; see test_forecast.py
+    monkeypatch.setattr(speeds, "read", speeds.Known)  # whatever other tests have kept; see test_forecast.py
     found = plan(parts)
     sarsa, n_step = list(found.parts.values())[:2]
     each = 4 * (8 * 5 + 70 * 8)

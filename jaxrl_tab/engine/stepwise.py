@@ -80,9 +80,9 @@ def _telling(method: Any, tell: Callable[[Float[Array, ""]], None]) -> Any:
     """A method that does the same, and tells each error that it learns from (`TDControl.learn`)."""
     cls = type(method)
 
-    def learn(self: Any, state: Any, t: Transition, delta: Float[Array, ""]) -> Any:
+    def learn(self: Any, state: Any, t: Transition, delta: Float[Array, ""], **more: Any) -> Any:
         tell(delta)
-        return cls.learn(self, state, t, delta)
+        return cls.learn(self, state, t, delta, **more)
 
     def control(self: Any, **policies: Any) -> Any:
         return _telling(cls.control(self, **policies), tell)
