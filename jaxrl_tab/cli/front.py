@@ -33,11 +33,8 @@ def answer(command: str, argv: Sequence[str]) -> None:
         return
     if command == "figure" and (name := places.get("name")):
         checked_name("a figure", name, catalogue.figures)
-    for title in (
-        "executor",
-        "environment",
-        "hyperparameters",
-    ):  # in the order in which the commands look at them
+    # In the order in which the commands look at them.
+    for title in ("executor", "environment", "hyperparameters"):
         if title not in groups:
             continue
         group, where = groups[title]

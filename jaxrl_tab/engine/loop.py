@@ -110,8 +110,7 @@ def run(
 def empty_log(dtype: Any, budget: Budget, measured: dict[str, Any]) -> Log:
     """The Log of a run whose returns are of this type, with zeros in all places; `measured`: more fields of a row."""
     row = _zero_log(dtype)._replace(**measured)
-    rows = -(-(budget.num_steps or budget.num_episodes or 0) // budget.row)
-    return jax.tree.map(lambda x: jnp.zeros((rows, *jnp.shape(x)), x.dtype), row)
+    return _empty(row, -(-(budget.num_steps or budget.num_episodes or 0) // budget.row))
 
 
 # --- the same, one step at a time ----------------------------------------------------------------------
@@ -300,8 +299,7 @@ def _run_episodes(
     """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
     rows = -(-num_episodes // log_every)
     nothing = _zero_log(run.g.dtype)
-    log = jax.tree.map(lambda x: jnp.zeros(rows, x.dtype), nothing)
-    carry = run, _Begun(log, jnp.int32(0), nothing), jnp.int32(0)
+    carry = run, _Begun(_empty(nothing, rows), jnp.int32(0), nothing), jnp.int32(0)
     if measure is None:
         run, (log, *_), _ = _run_until(stream, step, carry, num_episodes, log_every)
         return run, log
@@ -347,6 +345,11 @@ def _run_until(stream: rng.Stream, step: Step, carry, target: int | Int[Array, "
 def _zero_log(dtype: Any) -> Log:
     count, real = jnp.int32(0), jnp.zeros((), dtype)
     return Log(steps=count, episodes=count, returns=real, lengths=count, rewards=real)
+
+
+def _empty(row: Log, rows: int) -> Log:
+    """So many rows like this one, with zeros in all places."""
+    return jax.tree.map(lambda x: jnp.zeros((rows, *jnp.shape(x)), x.dtype), row)
 
 
 def _put_row(lane: Array, log: Log, row: Array, total: Log, ends: Array) -> Log:

@@ -91,17 +91,21 @@ class _Took(NamedTuple):
 
 
 class Clock:
-    """Measures speeds while shards are finished."""
+    """Measures speeds while shards are finished.
+
+    Attributes:
+        known: what was measured before.
+    """
 
     def __init__(self) -> None:
-        self._known, self._took, self._made = read(), {}, {}
+        self.known, self._took, self._made = read(), {}, {}
 
     def finished(self, part: Part, program: int, runs: int, running: float, compiling: float) -> None:
         """So many runs of a program of a part took so many seconds, and the program others to be ready."""
         took = self._took.get(_name(part), _Took())
         took = took._replace(work=took.work + _work(part, runs), running=took.running + running)
         name = part.needs[program].program
-        if compiling and name in self._known.programs:
+        if compiling and name in self.known.programs:
             took = took._replace(before=took.before + 1, starting=took.starting + compiling)
         elif compiling:
             took = took._replace(made=took.made + 1, compiling=took.compiling + compiling)
@@ -110,14 +114,15 @@ class Clock:
 
     def keep(self) -> None:
         """Keeps what was measured. What was over at once tells nothing."""
-        old = self._known.speeds
+        old = self.known.speeds
         new = {
             name: took.speed(old.get(name)) for name, took in self._took.items() if took.running >= SHORTEST
         }
-        speeds = list(({name: x for name, x in old.items() if name not in new} | new).items())
-        made = tuple(dict.fromkeys([*(x for x in self._known.programs if x not in self._made), *self._made]))
+        # What was measured now comes last.
+        speeds = [*((name, x) for name, x in old.items() if name not in new), *new.items()]
+        made = (*(x for x in self.known.programs if x not in self._made), *self._made)
         known = Known(dict(speeds[-AT_MOST:]), made[-10 * AT_MOST :])
-        if known != self._known:
+        if known != self.known:
             programs.note(NAME, _packed(known))
 
 

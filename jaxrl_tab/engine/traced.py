@@ -55,12 +55,12 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
     learner = init_learner(algorithm, env)
     q = learner.q  # some methods work it out
     others = [x for x in jax.tree.leaves(learner) if x is not q]
-    measured, waiting, learns = {}, None, of_method(algorithm).learns
+    measured, waiting = {}, None
     if budget.exact:
-        measured |= dict.fromkeys(EXACT[learns], jnp.zeros((), q.dtype))
+        measured |= dict.fromkeys(EXACT[of_method(algorithm).learns], jnp.zeros((), q.dtype))
     if budget.record is not None:
         measured["recorded"] = recorded(budget.record, algorithm, learner)
-    if measured and (rows := rows_at_once(learner, budget.exact and learns is Learns.ACTIONS)) > 1:
+    if measured and (rows := rows_at_once(algorithm, learner, budget.exact)) > 1:
         waiting = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), learner)
     return (q, loop.empty_log(q.dtype, budget, measured)), others, waiting
 
@@ -117,15 +117,16 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
         return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
 
     like = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
-    solves = full is not None and of_method(algorithm).learns is Learns.ACTIONS
-    return Measure(prepared(make, algorithm, env, full, like=like), rows_at_once(like, solves))
+    at_once = rows_at_once(algorithm, like, exact=full is not None)
+    return Measure(prepared(make, algorithm, env, full, like=like), at_once)
 
 
-def rows_at_once(learner: Any, solves: bool) -> int:
-    """Of how many rows it is measured at once what a learner has learned: of one, where that solves a linear system.
+def rows_at_once(algorithm: Any, learner: Any, exact: bool) -> int:
+    """Of how many rows it is measured at once what a learner has learned: of as many as may wait in `WAITING` bytes.
 
-    Else of as many as may wait in `WAITING` bytes.
+    Of one, where that solves a linear system.
     """
+    solves = exact and of_method(algorithm).learns is Learns.ACTIONS
     return 1 if solves else max(1, WAITING // max(1, memory.size(learner)))
 
 

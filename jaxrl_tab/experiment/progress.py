@@ -56,9 +56,18 @@ class Meter:
         with reporting(progress) as self._report:
             yield
 
-    def begin(self, store: Store, job: Job, missing: Sequence[int], later: Mapping[str, int]) -> None:
-        """Counts what is there already, what is missing, and runs of parts that come later."""
-        known = speeds.read()
+    def begin(
+        self,
+        store: Store,
+        job: Job,
+        missing: Sequence[int],
+        later: Mapping[str, int],
+        known: speeds.Known,
+    ) -> None:
+        """Counts what is there already, what is missing, and runs of parts that come later.
+
+        What is `known` of their speeds says how long the parts will take that have not begun.
+        """
         for name, part in job.parts.items():
             if (time_of_all := speeds.forecast(part, known)) and time_of_all.is_measured:
                 self._expected[name] = time_of_all.seconds / part.runs

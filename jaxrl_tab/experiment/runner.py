@@ -201,8 +201,8 @@ def _compute(
     missing = _missing(store, job)
     if missing:
         origin.check(store.path)
-    meter.begin(store, job, missing, later)
     clock = speeds.Clock()
+    meter.begin(store, job, missing, later, clock.known)
     # Where it stops, the workers do.
     with _heard(meter.underway), contextlib.closing(executor.run(job, missing)) as finished:
         for number, arrays in finished:
