@@ -68,9 +68,9 @@ def at_cursor(page):
     return {name: float(value) for name, _, value in cells if value is not None}
 
 
-def rows_of(page, row):
-    """The numbers of a row of the table of the cell that is looked at."""
-    return [number(x) for x in page(f"$$('.about tr[data-row=\"{row}\"] td').map(x => x.textContent)")]
+def column_of(page, what):
+    """The numbers of a column of the table of the cell that is looked at."""
+    return [number(x) for x in page(f"$$('.about td[data-of=\"{what}\"]').map(x => x.textContent)")]
 
 
 def merged(x, every=3):
@@ -115,12 +115,12 @@ def test_the_slider_moves_the_grid(page):
     exact = rl.planning.value_iteration(env)[1]
     for s in (30, 33, 20):
         page(f"$('.cell[data-s=\"{s}\"]').dispatchEvent(new Event('pointerenter'))")
-        assert rows_of(page, "learned") == pytest.approx(recorded[:, s].mean(0), abs=0.006)
-        assert rows_of(page, "exact") == pytest.approx(exact[s], abs=0.006)
-        assert sum(rows_of(page, "times taken")) <= 1260
+        assert column_of(page, "learned") == pytest.approx(recorded[:, s].mean(0), abs=0.006)
+        assert column_of(page, "exact") == pytest.approx(exact[s], abs=0.006)
+        assert sum(column_of(page, "times taken")) <= 1260
     choose(page, ".chosen", "runs", "median")
     page.wait("$('.stage .small').textContent.startsWith('median')")
-    assert rows_of(page, "learned") == pytest.approx(np.median(recorded[:, 20], 0), abs=0.006)
+    assert column_of(page, "learned") == pytest.approx(np.median(recorded[:, 20], 0), abs=0.006)
 
 
 def test_visits_are_as_many_as_steps(page):
@@ -316,10 +316,10 @@ def test_panels_name_the_actions(browser, tmp_path):
     box = "(x => [x.x, x.y])($('.cell[data-s=\"{}\"]').getBoundingClientRect())"
     (x, y), (left, same) = (browser(box.format(states.index(at))) for at in (s, tables[1].states[0, 3]))
     assert (left < x, same) == (True, y)
-    assert rows_of(browser, "learned") == pytest.approx(result.q[:, s].mean(0), abs=1e-4)
+    assert column_of(browser, "learned") == pytest.approx(result.q[:, s].mean(0), abs=1e-4)
     greedy = result.q[:, s] == result.q[:, s].max(-1, keepdims=True)
     votes = (greedy / greedy.sum(-1, keepdims=True)).sum(0)
-    bold = browser("$$('.about th.best').map(x => x.textContent)")
+    bold = browser("$$('.about .best th').map(x => x.textContent)")
     assert bold == [env.action_names[a] for a in np.flatnonzero(np.isclose(votes, votes.max()))]
     assert browser.messages == []
 
