@@ -143,6 +143,7 @@ function settingsCard(c) {
       const dash = dashOf(line.i);
       if (!line.points) {
         const v = fr.y(line.m.score(line.setting, k)[0]);
+        if (!Number.isFinite(v)) return;
         el(
           "line",
           { class: "line", x1: fr.x0, x2: fr.x1, y1: v, y2: v, style: { stroke: colour }, "stroke-dasharray": "3 6" },

@@ -64,7 +64,7 @@ const visitsText = (visits) =>
 // How large numbers are in a cell that is so many pixels wide, and how many characters there is room for.
 function typeIn(width) {
   const size = Math.min(12.5, Math.max(8.5, width / 3.3));
-  return { size, room: Math.floor(width / (0.58 * size)) };
+  return { size, room: Math.floor(width / (0.65 * size)) };
 }
 
 // A number in at most so many characters: with fewer decimals, then without the zero before them; or none.
