@@ -212,7 +212,7 @@ def test_curves_can_be_copied_as_python(page, copied):
     """What they draw is what is shown. Broken once: a name of a group that is not there; no single run -> fails."""
     last = lambda ax: {x.get_label(): x.get_ydata()[-1] for x in ax.get_lines() if x.get_label()[0] != "_"}
     choose(page, ".curves", "bands", "all")
-    choose(page, ".curves", "measure", "reward")
+    choose(page, ".curves", "measure", "episodes")
     assert last(copied(".curves")) == pytest.approx(at_cursor(page), rel=1e-5)
     choose(page, ".curves", "bands", "none")
     choose(page, ".curves", "a curve for each", "alpha")

@@ -218,7 +218,10 @@ function curvesCard(c) {
         "span",
         {},
         button,
-        s.m.data.axes.length && state.lines === "methods" ? `${s.name} (${s.m.inWords(s.setting)})` : s.name,
+        (s.m.data.axes.length && state.lines === "methods"
+          ? `${s.name} (${s.m.inWords(s.setting)})`
+          : s.name
+        ).replaceAll(" = ", "\u00a0=\u00a0"),
       );
       button.addEventListener("click", () => {
         state.off.has(s.name) ? state.off.delete(s.name) : state.off.add(s.name);
