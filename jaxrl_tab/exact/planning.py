@@ -49,7 +49,6 @@ from jaxrl_tab.exact.values import (
     ROUNDING,
     Round,
     doubled,
-    fate,
     from_start,
     greedy_to,
     has_double,
@@ -58,7 +57,7 @@ from jaxrl_tab.exact.values import (
     policy_values,
     sparse_solver,
 )
-from jaxrl_tab.exact.visits import entered, occupancy, stationary_distribution, visits
+from jaxrl_tab.exact.visits import occupancy, regret, stationary_distribution
 
 __all__ = [
     "Measure",
@@ -358,20 +357,13 @@ def action_regret_map(
     """
     v, q = value_iteration(env, gamma)
     model = exact_model(env)
-    probs = checked_policy(model, policy_probs)
-    loss = v[:, None] - q
-    if gamma == 1:
-        settled, caught, doomed = fate(model, probs)
-        if (doomed & (model.start > 0)).any():
-            s = first(caught & entered(model, probs))
-            assert s
-            raise InputError(
-                f"{name_of(env)}: this policy may come to state {s[0]}, from which it never ends and rewards go on, "
-                "so at gamma = 1 its regret is infinite; take gamma below 1"
-            )
-        model, loss = ending_at(model, settled), np.where(settled[:, None], v[:, None], loss)
-    weight = visits(model, probs, gamma)[:, None] * probs
-    return np.multiply(weight, loss, out=np.zeros_like(weight), where=weight > 0)
+    found = regret(model, checked_policy(model, policy_probs), v, q, gamma)
+    if (s := first(found.caught)) is not None:
+        raise InputError(
+            f"{name_of(env)}: this policy may come to state {s[0]}, from which it never ends and rewards go on, so at "
+            "gamma = 1 its regret is infinite; take gamma below 1"
+        )
+    return found.by_action
 
 
 @once_for_an_environment

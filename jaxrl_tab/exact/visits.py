@@ -15,8 +15,18 @@ from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.given import checked_policy
-from jaxrl_tab.exact.model import Model, exact_model, name_of, reaching, spread, terminal_states
-from jaxrl_tab.exact.values import sparse_solver
+from jaxrl_tab.exact.model import (
+    Model,
+    ending_at,
+    exact_model,
+    name_of,
+    reaching,
+    spread,
+    terminal_states,
+)
+from jaxrl_tab.exact.values import fate, sparse_solver
+
+DENSE = 200  # states, up to which a matrix with all its zeros is the quicker one
 
 
 class _Chain(NamedTuple):
@@ -38,20 +48,27 @@ class _Chain(NamedTuple):
 
         From every state that can be reached the chain must be left for good in the end.
         """
-        from scipy import sparse  # here, because it takes 0.3 s
-
         reached = np.flatnonzero(spread(self.source, self.target, begin > 0))
         place = np.full(len(begin), -1)
         place[reached] = np.arange(len(reached))
         inside = place[self.source] >= 0
         source, target = place[self.source[inside]], place[self.target[inside]]
         away = self.away[reached]
-        # How often each state is left: x = begin + jumps x.
-        entries = self.weight[inside] / away[source], (target, source)
-        jumps = sparse.csc_array(entries, shape=(len(reached), len(reached)))
         visits = np.zeros(len(begin))
-        visits[reached] = sparse_solver(jumps)(begin[reached]) / away
+        visits[reached] = _solve(self.weight[inside] / away[source], target, source, begin[reached]) / away
         return visits
+
+
+def _solve(jumps: np.ndarray, target: np.ndarray, source: np.ndarray, begin: np.ndarray) -> np.ndarray:
+    """How often each state is left: x = begin + jumps x, float [S]."""
+    n = len(begin)
+    if n <= DENSE:
+        matrix = np.eye(n)
+        np.subtract.at(matrix, (target, source), jumps)
+        return np.linalg.solve(matrix, begin)
+    from scipy import sparse  # here, because it takes 0.3 s
+
+    return sparse_solver(sparse.csc_array((jumps, (target, source)), shape=(n, n)))(begin)
 
 
 def _chain(model: Model, probs: Float[np.ndarray, "S A"], gamma: float) -> _Chain:
@@ -112,6 +129,42 @@ def entered(model: Model, probs: Float[np.ndarray, "S A"]) -> Bool[np.ndarray, "
     """The states to which a policy may come from the start, bool [S]."""
     taken = (probs > 0)[:, :, None] & (model.prob > 0)
     return spread(np.nonzero(taken)[0], model.s_next[taken], model.start > 0)
+
+
+class Regret(NamedTuple):
+    """Where and by what a policy loses what it earns less than the best one.
+
+    Attributes:
+        by_action: the terms of `planning.action_regret_map`, float [S, A]; 0 where it loses without bound.
+        visits: how often it is in each state, float [S]; 0 where it loses without bound.
+        caught: where it may come to, never end, and go on losing, bool [S].
+    """
+
+    by_action: Float[np.ndarray, "S A"]
+    visits: Float[np.ndarray, " S"]
+    caught: Bool[np.ndarray, " S"]
+
+
+def regret(
+    model: Model,
+    probs: Float[np.ndarray, "S A"],
+    v: Float[np.ndarray, " S"],
+    q: Float[np.ndarray, "S A"],
+    gamma: float,
+) -> Regret:
+    """The regret of a policy, from v* and q*."""
+    loss, caught = v[:, None] - q, np.zeros(len(v), bool)
+    if gamma == 1:
+        settled, caught, doomed = fate(model, probs)
+        if (doomed & (model.start > 0)).any():
+            return Regret(np.zeros_like(q), np.zeros_like(v), caught & entered(model, probs))
+        caught = np.zeros_like(caught)  # nobody comes there
+        # Where it stays for nothing it loses at once all that could still be earned.
+        model, loss = ending_at(model, settled), np.where(settled[:, None], v[:, None], loss)
+    often = visits(model, probs, gamma)
+    weight = often[:, None] * probs
+    by_action = np.multiply(weight, loss, out=np.zeros_like(weight), where=weight > 0)
+    return Regret(by_action, often, caught)
 
 
 def stationary_distribution(env: Environment, policy_probs: ArrayLike) -> Float[np.ndarray, " S"]:
