@@ -30,6 +30,7 @@ MODULES = {
     "explain": "explain",
     "figure": "figure",
 }
+OBJECTS = 100_000  # that are new: then Python looks for garbage among them, instead of at 700
 TRACEBACK = "JAXRL_TAB_TRACEBACK"
 HELP = f"""\
 usage: {PROG} COMMAND ...
@@ -116,7 +117,8 @@ def _dispatch(argv: list[str]) -> int:
 def _load(name: str) -> ModuleType:
     """A module of this package, which imports all that it needs.
 
-    None of that is ever garbage. To look for some again and again would take a tenth of the time.
+    None of that is ever garbage. To look for some again and again would take a tenth of the time; and later on it is
+    looked for seldom.
     """
     module = f"{__name__}.{name}"
     if module in sys.modules or not gc.isenabled():
@@ -126,6 +128,7 @@ def _load(name: str) -> ModuleType:
         return importlib.import_module(module)
     finally:
         gc.freeze()
+        gc.set_threshold(OBJECTS)
         gc.enable()
 
 

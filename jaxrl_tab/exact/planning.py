@@ -306,7 +306,7 @@ def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = 
     return float(_largest_return(env, gamma, steps, anywhere))
 
 
-@once_for_an_environment
+@once_for_an_environment(like=None)
 def _largest_return(env: Environment, gamma: float, steps: int, anywhere: bool) -> np.ndarray:
     model = exact_model(env)
     begin = np.full(len(model.start), True) if anywhere else reachable(model)
@@ -366,7 +366,9 @@ def action_regret_map(
     return found.by_action
 
 
-@once_for_an_environment
+@once_for_an_environment(
+    like=(Model(*[None] * len(Model._fields)), Round(*[None] * len(Round._fields)), None)
+)
 def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "Round", Bool[np.ndarray, " S"]]:
     """The model, the last round of policy iteration in it, and which states were left out of both.
 

@@ -1,11 +1,12 @@
 """The files of results in an experiment's folder."""
 
+import contextlib
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 from jaxrl_tab.core.checks import is_list
 from jaxrl_tab.core.errors import RunError, check_choice, one_line, unfit
@@ -160,45 +161,63 @@ def check_formats(formats: Any) -> tuple[Format, ...]:
     return tuple(dict.fromkeys(formats))
 
 
+class Pictures(NamedTuple):
+    """Pictures that are being drawn.
+
+    Attributes:
+        folder: into which; it is there for a while only.
+        finish: returns when all are drawn.
+    """
+
+    folder: Path
+    finish: Callable[[], None]
+
+
+@contextlib.contextmanager
+def drawing(store: Store, outcome: Outcome, formats: Sequence[Format] = FORMATS[:1]) -> Iterator[Pictures]:
+    """Within the block the pictures are drawn, in these formats, for `write_files` to put where they belong."""
+    scratch = store.path / f".{storage.PICTURES}{storage.UNFINISHED}"
+    try:
+        with painter.drawing(_drawings(outcome, scratch, formats) if formats else ()) as finish:
+            yield Pictures(scratch, finish)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
 def write_files(
     store: Store,
     outcome: Outcome,
     records: Mapping[str, Any],
-    formats: Sequence[Format] = FORMATS[:1],
+    pictures: Pictures,
     again: "Again | None" = None,
     toml: Mapping[str, str] | None = None,
 ) -> None:
-    """Tables, pictures in these formats, and the report, each a whole file or none.
+    """Tables, pictures, and the report, each a whole file or none.
 
     `again` and `toml` are for the report, see `report.write`.
     """
     from jaxrl_tab.show import report
 
-    folder = store.path
+    folder, scratch = store.path, pictures.folder
     about = {"command": records["sessions"][0]["command"], "version": __version__}
-    scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
-    try:
-        with storage.as_run_error(folder):
-            scratch.mkdir(parents=True, exist_ok=True)
-            with painter.drawing(_drawings(outcome, scratch, formats) if formats else ()):
-                files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
-                files.append(_write_table(folder / SUMMARY, outcome.summary))
-                if outcome.fresh:
-                    files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
-                    files.append(_write_table(folder / SELECTION, outcome.selection))
-                about_all = _about(store, records)
-                explained = outcome.explained_in_report
-                fresh = outcome.fresh_methods
-                report.write_methods(scratch, outcome.methods, about_all, fresh, again, toml, explained)
-        for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
-            goal = folder / file.relative_to(scratch)
-            with storage.as_run_error(goal):
-                goal.parent.mkdir(parents=True, exist_ok=True)
-            with storage.writing(goal) as unfinished:
-                file.replace(unfinished)
-            files.append(goal)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    with storage.as_run_error(folder):
+        scratch.mkdir(parents=True, exist_ok=True)
+        files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
+        files.append(_write_table(folder / SUMMARY, outcome.summary))
+        if outcome.fresh:
+            files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
+            files.append(_write_table(folder / SELECTION, outcome.selection))
+        about_all = _about(store, records)
+        explained, fresh = outcome.explained_in_report, outcome.fresh_methods
+        report.write_methods(scratch, outcome.methods, about_all, fresh, again, toml, explained)
+        pictures.finish()
+    for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
+        goal = folder / file.relative_to(scratch)
+        with storage.as_run_error(goal):
+            goal.parent.mkdir(parents=True, exist_ok=True)
+        with storage.writing(goal) as unfinished:
+            file.replace(unfinished)
+        files.append(goal)
     store.keep_files(str(file.relative_to(folder)) for file in files)
 
 

@@ -34,7 +34,7 @@ from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import shards, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, write_files
+from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, write_files
 from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
@@ -196,15 +196,17 @@ def _go_on(
                 select = experiment.select
                 fresh_seeds = select["fresh_seeds"] if select else 0
                 outcome, new = _results(store, job, fresh_seeds, executor or Local(), meter, origin)
-        if ready:
-            ready(outcome)  # after the bar, for what is printed beside one is lost in it
-        if keep and (new or not store.files):
-            if origin.changed and not new:
-                warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
-            with meter.reporting(progress):
-                meter.show("tables, pictures, report")
-                again, toml = RunAgain(job.parts, limit), toml_of_settings(experiment)
-                write_files(store, outcome, records, formats, again, toml)
+        writes = keep and (new or not store.files)
+        with drawing(store, outcome, formats if writes else ()) as pictures:
+            if ready:
+                ready(outcome)  # after the bar, for what is printed beside one is lost in it
+            if writes:
+                if origin.changed and not new:
+                    warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
+                with meter.reporting(progress):
+                    meter.show("tables, pictures, report")
+                    again, toml = RunAgain(job.parts, limit), toml_of_settings(experiment)
+                    write_files(store, outcome, records, pictures, again, toml)
     return outcome
 
 
