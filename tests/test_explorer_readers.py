@@ -98,7 +98,7 @@ def test_rows_are_cards_on_a_phone(usual, pages):
 
 @needs_browser
 def test_a_tap_on_a_cell_tells_what_a_mouse_does(usual, pages):
-    """And what is tapped is large enough. Broken once: no pointer is listened to; points as small as for a mouse -> fails."""
+    """What is tapped is large enough. Broken once: no pointer is listened to; points as for a mouse -> fails."""
     look_at(usual, pages["grid"])
     usual.resize(390, 800, phone=True)
     usual.wait("innerWidth === 390")

@@ -205,7 +205,8 @@ def _of_seeds(runs: np.ndarray, measure: Measure, flat: Flat, costs: bool, setti
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         return *mean_and_bounds(values, "hall", 0.95, together), *median_and_bounds(values, 0.95)
 
-    *statistics, n = along(x, "seed", of, parts=len(STATISTICS) - 1)  # in one go, which takes a third of the time
+    # In one go, which takes a third of the time.
+    *statistics, n = along(x, "seed", of, parts=len(STATISTICS) - 1)
     parts = np.stack([part.values for part in statistics], 1)
     if measure.key == "return":
         parts[:, [2, 4]] = np.minimum(
