@@ -8,7 +8,7 @@ from jaxrl_tab.engine import by_lanes, by_xla, programs, room
 
 def forget():
     """As a new process would."""
-    for cached in (room.traced_program, by_xla._compiled, by_lanes._kernel):
+    for cached in (room.traced_program, by_xla._compiled, by_lanes.kernel):
         cached.cache_clear()
     look_again()
 
@@ -46,7 +46,7 @@ def unoptimised():
 
     def optimise(chosen):
         forget()
-        by_lanes._kernel.cache_clear()  # parts of which XLA compiled
+        by_lanes.kernel.cache_clear()  # parts of which XLA compiled
         jax.clear_caches()
         jax.config.update("jax_disable_most_optimizations", not chosen)
 
