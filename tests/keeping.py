@@ -9,7 +9,7 @@ from jaxrl_tab.exact import model
 
 def forget():
     """As a new process would."""
-    for cached in (room.traced_program, by_xla._compiled, by_lanes._kernel):
+    for cached in (room.traced_program, by_xla._compiled, by_lanes.kernel):
         cached.cache_clear()
     model._kept.clear()
     look_again()
@@ -48,7 +48,7 @@ def unoptimised():
 
     def optimise(chosen):
         forget()
-        by_lanes._kernel.cache_clear()  # parts of which XLA compiled
+        by_lanes.kernel.cache_clear()  # parts of which XLA compiled
         jax.clear_caches()
         jax.config.update("jax_disable_most_optimizations", not chosen)
 

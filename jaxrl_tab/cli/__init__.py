@@ -1,4 +1,4 @@
-"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, watch, sweep, resume, figure.
+"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, watch, sweep, resume, explain, figure.
 
 Options for environments and methods are made from the registries: a new entry's parameters are options with
 no edit here. All that a person can get wrong is refused before anything is compiled, with exit code 2 and
@@ -27,6 +27,7 @@ MODULES = {
     "watch": "watch",
     "sweep": "sweep",
     "resume": "sweep",
+    "explain": "explain",
     "figure": "figure",
 }
 OBJECTS = 100_000  # that are new: then Python looks for garbage among them, instead of at 700
@@ -43,6 +44,7 @@ commands:
   watch     an episode of a method, step by step, while it learns
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
   resume    go on with a sweep that was interrupted
+  explain   where the methods of a sweep lose what they earn less than the best policy
   figure    make published figures again, and check their numbers
 
 examples:
@@ -52,6 +54,7 @@ examples:
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
   {PROG} sweep --write-template experiment.toml
   {PROG} resume runs/windy
+  {PROG} explain runs/windy
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures
 

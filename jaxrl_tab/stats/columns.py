@@ -82,6 +82,13 @@ class Method(Settings):
         at.loc[self.best] = True
         return at
 
+    @property
+    def number_of_best(self) -> int:
+        """The number of the best setting among all, in the order of the axes."""
+        place = [self.ds[axis].values.tolist().index(value) for axis, value in self.best.items()]
+        sizes = [self.ds.sizes[axis] for axis in self.best]
+        return int(np.ravel_multi_index(place, sizes)) if place else 0
+
     def only_at_best(self, x: xr.DataArray | float) -> xr.DataArray:
         """`x` at the best setting, NaN at the others, [*hyperparameters]."""
         return xr.where(self.is_best, x, np.nan)
