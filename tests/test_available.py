@@ -18,6 +18,8 @@ from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome, restricted
 from jaxrl_tab.envs.base import Finite
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 HAS = np.array([[1, 0, 1, 0], [0, 0, 1, 0], [1, 1, 0, 1], [1, 1, 1, 1], [0, 1, 0, 0]], bool)
 UNIFORM = HAS / HAS.sum(1, keepdims=True)
 

@@ -190,6 +190,7 @@ def test_glie_is_one_over_the_number_of_the_episode(asked):
     assert float(epsilon(jax.numpy.int32(4))) == 0.25
 
 
+@pytest.mark.slow
 def test_sweep_records_exact_values_and_schedules(tmp_path):
     """With a device for each core, where batches of linear systems once waited for each other for ever.
 

@@ -19,8 +19,6 @@ from jaxrl_tab import planning
 from jaxrl_tab.interop import from_gymnasium, from_gymnax, make, to_gymnax
 from jaxrl_tab.interop.gymnax import EnumeratedGymnax, SampledGymnax
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 # --- exact ---------------------------------------------------------------------------------------------
 
 

@@ -27,6 +27,8 @@ from jaxrl_tab.experiment.executors.base import Job
 from jaxrl_tab.lanes import calls, machine
 from jaxrl_tab.lanes.kernel import Kernel
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 TWO_DOORS = {"num_steps": 20, "log_every": 10}
 
 
@@ -316,7 +318,10 @@ LONG = {
 }
 
 
-@pytest.mark.parametrize("which", LONG)
+@pytest.mark.parametrize(
+    "which",
+    [pytest.param(name, marks=pytest.mark.slow if k else ()) for k, name in enumerate(LONG)],
+)
 def test_ctrl_c_ends_a_kernel(tmp_path, which):
     """By itself: nothing has to end the process. Broken once: a loop does not ask -> hangs until it is killed."""
     for name, waits in STUCK.items():
@@ -404,6 +409,7 @@ def test_more_threads_than_devices_share_the_room(monkeypatch):
     assert by_lanes.ByLanes(runs, one // 4, None).threads == 1
 
 
+@pytest.mark.slow
 def test_as_many_threads_as_cores_unless_devices_were_chosen():
     code = "import jax, {first}; from jaxrl_tab.engine import by_lanes; print(by_lanes.threads())"
     run = lambda first, **env: subprocess.run(

@@ -8,6 +8,8 @@ from lanes_tools import assert_same_bits, by_lanes, by_xla, narrow
 from jaxrl_tab.lanes import ahead, vectors
 from jaxrl_tab.lanes.target import host
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 LANES = 16
 
 

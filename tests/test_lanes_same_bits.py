@@ -24,6 +24,8 @@ from jaxrl_tab.lanes import program
 from jaxrl_tab.lanes.kernel import Kernel
 from jaxrl_tab.lanes.target import host
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 
 @pytree
 class Coin(Finite):
@@ -144,7 +146,13 @@ def arrays(result):
     return [np.asarray(x) for x in jax.tree.leaves((result.q, result.log))]
 
 
-@pytest.mark.parametrize("name", CASES)
+# By which a mistake shows soonest; all others take long to compile.
+FIRST = {"sarsa", "monte-carlo", "double-q-learning", "td", "schedules", "a policy in a table", "record"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in FIRST else pytest.mark.slow) for name in CASES]
+)
 def test_lanes_gives_what_xla_gives(name):
     """The tables, and all of the log. Broken once: no product fused -> fails.
 
@@ -232,7 +240,7 @@ def test_the_bits_depend_on_neither_the_vectors_nor_the_block(env, method, by):
     assert_same_bits([np.roll(x, -5, axis=0) for x in shifted], results[0][1])
 
 
-@pytest.mark.parametrize("case", ["sarsa", "monte-carlo", "exact"])
+@pytest.mark.parametrize("case", ["sarsa", "monte-carlo", pytest.param("exact", marks=pytest.mark.slow)])
 def test_a_run_is_what_it_is_among_any_number_of_others(case):
     """1 and 3 are programs of their own, and what XLA does of a row is done for a block at least."""
     result = swept(CASES[case], "lanes", 300)

@@ -17,8 +17,6 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning, schedules
 from jaxrl_tab.core.schedules import Optax, Power
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 GAMMAS = (0.0, 0.5, 0.9, 1.0)
 EPSILON = 0.25
 

@@ -16,8 +16,6 @@ from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.core.schedules import Power
 from jaxrl_tab.core.types import Transition
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 # --- decision for decision, in float64 ---------------------------------------------------------------
 
 

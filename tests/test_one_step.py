@@ -13,8 +13,6 @@ from jaxrl_tab.core import coverage, rng
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.core.types import Transition
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 ALPHAS = 0.5, 0.25, 0.5, 0.125
 EPSILON = 0.25
 

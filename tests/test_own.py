@@ -292,6 +292,7 @@ def test_environments_of_other_libraries_with_their_arguments(here, capsys):
 # --- experiments -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_typed_killed_resumed_and_selected(here, capsys):
     """The same, to the last bit, as the classes give in Python; though the file is gone in between."""
     code = (

@@ -33,8 +33,6 @@ from jaxrl_tab.core.policies import Softmax, Table
 from jaxrl_tab.core.schedules import Power
 from jaxrl_tab.core.types import Algorithm
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 # --- decision for decision, in float64: five states, three actions, and a time limit that is often met -----
 
 PI = eighths(5, 3)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import keeping
 import numpy as np
 import pytest
 import quick
@@ -414,7 +415,7 @@ runner.run(quick.SELECTED, {str(tmp_path / "run")!r}, progress=wait)
 # --- no room, no memory ------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=["300k", "600k"])
+@pytest.fixture(params=["300k", pytest.param("600k", marks=pytest.mark.slow)])
 def small_disk(request, tmp_path):
     """A disk with room for some shards, or for all and no results; None for those who may not mount one."""
     place = tmp_path / "disk"
@@ -465,14 +466,17 @@ def little_memory(monkeypatch):
 
         return call
 
-    monkeypatch.setattr(by_xla, "_compiled", program)
-    return most, asked
+    program.cache_clear = compiled.cache_clear
+    with keeping.optimising():  # the bits are those that a user gets
+        monkeypatch.setattr(by_xla, "_compiled", program)
+        yield most, asked
 
 
-def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog):
+@pytest.mark.parametrize("exact", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog, exact):
     """First blocks of a call, then lanes; the same to the last bit. Broken once: down to 2 lanes -> fails."""
     most, asked = little_memory
-    given = {"num_seeds": 70, "num_steps": 200, "exact": True, "backend": "xla"}
+    given = {"num_seeds": 70, "num_steps": 200, "exact": exact, "backend": "xla"}
     most[0] = 2**20
     expected = rl.sweep(windy, "sarsa", {"alpha": [0.3, 0.7]}, **given)
     for most[0], shape in ((64, (1, 64)), (8, (1, 8))):
@@ -532,7 +536,7 @@ def test_runs_that_diverge_are_counted_and_leave_all_others_as_they_are(tmp_path
 # --- Ctrl-C ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_ctrl_c_keeps_the_finished_shards_and_says_how_to_go_on(tmp_path, number):
     out = tmp_path / "windy"
     with subprocess.Popen([*QUICK, *LONG.split(), str(out)], stderr=subprocess.PIPE, text=True) as running:

@@ -26,8 +26,6 @@ from jaxrl_tab.engine import watch as module
 from jaxrl_tab.show.states import state_names
 from jaxrl_tab.show.steps import Told
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 ROOT, SEED = 3, 2
 
 
