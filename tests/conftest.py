@@ -64,11 +64,15 @@ def drawn_here(monkeypatch):
     monkeypatch.setattr(cli, "_draws", lambda *_: False)
 
 
+LEFT_OUT = "it takes long"
+
+
 def pytest_addoption(parser):
     parser.addoption("--slow", action="store_true", help="run the tests that take long, too")
 
 
-LEFT_OUT = "it takes long"
+def pytest_configure(config):
+    annotations.every_call = config.option.slow
 
 
 def pytest_collection_modifyitems(items, config):

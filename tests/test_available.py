@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+from marks import slow_but
 from test_one_step import heads, target_words
 from test_reference import STEPS, task_of, words_of
 
@@ -116,7 +117,10 @@ def played(method, **budget):
     return jax.tree.map(lambda x: x[0], (state, log))
 
 
-@pytest.mark.parametrize("name", rl.ALGORITHMS)
+SOME = ["sarsa", "double-q-learning", "monte-carlo", "sarsa-lambda", "off-policy-monte-carlo"]
+
+
+@pytest.mark.parametrize("name", slow_but(SOME, rl.ALGORITHMS))
 def test_every_step_agrees_with_the_plain_loop(name):
     """Broken once -> each fails: epsilon over all actions; Q0 everywhere; UCB and exploring starts that try
 

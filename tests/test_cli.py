@@ -318,6 +318,7 @@ def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeyp
     assert "results.nc" not in table
 
 
+@pytest.mark.slow
 def test_where_nobody_reads_the_table_the_files_are_written(tmp_path):
     """As with `| head -0`. Broken once: `show` lets the error through -> fails."""
     command = [sys.executable, "-m", "jaxrl_tab", "sweep", "windy-gridworld", "sarsa", *TINY, "--out", "run"]

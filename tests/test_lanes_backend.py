@@ -17,6 +17,7 @@ import pytest
 import tiny
 from lanes_runs import runs_of
 from lanes_tools import assert_same_bits
+from marks import slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch, cli
@@ -318,10 +319,7 @@ LONG = {
 }
 
 
-@pytest.mark.parametrize(
-    "which",
-    [pytest.param(name, marks=pytest.mark.slow if k else ()) for k, name in enumerate(LONG)],
-)
+@pytest.mark.parametrize("which", slow_but_first(LONG))
 def test_ctrl_c_ends_a_kernel(tmp_path, which):
     """By itself: nothing has to end the process. Broken once: a loop does not ask -> hangs until it is killed."""
     for name, waits in STUCK.items():

@@ -5,6 +5,7 @@ import sys
 
 import lanes_pairs
 import pytest
+from marks import slow_but
 
 from jaxrl_tab.envs import ENVS
 
@@ -23,9 +24,7 @@ def lines(request):
     return {env: [line for name, _, line in lines if name == env] for env in ENVS}
 
 
-@pytest.mark.parametrize(
-    "env", [pytest.param(env, marks=() if env == FIRST else pytest.mark.slow) for env in ENVS]
-)
+@pytest.mark.parametrize("env", slow_but([FIRST], ENVS))
 def test_every_method_is_compiled_in_the_memory_that_was_forecast(lines, env):
     """By steps or by episodes. What does not fit the environment is refused as such, and is no pair.
 

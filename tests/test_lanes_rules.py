@@ -7,6 +7,7 @@ import pytest
 from jax import lax
 from lanes_cases import CASES
 from lanes_tools import assert_as_xla
+from marks import slow_but
 
 from jaxrl_tab.lanes.code import Unsupported
 from jaxrl_tab.lanes.lower import lower
@@ -24,9 +25,7 @@ ALIKE = {"cumprod", "cummax", "cummin", "scatter", "scatter-mul", "scatter-min",
 ALIKE |= {"reduce_prod", "reduce_min", "reduce_max", "reduce_or", "reduce_and", "reduce_xor", "argmin"}
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in ALIKE else ()) for name in sorted(RULES)]
-)
+@pytest.mark.parametrize("name", slow_but(set(RULES) - ALIKE, sorted(RULES)))
 def test_a_rule_gives_the_bits_of_xla(name, monkeypatch):
     """All cases of a primitive are compiled together, for the same number of lanes."""
     used, rule = [], RULES[name]

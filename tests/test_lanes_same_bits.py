@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from lanes_runs import runs_of
 from lanes_tools import assert_same_bits, narrow
+from marks import slow_but, slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import Outcome, policies, pytree, schedules, static
@@ -150,9 +151,7 @@ def arrays(result):
 FIRST = {"sarsa", "monte-carlo", "double-q-learning", "td", "schedules", "a policy in a table", "record"}
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in FIRST else pytest.mark.slow) for name in CASES]
-)
+@pytest.mark.parametrize("name", slow_but(FIRST, CASES))
 def test_lanes_gives_what_xla_gives(name):
     """The tables, and all of the log. Broken once: no product fused -> fails.
 
@@ -240,7 +239,7 @@ def test_the_bits_depend_on_neither_the_vectors_nor_the_block(env, method, by):
     assert_same_bits([np.roll(x, -5, axis=0) for x in shifted], results[0][1])
 
 
-@pytest.mark.parametrize("case", ["sarsa", "monte-carlo", pytest.param("exact", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("case", slow_but_first(["sarsa", "monte-carlo", "exact"], 2))
 def test_a_run_is_what_it_is_among_any_number_of_others(case):
     """1 and 3 are programs of their own, and what XLA does of a row is done for a block at least."""
     result = swept(CASES[case], "lanes", 300)

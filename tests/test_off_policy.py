@@ -54,7 +54,10 @@ KINDS = {
 
 @pytest.mark.parametrize(
     ("kind", "env_name"),
-    [*((kind, "random mdp") for kind in KINDS), ("weighted", "windy, stochastic, king")],
+    [
+        *((kind, "random mdp") for kind in KINDS),
+        pytest.param("weighted", "windy, stochastic, king", marks=pytest.mark.slow),
+    ],
 )
 def test_every_step_agrees_with_the_plain_loop(kind, env_name):
     """Broken once -> each fails: its own ratio in a weight; pi by the Q before the update; W not a

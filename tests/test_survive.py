@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import quick
 import xarray as xr
+from marks import slow_but, slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, plot, stats
@@ -199,7 +200,7 @@ def test_without_a_folder_the_outcome_is_the_same_and_nothing_is_left(undisturbe
 # --- interrupted, killed, damaged --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shards", [0, 1, 4, 5, 7, 9])
+@pytest.mark.parametrize("shards", slow_but([0, 4, 7], [0, 1, 4, 5, 7, 9]))
 def test_an_interrupted_run_goes_on_where_it_was(undisturbed, tmp_path, computed, shards):
     """Before anything, in a part, between parts, before and in the fresh seeds, before files are written."""
 
@@ -290,7 +291,9 @@ def test_a_changed_experiment_is_refused_with_the_difference(folder, computed):
 
 
 @pytest.mark.parametrize("name", ["experiment.toml", "resolved.json"])
-@pytest.mark.parametrize("damage", [b"", b"[1, 2]", b"\0\xff", b"seeds = 1", b'{"seeds": 70}'])
+@pytest.mark.parametrize(
+    "damage", slow_but_first([b"seeds = 1", b'{"seeds": 70}', b"", b"[1, 2]", b"\0\xff"], 2)
+)
 def test_one_of_the_two_experiments_mends_the_other(folder, undisturbed, computed, caplog, name, damage):
     """Broken once: what is in `resolved.json` taken as it is -> TypeError."""
     before = (folder / name).read_bytes()
@@ -387,6 +390,7 @@ def test_too_many_results_for_the_disk_are_refused_before_anything(tmp_path, com
     assert computed == [] and list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_second_process_is_refused_and_the_first_goes_on(undisturbed, tmp_path):
     """Broken once: no lock -> fails."""
     hold = f"""
@@ -415,7 +419,7 @@ runner.run(quick.SELECTED, {str(tmp_path / "run")!r}, progress=wait)
 # --- no room, no memory ------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=["300k", pytest.param("600k", marks=pytest.mark.slow)])
+@pytest.fixture(params=slow_but_first(["300k", "600k"]))
 def small_disk(request, tmp_path):
     """A disk with room for some shards, or for all and no results; None for those who may not mount one."""
     place = tmp_path / "disk"
@@ -472,7 +476,7 @@ def little_memory(monkeypatch):
         yield most, asked
 
 
-@pytest.mark.parametrize("exact", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("exact", slow_but_first([False, True]))
 def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog, exact):
     """First blocks of a call, then lanes; the same to the last bit. Broken once: down to 2 lanes -> fails."""
     most, asked = little_memory
@@ -536,7 +540,7 @@ def test_runs_that_diverge_are_counted_and_leave_all_others_as_they_are(tmp_path
 # --- Ctrl-C ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", slow_but_first([signal.SIGINT, signal.SIGTERM]))
 def test_ctrl_c_keeps_the_finished_shards_and_says_how_to_go_on(tmp_path, number):
     out = tmp_path / "windy"
     with subprocess.Popen([*QUICK, *LONG.split(), str(out)], stderr=subprocess.PIPE, text=True) as running:
