@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.problems import ALPHA, EPSILON, GOAL, MOVES, SHAPE, START, WIND
-from benchmarks.rounds import Round, Timing
+from benchmarks.rounds import Round, Timing, warm
 
 
 def env_step(s, a):
@@ -67,7 +67,7 @@ def many_lanes(method: str, lanes: int, steps: int) -> Round:
 
 def one_run(method: str, steps: int) -> Round:
     """One run, without `vmap`."""
-    return _rounds(jax.jit(lambda key: train(key, method, steps)), jax.random.key)
+    return warm(_rounds(jax.jit(lambda key: train(key, method, steps)), jax.random.key))
 
 
 def _rounds(program, keys) -> Round:

@@ -146,10 +146,10 @@ def epsilon_greedy_40(values, word):
 
 
 @functools.cache  # so that one lane and many share what is compiled
-def one_after_another(begin, step):
-    """The kernel that runs one lane after another, on all cores."""
+def one_after_another(begin, step, threads=True):
+    """The kernel that runs one lane after another, on all cores or on one."""
 
-    @numba.njit(parallel=True, error_model="numpy")
+    @numba.njit(parallel=threads, error_model="numpy")
     def kernel(seeds, tables, episodes, steps):
         for i in numba.prange(seeds.size):
             q = tables[i]

@@ -14,7 +14,7 @@ import numpy as np
 
 import jaxrl_tab as rl
 from benchmarks import problems
-from benchmarks.rounds import Round, Timing
+from benchmarks.rounds import Round, Timing, warm
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine import room
 from jaxrl_tab.engine.budget import Budget
@@ -62,7 +62,7 @@ def one_run(method: str, steps: int) -> Round:
         _, log = jax.block_until_ready(program(key))
         return Timing(time.perf_counter() - begun, np.asarray(log.episodes).sum(keepdims=True))
 
-    return run
+    return warm(run)
 
 
 def method_names() -> list[str]:

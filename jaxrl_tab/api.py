@@ -55,7 +55,7 @@ from jaxrl_tab.envs import (
 )
 from jaxrl_tab.exact import importance, planning
 from jaxrl_tab.experiment import executors
-from jaxrl_tab.experiment.runner import resume, run
+from jaxrl_tab.experiment.runner import explain, resume, run
 from jaxrl_tab.experiment.spec import Experiment
 
 # Imported when they are first used, because they take a second: name -> where it is.
@@ -126,6 +126,7 @@ __all__ = [
     "collect",
     "envs",
     "executors",
+    "explain",
     "field",
     "importance",
     "interop",

@@ -7,12 +7,14 @@ import jax
 import pytest
 
 from jaxrl_tab.engine import by_lanes, by_xla, programs, room
+from jaxrl_tab.exact import model
 
 
 def forget():
     """As a new process would."""
     for cached in (room.traced_program, by_xla._compiled, by_lanes._kernel):
         cached.cache_clear()
+    model._kept.clear()
     look_again()
 
 

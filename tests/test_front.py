@@ -64,7 +64,15 @@ def of_the_command(words):
 
 # What needs more than a look at each word: the rest is refused at once.
 LATER = (
-    *("resume", "figure", "sweep windy-gridworld sarsa --executor slurm", "list --jsn", "list --json=1"),
+    *(
+        "resume",
+        "figure",
+        "explain",
+        "explain nowhere",
+        "sweep windy-gridworld sarsa --executor slurm",
+        "list --jsn",
+        "list --json=1",
+    ),
     *(
         "memory",
         "--formats",

@@ -114,12 +114,20 @@ def test_on_one_core_there_is_none(monkeypatch):
         assert painter._beside.get() is None
 
 
-def test_it_ends_when_nobody_is_left_to_ask_it():
-    """The process that started it is killed. Broken once: its own end of the pipe is left to it -> it waits."""
+@pytest.mark.parametrize("when", ["it waits", "it draws"])
+def test_it_ends_when_nobody_is_left_to_ask_it(when):
+    """The process that started it is killed. Broken once, each: its own end of the pipe is left to it -> it waits; what
+
+    it is given is the end of its input -> it draws on.
+    """
     program = (
-        "import os; from jaxrl_tab.experiment import painter\n"
+        "import os, pickle, time; from functools import partial; from types import SimpleNamespace\n"
+        "from jaxrl_tab.experiment import painter\n"
         "painter.cores = lambda: 2\n"
-        "with painter.beside(): print(painter._beside.get().pid, flush=True); os.kill(os.getpid(), 9)"
+        "with painter.beside():\n"
+        "    process, slow = painter._beside.get(), SimpleNamespace(draw=partial(time.sleep, 60))\n"
+        f"    if {when == 'it draws'}: painter._send(process, pickle.dumps([slow]))\n"
+        "    print(process.pid, flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     process = int(done.stdout)

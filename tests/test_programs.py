@@ -132,7 +132,7 @@ def test_what_a_name_does_not_say_in_full_is_not_kept(programs_folder, monkeypat
     things = (
         Text("a"),
         made(),
-        np.arange(3),
+        np.array([object()]),
         np.float32(1),
         len,
         made,
@@ -162,7 +162,7 @@ def test_settings_and_sources_are_part_of_the_name(programs_folder, monkeypatch)
     assert programs._file("a") != name
     monkeypatch.undo()
     monkeypatch.setattr(programs, "_code_and_machine", lambda: b"another version")
-    monkeypatch.setattr(programs, "_folder", programs_folder)
+    monkeypatch.setattr(programs, "_folder", programs_folder.parent)
     assert programs._file("a").parent == programs_folder and programs._file("a") != name
 
 

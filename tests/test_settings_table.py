@@ -39,7 +39,8 @@ def kept(tmp_path, monkeypatch):
 
 def show(outcome, store=None):
     if store:
-        files.write_files(store, outcome, {"sessions": [{"command": "jaxrl-tab sweep"}]})
+        with files.drawing(store, outcome) as pictures:
+            files.write_files(store, outcome, {"sessions": [{"command": "jaxrl-tab sweep"}]}, pictures)
     screen.show_outcome(outcome, None, SimpleNamespace(json=False, quiet=False))
 
 

@@ -1,4 +1,4 @@
-"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, watch, sweep, resume, figure.
+"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, watch, sweep, resume, explain, figure.
 
 Options for environments and methods are made from the registries: a new entry's parameters are options with
 no edit here. All that a person can get wrong is refused before anything is compiled, with exit code 2 and
@@ -27,8 +27,10 @@ MODULES = {
     "watch": "watch",
     "sweep": "sweep",
     "resume": "sweep",
+    "explain": "explain",
     "figure": "figure",
 }
+OBJECTS = 100_000  # that are new: then Python looks for garbage among them, instead of at 700
 TRACEBACK = "JAXRL_TAB_TRACEBACK"
 HELP = f"""\
 usage: {PROG} COMMAND ...
@@ -42,6 +44,7 @@ commands:
   watch     an episode of a method, step by step, while it learns
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
   resume    go on with a sweep that was interrupted
+  explain   where the methods of a sweep lose what they earn less than the best policy
   figure    make published figures again, and check their numbers
 
 examples:
@@ -51,6 +54,7 @@ examples:
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
   {PROG} sweep --write-template experiment.toml
   {PROG} resume runs/windy
+  {PROG} explain runs/windy
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures
 
@@ -113,7 +117,8 @@ def _dispatch(argv: list[str]) -> int:
 def _load(name: str) -> ModuleType:
     """A module of this package, which imports all that it needs.
 
-    None of that is ever garbage. To look for some again and again would take a tenth of the time.
+    None of that is ever garbage. To look for some again and again would take a tenth of the time; and later on it is
+    looked for seldom.
     """
     module = f"{__name__}.{name}"
     if module in sys.modules or not gc.isenabled():
@@ -123,6 +128,7 @@ def _load(name: str) -> ModuleType:
         return importlib.import_module(module)
     finally:
         gc.freeze()
+        gc.set_threshold(OBJECTS)
         gc.enable()
 
 

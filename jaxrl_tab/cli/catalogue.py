@@ -33,6 +33,7 @@ COMMANDS = {
         {"hyperparameters": ("methods", "methods"), "environment": _ENVIRONMENT, "executor": _EXECUTOR},
     ),
     "resume": ("sweep", "Resume", {"executor": _EXECUTOR}),
+    "explain": ("explain", "Explain", {}),
     "figure": ("figure", "Figure", {}),
 }
 

@@ -35,7 +35,7 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         return
     for environment, methods in outcome.methods.items():
         with busy("summing up"):
-            _ = methods.rows  # worked out now, while the line is shown; kept for the tables
+            _work_out(methods)
         print_summary(environment, methods)
     if outcome.fresh:
         _print_selection(outcome.selection)
@@ -71,6 +71,16 @@ def _print_selection(table: "pd.DataFrame") -> None:
     out = console()
     out.print(view)
     out.print("The choice flatters the first number: report the second.")
+
+
+def _work_out(methods: "Methods") -> None:
+    """What `print_summary` shows, now; it is kept. What only files tell is left for later."""
+    from jaxrl_tab.stats.columns import COLUMNS
+
+    shown = [column.name for column in COLUMNS if column.screen]
+    for own in methods.settings.values():
+        for name in (*shown, "best", "tied", "seeds", "seeds_wanted"):
+            own.numbers(name)
 
 
 def print_summary(environment: str, methods: "Methods") -> None:

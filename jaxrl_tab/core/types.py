@@ -5,12 +5,13 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 """
 
 import inspect
-from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import Protocol, runtime_checkable  # quick ones, as since Python 3.12
 
 from jaxrl_tab.core.checks import concrete, first
 from jaxrl_tab.core.declared import of_environment

@@ -21,6 +21,8 @@ Its modules, from the ground up:
     part        one method in one environment, with all its configurations and seeds
     speeds      how fast runs were on this machine, so that a plan can say how long it takes
     counted     a method that also counts how often it took each action
+    acting      by which policies runs act in the end
+    explain     where the methods of a sweep lose
     results     what a sweep gives, with named axes, and how it is saved
     sweep       a grid of hyperparameters times seeds, in one call
     offline     learning from a log, and logging a run

@@ -85,7 +85,9 @@ class ByLanes:
         of_thread = -(-len(runs) // self.threads)
         # Of three sizes, so that few programs are made.
         lanes = next(size for size in (1, target().width, MANY) if of_thread <= size)
-        self._kernel = _kernel(runs.budget, signature(arguments), _Shared(arguments), len(results), lanes)
+        of_program = signature(arguments)
+        shared = _Shared(_arrays(arguments, of_program)[1])
+        self._kernel = _kernel(runs.budget, of_program, shared, len(results), lanes)
         self.lanes, scratch = self._kernel.program.lanes, self._kernel.program.scratch
         # While a thread works on some blocks, what it gave before may still wait to be kept.
         left = min(on_all // self.threads, CALL_BYTES) - scratch
@@ -159,13 +161,14 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
     if backend.asked() == "auto" and (budget.record or budget.exact) and rows > MEASURED_ROWS:
         return None
     arguments = program_arguments(budget, key, None, algorithm, env)
+    of_program = signature(arguments)
+    of_run, shared = _arrays(arguments, of_program)
     try:
-        kernel, structure = _of_one(budget, signature(arguments), _Shared(arguments))
+        kernel, structure = _of_one(budget, of_program, _Shared(shared))
     except Unsupported as reason:
         backend.fall_back(algorithm, env, reason)
         return None
-    lanes = kernel.program.lanes
-    inputs = [np.repeat(_plain(x)[None], lanes, axis=0) for x in jax.tree.leaves(arguments[:-1])]
+    inputs = [np.broadcast_to(x, (kernel.program.lanes, *x.shape)) for x in of_run]
     # As many steps take as long as they took before; nobody knows how long episodes are.
     is_quick = budget.num_steps is not None and kernel.seconds < ASK_SECONDS / 2
     results = kernel(*inputs) if is_quick else _called(kernel, *inputs)
@@ -209,9 +212,8 @@ def _called(kernel: Kernel, *inputs: np.ndarray) -> list[np.ndarray]:
 class _Shared:
     """What is the same for all runs of a program: the leaves of the environment. Two that are equal are one key."""
 
-    def __init__(self, arguments: tuple):
-        *_, env = arguments
-        self.leaves = [_plain(x) for x in jax.tree.leaves(env)]
+    def __init__(self, leaves: list[np.ndarray]):
+        self.leaves = leaves
         parts = [f"{x.dtype} {x.shape} ".encode() + x.tobytes() for x in self.leaves]
         self.digest = hashlib.sha256(b"".join(parts)).hexdigest()
 
@@ -222,15 +224,18 @@ class _Shared:
         return hash(self.digest)
 
 
-def _plain(x: Any) -> np.ndarray:
-    """A leaf in the dtype in which JAX takes it."""
-    return np.asarray(x, jax.typeof(x).dtype)
+def _arrays(arguments: tuple, signature: Signature) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The leaves of a run, and those of its environment, in the dtypes in which JAX takes them."""
+    leaves = zip(jax.tree.leaves(arguments), signature.avals, strict=True)
+    arrays = [np.asarray(x, kind.dtype) for x, kind in leaves]
+    of_run = len(arrays) - len(jax.tree.leaves(arguments[-1]))
+    return arrays[:of_run], arrays[of_run:]
 
 
 def _inputs(arguments: tuple, lanes: int) -> list[np.ndarray]:
     """What differs from run to run, [lanes, ...] each: what names its random numbers, and its hyperparameters."""
-    root, *of_runs, _ = arguments
-    return [np.broadcast_to(_plain(root), (lanes, *root.shape)), *map(_plain, jax.tree.leaves(of_runs))]
+    (root, *of_runs), _ = _arrays(arguments, signature(arguments))
+    return [np.broadcast_to(root, (lanes, *root.shape)), *of_runs]
 
 
 @functools.lru_cache(maxsize=64)

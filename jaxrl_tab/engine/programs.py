@@ -2,7 +2,8 @@
 
 That is the sources of this package, the versions and settings of JAX, the machine, and a name: the method, the
 environment and the budget. Only this package's own classes have such a name, for the code behind anybody else's may
-change without a trace. The text of what was traced is a name, too, whoever wrote the class.
+change without a trace. The text of what was traced is a name, too, whoever wrote the class. The exact values of an
+environment are kept in the same way.
 
 Compiled code is run. So what is read must be what this user wrote, to the last bit; otherwise one line of the log
 says what is wrong, and it is made again. Three things see to that:
@@ -25,6 +26,7 @@ Nothing is kept until `keep` is called, which the command line does.
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import hmac
 import logging
@@ -38,14 +40,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
+import numpy as np
 
 from jaxrl_tab.core.errors import reason
 from jaxrl_tab.engine import provenance
+from jaxrl_tab.exact import model
 
 T = TypeVar("T")
 
@@ -56,6 +59,8 @@ _OWN = re.compile(r"[0-9a-f]{64}\.program")  # the names of our files, beside th
 _UNFINISHED = re.compile(r"([0-9a-f]{64}\.program|key)\.\w+")
 _KEY_BYTES, _CHECKSUM_BYTES = 32, hashlib.sha256().digest_size
 _READ, _WRITE = stat.S_IRGRP | stat.S_IROTH, stat.S_IWGRP | stat.S_IWOTH  # what others may do
+PROGRAMS, EXACT = "programs", "exact"  # what is kept, each in a folder of this name
+NAMES = {PROGRAMS: "compiled programs", EXACT: "exact values"}
 _folder: Path | None = None
 
 
@@ -77,10 +82,17 @@ def keep(folder: Path | None = None) -> None:
         jax.config.update("jax_compilation_cache_dir", str(chosen))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", COMPILE_SECONDS)
-    _folder = Path(chosen) / "programs"
+    _folder = Path(chosen)
+    model.keep_with(functools.partial(kept, what=EXACT))
 
 
-def kept(name: Any, make: Callable[[], T], pack: Callable[[T], bytes], unpack: Callable[[bytes], T]) -> T:
+def kept(
+    name: Any,
+    make: Callable[[], T],
+    pack: Callable[[T], bytes | None],
+    unpack: Callable[[bytes], T],
+    what: str = PROGRAMS,
+) -> T:
     """What `make` gives, or gave in an earlier process under the same `name`.
 
     Args:
@@ -88,15 +100,17 @@ def kept(name: Any, make: Callable[[], T], pack: Callable[[T], bytes], unpack: C
             of a program or its digest, and instances of this package's own classes. Where anything else is in
             it, nothing is kept.
         make: makes it.
-        pack, unpack: to bytes, and back. `unpack` is given what `pack` gave, to the last bit; where it raises
-            something, one line of the log says so, and it is made again.
+        pack, unpack: to bytes, and back. Where `pack` gives None, nothing is kept. `unpack` is given what `pack`
+            gave, to the last bit; where it raises something, one line of the log says so, and it is made again.
+        what: kind of thing it is: the name of the folder, which no other kind has.
     """
-    if (place := _place(name)) is None:
+    if (place := _place(name, what)) is None:
         return make()
     if (found := _found(place, unpack, ", and made again")) is not None:
         return found
     made = make()
-    _put(place, pack(made), "compiled programs")
+    if (data := pack(made)) is not None:
+        _put(place, data, NAMES[what])
     return made
 
 
@@ -119,9 +133,9 @@ class _Place(NamedTuple):
     key: bytes
 
 
-def _place(name: Any) -> _Place | None:
+def _place(name: Any, what: str = PROGRAMS) -> _Place | None:
     """Where what has this name is kept; None where it is not kept."""
-    file = _file(name)
+    file = _file(name, what)
     key = file and _key(file.parent)
     return _Place(file, key) if file and key else None
 
@@ -159,7 +173,7 @@ def _default() -> Path | None:
 # --- names -------------------------------------------------------------------------------------------
 
 
-def _file(name: Any) -> Path | None:
+def _file(name: Any, what: str = PROGRAMS) -> Path | None:
     """The file in which what has this name is kept; None where it is not kept."""
     if _folder is None:
         return None
@@ -174,7 +188,7 @@ def _file(name: Any) -> Path | None:
         _code_and_machine(),
     )
     digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
-    return _folder / f"{digest}.program"
+    return _folder / what / f"{digest}.program"
 
 
 def _as_text(x: Any) -> str:
@@ -184,6 +198,8 @@ def _as_text(x: Any) -> str:
     """
     if x is None or type(x) in (bool, int, float, str, bytes):
         return repr(x)  # all digits, and in quotes what could be taken for something else
+    if type(x) is np.ndarray and x.dtype.kind in "biuf":
+        return f"{x.dtype}{x.shape}{hashlib.sha256(x.tobytes()).hexdigest()}"
     if type(x) is tuple:
         return f"({','.join(map(_as_text, x))})"
     if type(x) is list:
@@ -208,7 +224,7 @@ def _is_own(cls: type) -> bool:
         return False
 
 
-@cache
+@functools.cache
 def _code_and_machine() -> bytes:
     """All that a program depends on and nobody passes, but for flags and settings."""
     devices = [(d.platform, d.device_kind) for d in jax.devices()]
@@ -220,7 +236,7 @@ def _code_and_machine() -> bytes:
 # --- files -------------------------------------------------------------------------------------------
 
 
-@cache
+@functools.cache
 def _is_usable(folder: Path) -> bool:
     """Whether something can be kept in `folder`, which is created; where it cannot, the log says so once."""
     try:
@@ -232,7 +248,7 @@ def _is_usable(folder: Path) -> bool:
     return True
 
 
-@cache
+@functools.cache
 def _key(folder: Path) -> bytes | None:
     """The key of the checksums in `folder`; both are created. None where that cannot be: the log says so once."""
     if not _is_usable(folder):
@@ -324,7 +340,7 @@ def _checksum(file: Path, key: bytes, data: bytes) -> bytes:
     return hmac.digest(key, file.name.encode() + data, "sha256")
 
 
-@cache
+@functools.cache
 def _warn(line: str) -> None:
     """Logs the line, the first time only."""
     logging.getLogger(__name__).warning("%s", line)

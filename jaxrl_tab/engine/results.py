@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from jaxrl_tab.engine.part import Part
+    from jaxrl_tab.show.explained import Explanation
     from jaxrl_tab.show.report import Page
+    from jaxrl_tab.stats.columns import Methods
 
 CHUNK = 2**20  # bytes of the pieces in which a file holds a large variable
 
@@ -52,6 +55,7 @@ class SweepResult:
         largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `part.Part`.
         fresh: whether the root is instead the one that is kept for fresh seeds; see `part.Part`.
         learns: whether the method learns action values, as in control, or state values, as in prediction.
+        part: what was run, so that some of it can be run again; None where that is not known.
     """
 
     environment: str
@@ -72,6 +76,7 @@ class SweepResult:
     largest_value: Any = np.inf
     fresh: bool = False
     learns: Learns = Learns.ACTIONS
+    part: "Part | None" = None
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -165,11 +170,26 @@ class SweepResult:
         What is shown of the tables is what was learned in the end; for the moments before it takes an experiment.
         """
         from jaxrl_tab.show import report
+
+        about = {"made by": repr(self), "versions": provenance.installed()}
+        return report.page(self._methods(), about, {}, explained=self.explain())
+
+    def explain(self) -> "Explanation":
+        """Where the method, at its best setting, loses what it earns less than the best policy.
+
+        Exact, for the policies after all that was learned: see `show.explained.Explained`, and docs/why.md. A notebook
+        shows it, `print` says it in sentences, its `save` draws it.
+        """
+        from jaxrl_tab.engine.explain import explain
+
+        parts = {} if self.part is None else {f"{self.environment}/{self.algorithm}": self.part}
+        return explain(self._methods(), parts)
+
+    def _methods(self) -> "dict[str, Methods]":
         from jaxrl_tab.stats.columns import by_environment
 
         datasets = {f"{self.environment}/{self.algorithm}": self.to_xarray()}
-        methods = by_environment(datasets, {self.environment: self.env})
-        return report.page(methods, {"made by": repr(self), "versions": provenance.installed()}, {})
+        return by_environment(datasets, {self.environment: self.env})
 
 
 def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:

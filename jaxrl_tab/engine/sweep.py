@@ -184,6 +184,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
         log_every=part.budget.row,
         seconds=computed.seconds.running,
         compile_seconds=computed.seconds.compiling,
+        part=part,
     )
 
 

@@ -4,7 +4,10 @@ Its modules, from the ground up:
 
     model       every outcome of every action in every state, and what leads where
     values      the linear algebra of dynamic programming over a model
+    given       values and policies as they are given, checked
+    visits      how often a policy comes to each state
     measure     what a table is worth, worked out inside a compiled program while it is learned
     planning    the public side of these: values and policies of an environment that states its dynamics
+    losses      what the policies of many runs lose against the best one
     importance  importance sampling, judged: exact variances, and what a log is worth
 """

@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import io
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
@@ -20,6 +21,7 @@ T = TypeVar("T")
 
 BYTES_OF_OUTCOME = 64  # in the model and, while it is made, in JAX
 KEPT_BYTES = 2**27  # of the last models, and what was solved in them, that `once_for_an_environment` keeps
+FILE_BYTES = 2**20  # of what is kept for later processes, at most
 
 
 class Model(NamedTuple):
@@ -72,31 +74,72 @@ def enumerate_model(env: Any) -> Model:
 
 
 _kept: dict[Any, Any] = {}
+Keeper = Callable[[Any, Callable[[], Any], Callable[[Any], bytes | None], Callable[[bytes], Any]], Any]
+_keeper: Keeper = lambda name, make, pack, unpack: make()
 
 
-def once_for_an_environment(work: Callable[..., T]) -> Callable[..., T]:
+def keep_with(keeper: Keeper) -> None:
+    """From now on what is worked out once is kept for later processes, too, as `engine.programs.kept` keeps things."""
+    global _keeper
+    _keeper = keeper
+
+
+def once_for_an_environment(like: Any) -> Callable[[Callable[..., T]], Callable[..., T]]:
     """`work(env, *numbers)`, done once for an environment: the last results are kept, up to `KEPT_BYTES`.
 
     They are found again by value, not by identity: by the class of `env`, what is static in it, and a checksum of
     its arrays. So an environment that is made twice is worked out once, and one whose arrays were written to anew.
     The results are pytrees of arrays, which nobody may write to.
+
+    Args:
+        like: a pytree of the same structure as the results, in which None may stand for an array.
     """
 
-    @functools.wraps(work)
-    def remembered(env: Any, *numbers: Any) -> T:
-        try:
-            key = work, _value(env), tuple((type(x), x) for x in numbers)
-            result = _kept.get(key)
-        # A key of JAX in it is no array, not everything can be compared, and a list may hold itself.
-        except (TypeError, ValueError, SystemError):
-            return work(env, *numbers)
-        if result is None:
-            _kept[key] = result = work(env, *numbers)
-            while memory.size(list(_kept.values())) > KEPT_BYTES:
-                _kept.pop(next(iter(_kept)), None)
-        return result
+    def once(work: Callable[..., T]) -> Callable[..., T]:
+        @functools.wraps(work)
+        def remembered(env: Any, *numbers: Any) -> T:
+            try:
+                key = work, _value(env), tuple((type(x), x) for x in numbers)
+                result = _kept.get(key)
+            # A key of JAX in it is no array, not everything can be compared, and a list may hold itself.
+            except (TypeError, ValueError, SystemError):
+                return work(env, *numbers)
+            if result is None:
+                name = "exact", work.__qualname__, env, numbers
+                make = lambda: work(env, *numbers)
+                _kept[key] = result = _keeper(name, make, _to_bytes, lambda data: _from_bytes(data, like))
+                while memory.size(list(_kept.values())) > KEPT_BYTES:
+                    _kept.pop(next(iter(_kept)), None)
+            return result
 
-    return remembered
+        return remembered
+
+    return once
+
+
+def _to_bytes(result: Any) -> bytes | None:
+    """Its arrays; None where they are too large for a file."""
+    if memory.size(result) > FILE_BYTES:
+        return None
+    leaves = jax.tree.leaves(result, is_leaf=_is_none)
+    to = io.BytesIO()
+    np.savez(to, **{str(i): x for i, x in enumerate(leaves) if x is not None})
+    return to.getvalue()
+
+
+def _from_bytes(data: bytes, like: Any) -> Any:
+    """What `_to_bytes` was given."""
+    structure = jax.tree.structure(like, is_leaf=_is_none)
+    with np.load(io.BytesIO(data)) as arrays:
+        leaves = [arrays.get(str(i)) for i in range(structure.num_leaves)]
+    for x in leaves:
+        if x is not None:
+            x.flags.writeable = False
+    return jax.tree.unflatten(structure, leaves)
+
+
+def _is_none(x: Any) -> bool:
+    return x is None
 
 
 def _value(env: Any) -> tuple:
@@ -123,7 +166,7 @@ def exact_model(env: Environment) -> Model:
     return jax.tree.map(np.ndarray.view, _checked_model(env))
 
 
-@once_for_an_environment
+@once_for_an_environment(like=Model(*[None] * len(Model._fields)))
 def _checked_model(env: Any) -> Model:
     _check_size(env)
     # In 64 bits from the first operation on, or 1/3 would be a float32 third.

@@ -14,26 +14,23 @@ stable, for each row is dominated by its diagonal (Higham 2002, Accuracy and Sta
 Algorithms, theorems 8.12 and 9.9). And what counts as rounding is measured state by state, see `_Values`.
 
 **gamma = 1.** An infinite sum of rewards then need not exist, and what decides that is which states lead to
-which, not numbers: `_fate` follows the arrows of the graph. Under a policy, a state is *settled* where
+which, not numbers: `fate` follows the arrows of the graph. Under a policy, a state is *settled* where
 nothing is earned or paid ever again (a terminal state; a loop without rewards): its value is 0. A state is
 *caught* where no settled state can be reached: there rewards go on for ever. If no state is caught, all
 values are finite.
 """
 
-from typing import Any
-
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from jaxrl_tab.core import policies
-from jaxrl_tab.core.checks import RATE, as_array, check_within, first
-from jaxrl_tab.core.errors import InputError, shown
+from jaxrl_tab.core.checks import RATE, check_within, first
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.exact.given import checked_policy, checked_table, checked_values
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (
     Model,
-    available_only,
     backup,
     check_finite,
     ending_at,
@@ -60,12 +57,15 @@ from jaxrl_tab.exact.values import (
     policy_values,
     sparse_solver,
 )
+from jaxrl_tab.exact.visits import occupancy, regret, stationary_distribution
 
 __all__ = [
     "Measure",
     "Model",
+    "action_regret_map",
     "backup",
     "check_finite",
+    "checked_values",
     "doubled",
     "enumerate_model",
     "epsilon_greedy_policy",
@@ -79,13 +79,16 @@ __all__ = [
     "has_double",
     "largest_return",
     "measurer",
+    "occupancy",
     "optimality_backup",
     "policy_iteration",
     "policy_value",
     "reachable",
+    "regret_map",
     "sparse_solver",
     "spread",
     "start_value",
+    "stationary_distribution",
     "terminal_states",
     "value_iteration",
     "value_measurer",
@@ -113,7 +116,7 @@ def expectation_backup(
     """
     check_within("gamma", gamma, RATE)
     model = exact_model(env)
-    v = (_checked_policy(model, policy_probs) * checked_values(model, "q", q)).sum(1)
+    v = (checked_policy(model, policy_probs) * checked_values(model, "q", q)).sum(1)
     return backup(model, v, gamma)
 
 
@@ -138,7 +141,7 @@ def evaluation_backup(
     """
     check_within("gamma", gamma, RATE)
     model = exact_model(env)
-    probs = _checked_policy(model, policy_probs)
+    probs = checked_policy(model, policy_probs)
     return (probs * backup(model, checked_values(model, "v", v), gamma)).sum(1)
 
 
@@ -158,7 +161,7 @@ def greedy_policy(q: ArrayLike) -> Float[np.ndarray, "... S A"]:
     Raises:
         InputError: `q` is no such table, or an entry is not a number.
     """
-    return greedy_to(_checked_table(q))
+    return greedy_to(checked_table(q))
 
 
 def epsilon_greedy_policy(q: ArrayLike, epsilon: float) -> Float[np.ndarray, "... S A"]:
@@ -167,7 +170,7 @@ def epsilon_greedy_policy(q: ArrayLike, epsilon: float) -> Float[np.ndarray, "..
     Args and errors: as `greedy_policy`; and `epsilon` must be in [0, 1].
     """
     check_within("epsilon", epsilon, RATE)
-    return greedy_to(_checked_table(q), epsilon)
+    return greedy_to(checked_table(q), epsilon)
 
 
 # --- exact answers -----------------------------------------------------------------------------------
@@ -185,7 +188,7 @@ def evaluate(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) -> F
     """
     check_within("gamma", gamma, RATE)
     model = exact_model(env)
-    v, _, caught = policy_values(model, _checked_policy(model, policy_probs), gamma)
+    v, _, caught = policy_values(model, checked_policy(model, policy_probs), gamma)
     if caught.any():
         raise InputError(
             f"{name_of(env)}: from state {first(caught)[0]} this policy never ends and rewards go on, so at "
@@ -204,7 +207,7 @@ def policy_value(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) 
     """
     check_within("gamma", gamma, RATE)
     model = exact_model(env)
-    return float(from_start(model, policy_values(model, _checked_policy(model, policy_probs), gamma).v))
+    return float(from_start(model, policy_values(model, checked_policy(model, policy_probs), gamma).v))
 
 
 def value_iteration(
@@ -303,7 +306,7 @@ def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = 
     return float(_largest_return(env, gamma, steps, anywhere))
 
 
-@once_for_an_environment
+@once_for_an_environment(like=None)
 def _largest_return(env: Environment, gamma: float, steps: int, anywhere: bool) -> np.ndarray:
     model = exact_model(env)
     begin = np.full(len(model.start), True) if anywhere else reachable(model)
@@ -319,7 +322,53 @@ def _largest_return(env: Environment, gamma: float, steps: int, anywhere: bool) 
     return np.array(most[:, begin].max() + change * more)
 
 
-@once_for_an_environment
+# --- where the regret comes from ---------------------------------------------------------------------
+def regret_map(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) -> Float[np.ndarray, " S"]:
+    """Where a policy loses what it earns less than the best one, float64 [S], 0 or more.
+
+    v*(start) - v_pi(start) = sum over s of occupancy(s) sum over a of pi(a | s) (v*(s) - q*(s, a))
+
+    is exact (the performance difference lemma: Kakade and Langford 2002, lemma 6.1, about the best policy). Each
+    state has its term: how often the policy is there, times how much its actions there lose, all else being done in
+    the best way. `action_regret_map` has the terms of single actions.
+
+    At gamma = 1 a policy may stay for ever where nothing is earned or paid. No single step loses anything there, but
+    what could have been earned never is: v*(s) is then lost where it comes to stay, in s.
+
+    Args:
+        env: an environment with `outcomes`; its time limit does not count.
+        policy_probs: pi, the probability of each action in each state, [S, A]; terminal states need a row too.
+        gamma: discount rate, in [0, 1].
+
+    Raises:
+        InputError: as `value_iteration`; `policy_probs` is no policy; or gamma is 1 and from some state that the
+            policy may come to it never ends while rewards go on, so that it loses without bound. (What it does
+            where it does not come to does not matter.)
+    """
+    return action_regret_map(env, policy_probs, gamma).sum(1)
+
+
+def action_regret_map(
+    env: Environment, policy_probs: ArrayLike, gamma: float = 1.0
+) -> Float[np.ndarray, "S A"]:
+    """By which actions a policy loses what it earns less than the best one, float64 [S, A], 0 or more.
+
+    occupancy(s) pi(a | s) (v*(s) - q*(s, a)) of each state and action; `regret_map` are its sums over the actions.
+    """
+    v, q = value_iteration(env, gamma)
+    model = exact_model(env)
+    found = regret(model, checked_policy(model, policy_probs), v, q, gamma)
+    if (s := first(found.caught)) is not None:
+        raise InputError(
+            f"{name_of(env)}: this policy may come to state {s[0]}, from which it never ends and rewards go on, so at "
+            "gamma = 1 its regret is infinite; take gamma below 1"
+        )
+    return found.by_action
+
+
+@once_for_an_environment(
+    like=(Model(*[None] * len(Model._fields)), Round(*[None] * len(Round._fields)), None)
+)
 def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "Round", Bool[np.ndarray, " S"]]:
     """The model, the last round of policy iteration in it, and which states were left out of both.
 
@@ -353,39 +402,3 @@ def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "Rou
 def _unless(out: Bool[np.ndarray, " S"], values: Float[np.ndarray, "S *A"]) -> Float[np.ndarray, "S *A"]:
     """`values`, and NaN for the states that were left out."""
     return np.where(out.reshape(-1, *[1] * (values.ndim - 1)), np.nan, values)
-
-
-def _numbers(name: str, value: Any) -> np.ndarray:
-    """`value` in float64. Raises InputError unless it is numbers in a rectangular array."""
-    array = as_array(value)
-    if array is None or array.dtype.kind not in "biuf":
-        raise InputError(f"{name} must be numbers, in rows of equal length, not {shown(value)}")
-    return array.astype(np.float64)
-
-
-def _checked_policy(model: Model, policy_probs: Any) -> np.ndarray:
-    table = policies.as_table("policy_probs", policy_probs, model.prob.shape[:2])
-    probs = _numbers("policy_probs", table.probabilities)
-    if model.available is not None:
-        policies.check_among("policy_probs", probs, model.available)
-    return probs / probs.sum(1, keepdims=True)
-
-
-def checked_values(model: Model, name: str, values: Any) -> np.ndarray:
-    """`values` in float64: v [S], or q [S, A], whatever that says of actions that are not available."""
-    array = _numbers(name, values)
-    shape = model.prob.shape[: 1 if name == "v" else 2]
-    if array.shape != shape:
-        each = f"{shape[0]} states" + "".join(f" and {n} actions" for n in shape[1:])
-        raise InputError(f"{name} must have one value for each of the {each}, not {array.shape}")
-    return array if name == "v" else available_only(model, array)
-
-
-def _checked_table(q: Any) -> Float[np.ndarray, "... S A"]:
-    """`q` in float64. Raises InputError unless it is a table of numbers, or many."""
-    array = _numbers("q", q)
-    if array.ndim < 2 or not array.size:
-        raise InputError(f"q must be action values [S, A] or [..., S, A], not of shape {array.shape}")
-    if (i := first(np.isnan(array))) is not None:
-        raise InputError(f"q{list(i)} is not a number, so no action is the best there")
-    return array

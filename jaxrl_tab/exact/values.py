@@ -87,7 +87,7 @@ def _home(model: Model, free: Bool[Any, "S A"]) -> Bool[Any, " S"]:
     return np.array(left) > 0
 
 
-def _fate(model: Model, probs: Float[Any, "S A"]) -> tuple[Any, Any, Any]:
+def fate(model: Model, probs: Float[Any, "S A"]) -> tuple[Any, Any, Any]:
     """The states settled under a policy, those caught, and those that may end up caught, bool [S] each."""
     taken = (probs > 0)[:, :, None] & (model.prob > 0)
     to_rewards, to_settled, doomed = reaching(model, taken, (taken & (model.reward != 0)).any((1, 2)))
@@ -115,7 +115,7 @@ class _Values(NamedTuple):
 
 def policy_values(model: Model, probs: Float[Any, "S A"], gamma: Any) -> _Values:
     where = array_module(model).where
-    settled, caught, doomed = _fate(model, probs)
+    settled, caught, doomed = fate(model, probs)
     doomed = doomed & (gamma == 1)
     # Terminal states are settled. What leads to a state that is left out is taken to end there.
     v, size = _solve(model, probs, gamma, settled | doomed)
@@ -314,7 +314,7 @@ def _first_policy(model: Model, v: Float[Any, " S"], caught: Bool[Any, " S"]) ->
     staying = (staying & (anything > 0)).astype(model.prob.dtype)
     staying = staying / staying.sum(-1, keepdims=True)
     mixed = where((home & (v < 0))[:, None], staying, anything)
-    lost = caught.any() | _fate(model, mixed)[1].any()
+    lost = caught.any() | fate(model, mixed)[1].any()
     return where(lost, staying, mixed)
 
 

@@ -1,13 +1,12 @@
 """The files of results in an experiment's folder."""
 
+import contextlib
 import shutil
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 from jaxrl_tab.core.checks import is_list
 from jaxrl_tab.core.errors import RunError, check_choice, one_line, unfit
@@ -26,6 +25,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from jaxrl_tab.engine.part import Part
+    from jaxrl_tab.show.explained import Explanation
     from jaxrl_tab.show.explorer.over_time import Again
     from jaxrl_tab.show.report import Page
     from jaxrl_tab.stats.columns import Methods
@@ -39,11 +40,13 @@ class Outcome:
         datasets: `SweepResult.to_xarray` of each part, by its name "ENVIRONMENT/METHOD".
         fresh: the same of the setting chosen for each part, on fresh seeds; empty without selection.
         envs: the environments by their names.
+        parts: what was run, by the same names as the datasets.
     """
 
     datasets: "dict[str, xr.Dataset]"
     fresh: "dict[str, xr.Dataset]"
     envs: dict[str, Environment]
+    parts: "Mapping[str, Part]" = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<Outcome: {one_line(', '.join(self.datasets))}>"
@@ -65,7 +68,23 @@ class Outcome:
         from jaxrl_tab.show import report
 
         about = {"made by": repr(self), "versions": provenance.installed()}
-        return report.page(self.methods, about, self.fresh_methods)
+        return report.page(self.methods, about, self.fresh_methods, explained=self.explained_in_report)
+
+    def explain(self) -> "Explanation":
+        """Where each method, at its best setting, loses what it earns less than the best policy: `SweepResult.explain`.
+
+        It is of all seeds, unless these are very many.
+        """
+        from jaxrl_tab.engine.explain import explain
+
+        return explain(self.methods, self.parts)
+
+    @property
+    def explained_in_report(self) -> "Explanation":
+        """The same of no more seeds than a report has time for."""
+        from jaxrl_tab.engine.explain import IN_REPORT, explain
+
+        return explain(self.methods, self.parts, most=IN_REPORT)
 
     @cached_property
     def methods(self) -> "dict[str, Methods]":
@@ -84,13 +103,11 @@ class Outcome:
     @property
     def chosen(self) -> dict[str, int]:
         """For each part the number of the configuration with the best score."""
-        chosen = {}
-        for label, methods in self.methods.items():
-            for name, own in methods.settings.items():
-                place = [own.ds[axis].values.tolist().index(value) for axis, value in own.best.items()]
-                sizes = [own.ds.sizes[axis] for axis in own.best]
-                chosen[f"{label}/{name}"] = int(np.ravel_multi_index(place, sizes)) if place else 0
-        return chosen
+        return {
+            f"{label}/{name}": own.number_of_best
+            for label, methods in self.methods.items()
+            for name, own in methods.settings.items()
+        }
 
     @cached_property
     def summary(self) -> "pd.DataFrame":
@@ -144,43 +161,63 @@ def check_formats(formats: Any) -> tuple[Format, ...]:
     return tuple(dict.fromkeys(formats))
 
 
+class Pictures(NamedTuple):
+    """Pictures that are being drawn.
+
+    Attributes:
+        folder: into which; it is there for a while only.
+        finish: returns when all are drawn.
+    """
+
+    folder: Path
+    finish: Callable[[], None]
+
+
+@contextlib.contextmanager
+def drawing(store: Store, outcome: Outcome, formats: Sequence[Format] = FORMATS[:1]) -> Iterator[Pictures]:
+    """Within the block the pictures are drawn, in these formats, for `write_files` to put where they belong."""
+    scratch = store.path / f".{storage.PICTURES}{storage.UNFINISHED}"
+    try:
+        with painter.drawing(_drawings(outcome, scratch, formats) if formats else ()) as finish:
+            yield Pictures(scratch, finish)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
 def write_files(
     store: Store,
     outcome: Outcome,
     records: Mapping[str, Any],
-    formats: Sequence[Format] = FORMATS[:1],
+    pictures: Pictures,
     again: "Again | None" = None,
     toml: Mapping[str, str] | None = None,
 ) -> None:
-    """Tables, pictures in these formats, and the report, each a whole file or none.
+    """Tables, pictures, and the report, each a whole file or none.
 
     `again` and `toml` are for the report, see `report.write`.
     """
     from jaxrl_tab.show import report
 
-    folder = store.path
+    folder, scratch = store.path, pictures.folder
     about = {"command": records["sessions"][0]["command"], "version": __version__}
-    scratch = folder / f".{storage.PICTURES}{storage.UNFINISHED}"
-    try:
-        with storage.as_run_error(folder):
-            scratch.mkdir(parents=True, exist_ok=True)
-            with painter.drawing(_drawings(outcome, scratch, formats) if formats else ()):
-                files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
-                files.append(_write_table(folder / SUMMARY, outcome.summary))
-                if outcome.fresh:
-                    files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
-                    files.append(_write_table(folder / SELECTION, outcome.selection))
-                about_all = _about(store, records)
-                report.write_methods(scratch, outcome.methods, about_all, outcome.fresh_methods, again, toml)
-        for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
-            goal = folder / file.relative_to(scratch)
-            with storage.as_run_error(goal):
-                goal.parent.mkdir(parents=True, exist_ok=True)
-            with storage.writing(goal) as unfinished:
-                file.replace(unfinished)
-            files.append(goal)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    with storage.as_run_error(folder):
+        scratch.mkdir(parents=True, exist_ok=True)
+        files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
+        files.append(_write_table(folder / SUMMARY, outcome.summary))
+        if outcome.fresh:
+            files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
+            files.append(_write_table(folder / SELECTION, outcome.selection))
+        about_all = _about(store, records)
+        explained, fresh = outcome.explained_in_report, outcome.fresh_methods
+        report.write_methods(scratch, outcome.methods, about_all, fresh, again, toml, explained)
+        pictures.finish()
+    for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
+        goal = folder / file.relative_to(scratch)
+        with storage.as_run_error(goal):
+            goal.parent.mkdir(parents=True, exist_ok=True)
+        with storage.writing(goal) as unfinished:
+            file.replace(unfinished)
+        files.append(goal)
     store.keep_files(str(file.relative_to(folder)) for file in files)
 
 

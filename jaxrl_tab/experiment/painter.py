@@ -2,7 +2,8 @@
 
 Matplotlib takes half a second to be imported, and longer to draw, and nothing else can run in Python meanwhile. So
 the command line starts the other process before it imports anything itself: where there are pictures to draw, that
-one is ready. Whatever goes wrong there, the pictures are drawn here.
+one is ready. It draws while this one works out and shows the table. Whatever goes wrong there, the pictures are drawn
+here.
 """
 
 import contextlib
@@ -12,7 +13,7 @@ import pickle
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -70,17 +71,23 @@ def beside() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def drawing(what: Sequence[Drawing]) -> Iterator[None]:
-    """At the end of the block all is drawn: beside it where that is possible, or else after it."""
+def drawing(what: Sequence[Drawing]) -> Iterator[Callable[[], None]]:
+    """Within the block all is drawn beside it, where that is possible.
+
+    It gives a function that returns when all is drawn; what was not drawn beside is drawn by it.
+    """
     process, sent = _beside.get(), False
     if process and process.poll() is None and what and (data := _packed(what)):
         sent = True
         threading.Thread(target=_send, args=(process, data), daemon=True).start()
-    try:
-        yield
+
+    def finish() -> None:
         if not (process and sent and _has_drawn(process)):
             for one in what:
                 one.draw()
+
+    try:
+        yield finish
     except BaseException:
         if process:
             process.kill()  # before the folder goes that it draws into
@@ -106,8 +113,9 @@ def _packed(what: Sequence[Drawing]) -> bytes | None:
 def _send(process: "subprocess.Popen[bytes]", data: bytes) -> None:
     assert process.stdin
     with contextlib.suppress(OSError):  # the process may have ended
+        process.stdin.write(len(data).to_bytes(8))
         process.stdin.write(data)
-    _close(process)
+        process.stdin.flush()  # and it is left open: the end of it is the end of this process
 
 
 def _close(process: "subprocess.Popen[bytes]") -> None:
@@ -117,7 +125,10 @@ def _close(process: "subprocess.Popen[bytes]") -> None:
 
 
 def main() -> None:
-    """What the other process does: gets ready, waits for its one task, does it, and says by its code that it did."""
+    """What the other process does: gets ready, waits for its one task, does it, and says by its code that it did.
+
+    Where the process that started it ends, it does, too.
+    """
     end = threading.Timer(PATIENCE, os._exit, (1,))
     end.daemon = True
     end.start()
@@ -126,7 +137,13 @@ def main() -> None:
     from jaxrl_tab.show import plot  # noqa: F401  while nothing is there yet to be drawn
 
     programs.keep()
-    data = sys.stdin.buffer.read()
+    data = sys.stdin.buffer.read(int.from_bytes(sys.stdin.buffer.read(8)))
     end.cancel()
+    threading.Thread(target=_end_with_input, daemon=True).start()
     for one in pickle.loads(data):  # nobody but the process that started this one can write there
         one.draw()
+
+
+def _end_with_input() -> None:
+    os.read(sys.stdin.fileno(), 1)  # nothing more ever comes
+    os._exit(1)

@@ -34,7 +34,7 @@ from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import shards, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, write_files
+from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, write_files
 from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
@@ -44,6 +44,8 @@ from jaxrl_tab.show.progress import Report
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from jaxrl_tab.show.explained import Explanation
 
 
 def run(
@@ -116,16 +118,34 @@ def resume(
             says in what.
         RunError: as in `run`.
     """
-    path = _path(folder)
-    if not os.path.isdir(path):
-        name = one_line(str(path))
-        raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
-    if not os.path.lexists(path / AS_WRITTEN) and not os.path.lexists(path / RESOLVED):
-        raise InputError(f"there is no experiment in {path}: neither {AS_WRITTEN} nor {RESOLVED}")
+    path = _folder(folder)
     command, formats = _typed(command), check_formats(formats)
     with storage.lock(path):
         experiment = _experiment_in(path)
         return _go_on(path, experiment, executor, memory, progress, ready, formats, command, mixed=mixed)
+
+
+def explain(folder: str | Path) -> "Explanation":
+    """Where the methods of an experiment in a folder lose what they earn less than the best policy.
+
+    As `Outcome.explain`, of an experiment that has ended. Nothing is written; little or nothing is computed again.
+
+    Raises:
+        InputError: there is no experiment in the folder, or something of it is missing or damaged.
+    """
+    path = _folder(folder)
+    with storage.lock(path):
+        experiment = _experiment_in(path)
+        store = Store(path, experiment.fingerprint)
+        job = Job.of(experiment, None, library_versions(experiment.data()))
+        if missing := _missing(store, job):
+            raise InputError(
+                f"{len(missing)} of {len(job.shards)} shards are missing in {path}: resume it first"
+            )
+        datasets, _ = _collect(store, job, list(job.parts), free() // 2)
+        envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
+        with backend.using(experiment.backend), settings_of(store, _records(store)):
+            return Outcome(datasets, {}, envs, job.parts).explain()
 
 
 def _typed(command: str | None) -> str:
@@ -136,6 +156,17 @@ def _typed(command: str | None) -> str:
 
 def _path(folder: Any) -> Path:
     return Path(os.path.normpath(as_path("the folder", folder)))
+
+
+def _folder(folder: Any) -> Path:
+    """The path of a folder with an experiment. Raises InputError where there is none."""
+    path = _path(folder)
+    if not os.path.isdir(path):
+        name = one_line(str(path))
+        raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
+    if not os.path.lexists(path / AS_WRITTEN) and not os.path.lexists(path / RESOLVED):
+        raise InputError(f"there is no experiment in {path}: neither {AS_WRITTEN} nor {RESOLVED}")
+    return path
 
 
 def _go_on(
@@ -165,15 +196,17 @@ def _go_on(
                 select = experiment.select
                 fresh_seeds = select["fresh_seeds"] if select else 0
                 outcome, new = _results(store, job, fresh_seeds, executor or Local(), meter, origin)
-        if ready:
-            ready(outcome)  # after the bar, for what is printed beside one is lost in it
-        if keep and (new or not store.files):
-            if origin.changed and not new:
-                warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
-            with meter.reporting(progress):
-                meter.show("tables, pictures, report")
-                again, toml = RunAgain(job.parts, limit), toml_of_settings(experiment)
-                write_files(store, outcome, records, formats, again, toml)
+        writes = keep and (new or not store.files)
+        with drawing(store, outcome, formats if writes else ()) as pictures:
+            if ready:
+                ready(outcome)  # after the bar, for what is printed beside one is lost in it
+            if writes:
+                if origin.changed and not new:
+                    warn(f"only tables, pictures and report are made now; {'; '.join(origin.changed)}")
+                with meter.reporting(progress):
+                    meter.show("tables, pictures, report")
+                    again, toml = RunAgain(job.parts, limit), toml_of_settings(experiment)
+                    write_files(store, outcome, records, pictures, again, toml)
     return outcome
 
 
@@ -185,7 +218,7 @@ def _results(
     new = _compute(store, job, executor, meter, later, origin)
     datasets, room = _collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
     envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-    outcome = Outcome(datasets, {}, envs)
+    outcome = Outcome(datasets, {}, envs, job.parts)
     if fresh_seeds:
         job = job._replace(chosen=json.dumps(outcome.chosen))
         new |= _compute(store, job, executor, meter, {}, origin)

@@ -16,6 +16,9 @@ Its modules, from the ground up:
     learning  learning over time as an animation: GIF, or a page with a slider
     plot      the public side of these, and all pictures of a sweep; `rl.plot`
     explorer  the data of the report, in which its readers look around
+    explained where methods lose what they earn less than the best policy, in numbers and in words
+    loss_maps pictures of that
+    heat      what the report shows of that
     rows      what a chapter of the report says: its rows, notes and tables
     report    the report of an experiment, one HTML file; `rl.report`
     html      its templates

@@ -62,6 +62,9 @@ def values(
     v: np.ndarray,
     q: np.ndarray | None,
     limits: tuple[float | None, float | None] = (None, None),
+    *,
+    what: str = "value",
+    colors: str = "viridis",
 ) -> None:
     """A heat map of the values `v`, float [S], with the arrows of all greedy actions of `q`, [S, A].
 
@@ -73,12 +76,14 @@ def values(
         v: values, [S].
         q: action values, [S, A]; None: there are no arrows.
         limits: the values at the ends of the colours, so that pictures compare; by default those of `v`.
+        what: what they are called beside the scale of colours.
+        colors: the name of the scale in Matplotlib.
     """
     moves = Moves.of(env)
     shown = np.isfinite(v) & moves.reachable & ~moves.terminal
     low, high = limits
     cells = np.ma.masked_array(v, ~shown).reshape(env.shape)
-    image = ax.imshow(cells, cmap="viridis", vmin=low, vmax=high, zorder=1)
+    image = ax.imshow(cells, cmap=colors, vmin=low, vmax=high, zorder=1)
     _draw_grid(ax, env, moves)
     if q is not None:
         _draw_arrows(ax, env, greedy_actions(q) & shown[:, None], "white", raised=0.12)
@@ -95,7 +100,7 @@ def values(
         text = InCell(column, row + 0.33, number, (0.9, 0.26), **style)
         text.set_path_effects([patheffects.withStroke(linewidth=1.5, foreground=INK)])
         ax.add_artist(text)
-    color_bar(image, [ax])
+    color_bar(image, [ax], what)
 
 
 def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
@@ -171,7 +176,12 @@ def _draw_arrows(ax: Axes, env: Grid, shown: np.ndarray, color: str, raised: flo
     length = (0.4 - raised) / np.maximum(1, np.hypot(down, right))
     if stays.any():
         ax.plot(columns[stays], rows[stays], "o", color=color, ms=4, zorder=3)
-    _quiver(ax, columns[~stays], rows[~stays], (right * length)[~stays], (down * length)[~stays], color)
+    edge = (
+        {"edgecolor": INK, "linewidth": 0.5} if color == "white" else {}
+    )  # so that it is seen on any colour
+    _quiver(
+        ax, columns[~stays], rows[~stays], (right * length)[~stays], (down * length)[~stays], color, **edge
+    )
 
 
 def _quiver(
@@ -182,11 +192,15 @@ def _quiver(
     down: np.ndarray,
     color: Any,
     width: float = 0.045,
+    **edge: Any,
 ) -> None:
-    """Arrows from (x, y), as long and as wide as they are in cells; `color` is one for all or [arrows, 4]."""
+    """Arrows from (x, y), as long and as wide as they are in cells; `color` is one for all or [arrows, 4].
+
+    `edge`: how they are outlined.
+    """
     size = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "xy", "width": width, "minlength": 0}
     head = {"headwidth": 4, "headlength": 4, "headaxislength": 3.6}
-    ax.quiver(x, y, right, down, **size, **head, color=color, zorder=3)
+    ax.quiver(x, y, right, down, **size, **head, facecolor=color, zorder=3, **edge)
 
 
 def _draw_ends(ax: Axes, env: Grid, reached: bool = False) -> None:

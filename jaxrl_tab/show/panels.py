@@ -45,6 +45,9 @@ def panels(
     best: np.ndarray | None = None,
     title: str = "",
     limits: tuple[float, float] | None = None,
+    *,
+    what: str = "value",
+    colors: str = "viridis",
 ) -> None:
     """Heat maps of the values `v`, float [S], in the tables in which people see the states.
 
@@ -57,6 +60,8 @@ def panels(
         best: which actions are best, bool [S, A]; named below the values. None: names none.
         title: stands over all, above what the states of each table have in common.
         limits: the values at the ends of the colours, so that pictures compare; by default those of `v`.
+        what: what they are called beside the scale of colours.
+        colors: the name of the scale in Matplotlib.
     """
     model = planning.exact_model(env)
     shown = np.isfinite(v) & planning.reachable(model) & ~planning.terminal_states(model)
@@ -65,7 +70,7 @@ def panels(
     names = of_environment(env).action_names
     for ax, table in zip(axes, tables_of(env), strict=True):
         values = np.ma.masked_array(v, ~shown)[table.states]
-        image = ax.imshow(values, cmap="viridis", vmin=low, vmax=high)
+        image = ax.imshow(values, cmap=colors, vmin=low, vmax=high)
         cells = [(row, column, table.states[row, column]) for row, column in np.argwhere(shown[table.states])]
         texts = [_cell(float(v[s])) for *_, s in cells]
         if best is not None:
@@ -74,7 +79,7 @@ def panels(
         longest = max((len(line) for text in texts for line in text.split("\n")), default=0)
         style = {"longest": longest, "size": CELL, "linespacing": 1}
         for (row, column, s), text in zip(cells, texts, strict=True):
-            is_bright = v[s] > low + 0.6 * (high - low)  # the colour of the cell
+            is_bright = sum(image.cmap(image.norm(v[s]))[:3]) > 1.5  # the colour of the cell
             color = INK if is_bright else "white"
             ax.add_artist(InCell(column, row, literal(text), (0.94, 0.94), color=color, **style))
         ax.set_xticks(range(len(table.columns)), map(literal, table.columns))
@@ -85,7 +90,7 @@ def panels(
         ax.spines[:].set_visible(False)
         over = title if ax is axes[0] else ""  # it may be as long as all the tables are wide
         ax.set_title(literal("\n".join(filter(None, [over, table.title]))), fontsize=TYPE, loc="left")
-    color_bar(image, axes, below=True, length=0.5)
+    color_bar(image, axes, what, below=True, length=0.5)
 
 
 def _cell(x: float) -> str:

@@ -11,11 +11,12 @@ Datasets are those of `SweepResult.to_xarray`, one for each method, by the name 
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from jaxrl_tab import stats
@@ -191,13 +192,15 @@ def save_all(
 def save(figure: Figure, file: Path | str) -> None:
     """Writes a figure as the ending of `file` says: .png, .pdf or .svg. The same figure gives the same bytes."""
     file = Path(file)
-    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     lay_out(figure)
+    if file.suffix == ".png":
+        # Drawn once: `savefig` does it twice. Compressed quicker than by the usual level, and a tenth larger.
+        FigureCanvasAgg(figure).print_png(file, pil_kwargs={"compress_level": 1})
+        return
+    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     # Journals take fonts of kind 42 (TrueType) alone.
     with mpl.rc_context({"svg.hashsalt": "jaxrl_tab", "pdf.fonttype": 42}):
-        # Quicker than by the usual level, and a tenth larger.
-        quick: dict[str, Any] = {"pil_kwargs": {"compress_level": 1}} if file.suffix == ".png" else {}
-        figure.savefig(file, metadata=undated.get(file.suffix), **quick)
+        figure.savefig(file, metadata=undated.get(file.suffix))
 
 
 def pictures(

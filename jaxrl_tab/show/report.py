@@ -20,9 +20,11 @@ from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.show import words
+from jaxrl_tab.show.explained import Explained
 from jaxrl_tab.show.explorer.chapter import Explorer, explorer
 from jaxrl_tab.show.explorer.measures import POINTS
 from jaxrl_tab.show.explorer.over_time import Again
+from jaxrl_tab.show.heat import Heat, heats
 from jaxrl_tab.show.html import EXPLORER, as_json, render
 from jaxrl_tab.show.rows import (
     AT_ONCE,
@@ -94,14 +96,16 @@ def write_methods(
     fresh: Mapping[str, Methods],
     again: Again | None = None,
     toml: Mapping[str, str] | None = None,
+    explained: Mapping[str, Explained] | None = None,
 ) -> Path:
     """`write`, of the methods of each environment, of which something may have been worked out already.
 
     Args:
         again, toml: see `explorer`; without `again` there are tables at the end of the runs alone.
+        explained: where the methods lose, by "ENV/METHOD"; of those that are in it.
         Others: as in `write`.
     """
-    return page(methods, about, fresh, again, toml).save(folder / FILE)
+    return page(methods, about, fresh, again, toml, explained).save(folder / FILE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,6 +142,7 @@ def page(
     fresh: Mapping[str, Methods],
     again: Again | None = None,
     toml: Mapping[str, str] | None = None,
+    explained: Mapping[str, Explained] | None = None,
 ) -> Page:
     """The report; arguments as in `write_methods`."""
     several = len(methods) > 1
@@ -145,13 +150,14 @@ def page(
     for label, own in methods.items():
         group = f"{label}/" if several else ""
         seen = explorer(label, own, group=group, again=again, toml=toml, chapters=len(methods))
-        chapters.append(_chapter(label, own, fresh.get(label, Methods({})), seen))
+        losing = heats(explained or {}, label)
+        chapters.append(_chapter(label, own, fresh.get(label, Methods({})), seen, losing))
     sweeps = {f"{label}/{name}": ds for label, own in methods.items() for name, ds in own.items()}
     seeds = [ds.sizes["seed"] for ds in sweeps.values()]
     title = _title(chapters)
     rendered = render(
         "report.html",
-        styles=["report.css"],
+        styles=["report.css", "heat.css"],
         scripts=EXPLORER,
         points=f"at most {POINTS}",
         title=title,
@@ -192,12 +198,13 @@ class Chapter(NamedTuple):
     tied: bool
     explores: bool
     explained: dict[str, str]
+    losing: list[Heat]
     data: Any
     blocks: dict[str, str]
 
 
 # --- a chapter ---------------------------------------------------------------------------------------
-def _chapter(label: str, methods: Methods, fresh: Methods, seen: Explorer) -> Chapter:
+def _chapter(label: str, methods: Methods, fresh: Methods, seen: Explorer, losing: list[Heat]) -> Chapter:
     env, prediction, rows = methods.env, methods.prediction, methods.rows
     assert env is not None
     again = {row.method: row for row in fresh.rows}
@@ -237,6 +244,7 @@ def _chapter(label: str, methods: Methods, fresh: Methods, seen: Explorer) -> Ch
         tied=any(row["tied"] and not row["best"] for row in rows),
         explores=not np.isnan([row["soft"] for row in rows]).all(),
         explained={_sentence(text(x.report, prediction)): x.help for x in columns if x.help},
+        losing=losing,
         data=as_json(seen.data),
         blocks=seen.blocks,
     )

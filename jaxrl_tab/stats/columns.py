@@ -1,6 +1,7 @@
 """The one table of settings, from which `summary.csv`, the screen, the report and the pictures choose.
 
-A statistic is one entry in `COLUMNS`. It is worked out once for each method, when the rows are first asked for.
+A statistic is one entry in `COLUMNS`. It is worked out once for each method, when it is first asked for: the screen
+shows some of them, and is not kept waiting for the others.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,6 +52,23 @@ class Method(Settings):
     def __init__(self, ds: xr.Dataset, name: str, among: "Methods") -> None:
         super().__init__(ds)
         self.name, self.among = name, among
+        self._numbers: dict[str, list[Any] | None] = {}
+
+    def numbers(self, column: str) -> list[Any] | None:
+        """The numbers of the column of this name, one for each setting; None where the method has no such number."""
+        if column not in self._numbers:
+            self._numbers[column] = self._worked_out(column)
+        return self._numbers[column]
+
+    def _worked_out(self, column: str) -> list[Any] | None:
+        one = next((one for one in COLUMNS if one.name == column), None)
+        if one is None or (value := one.value(self)) is None:
+            return None
+        parts = value[:3] if isinstance(value, Interval) else [value]
+        axes = hyperparameters(self.ds)
+        every = [xr.DataArray(part).broadcast_like(self.lost).transpose(*axes) for part in parts]
+        flat = [part.values.ravel().tolist() for part in every]
+        return list(zip(*flat, strict=True)) if len(flat) > 1 else flat[0]
 
     @cached_property
     def unfinished(self) -> xr.DataArray:
@@ -63,6 +81,13 @@ class Method(Settings):
         at = xr.zeros_like(self.lost, bool)
         at.loc[self.best] = True
         return at
+
+    @property
+    def number_of_best(self) -> int:
+        """The number of the best setting among all, in the order of the axes."""
+        place = [self.ds[axis].values.tolist().index(value) for axis, value in self.best.items()]
+        sizes = [self.ds.sizes[axis] for axis in self.best]
+        return int(np.ravel_multi_index(place, sizes)) if place else 0
 
     def only_at_best(self, x: xr.DataArray | float) -> xr.DataArray:
         """`x` at the best setting, NaN at the others, [*hyperparameters]."""
@@ -132,7 +157,7 @@ class Column:
 
     def tells(self, rows: "Sequence[Row]") -> bool:
         """Whether it has anything to tell of these rows: a number, or a count that is not 0."""
-        numbers = [row[self.name] for row in rows if self.name in row.numbers]
+        numbers = [row[self.name] for row in rows if row.has(self.name)]
         return any(numbers) if self.written == "count" else bool(numbers)
 
 
@@ -244,20 +269,27 @@ LAST = ("steps_per_second", "greedy_value", "final_v_error", "optimum")
 class Row:
     """One setting of a method in numbers: `row[name]` for each column of this name, NaN where there is none.
 
+    Of an interval it is estimate, low and high.
+
     Attributes:
         own: the settings of its method.
         place: its values on the axes of the sweep, fit for `ds.sel`.
         setting: all its hyperparameters, swept, drawn and fixed.
-        numbers: a number for each column, by its name; of an interval estimate, low and high.
+        number: the number of the setting among those of its method, in the order of the axes.
     """
 
     own: Method
     place: dict[str, Any]
     setting: dict[str, Any]
-    numbers: dict[str, Any]
+    number: int
+
+    def has(self, column: str) -> bool:
+        """Whether the method has such a number."""
+        return self.own.numbers(column) is not None
 
     def __getitem__(self, column: str) -> Any:
-        return self.numbers.get(column, np.nan)
+        numbers = self.own.numbers(column)
+        return np.nan if numbers is None else numbers[self.number]
 
     @property
     def method(self) -> str:
@@ -356,17 +388,10 @@ class Methods(Mapping[str, xr.Dataset]):
 
 
 def _rows(own: Method) -> Iterator[Row]:
-    names, numbers = hyperparameters(own.ds), {}
-    for column in COLUMNS:
-        if (value := column.value(own)) is not None:
-            parts = value[:3] if isinstance(value, Interval) else [value]
-            every = [xr.DataArray(part).broadcast_like(own.lost).transpose(*names) for part in parts]
-            flat = [part.values.ravel().tolist() for part in every]
-            numbers[column.name] = list(zip(*flat, strict=True)) if len(flat) > 1 else flat[0]
-    for i, values in enumerate(product(*(own.ds[name].values.tolist() for name in names))):
+    names = hyperparameters(own.ds)
+    for number, values in enumerate(product(*(own.ds[name].values.tolist() for name in names))):
         place = dict(zip(names, values, strict=True))
-        setting = named(own.ds, place) | fixed(own.ds)
-        yield Row(own, place, setting, {name: x[i] for name, x in numbers.items()})
+        yield Row(own, place, named(own.ds, place) | fixed(own.ds), number)
 
 
 def _summarised(row: Row) -> dict[str, Any]:
@@ -374,7 +399,7 @@ def _summarised(row: Row) -> dict[str, Any]:
     numbers = {}
     for column in COLUMNS:
         name = column.name if column.in_summary is None else text(column.in_summary, row.own.prediction)
-        if name and column.name in row.numbers:
+        if name and row.has(column.name):
             stem, x = name.removesuffix("_return"), row[column.name]
             parts = x if isinstance(x, tuple) else (x,)
             numbers |= dict(zip((name, f"{stem}_low", f"{stem}_high"), parts, strict=False))
