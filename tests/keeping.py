@@ -12,7 +12,7 @@ from jaxrl_tab.exact import model
 
 def forget():
     """As a new process would."""
-    for cached in (room.traced_program, by_xla._compiled, by_lanes._kernel):
+    for cached in (room.traced_program, by_xla._compiled, by_lanes.kernel):
         cached.cache_clear()
     model._kept.clear()
     look_again()

@@ -14,6 +14,7 @@ Its modules, from the ground up:
     by_lanes    runs on a CPU that `lanes` compiles, in threads
     by_xla      runs that XLA compiles, on all devices
     batch       many runs at once
+    within      runs in a program of somebody's own, under `jit` and `vmap`
     train       one run, checked, compiled and measured
     stepwise    one run, one step at a time
     watch       an episode of a run, step by step, and what the run learns over time

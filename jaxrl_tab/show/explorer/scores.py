@@ -92,9 +92,9 @@ def levels_of(middles: np.ndarray, cost: bool) -> list[float]:
 
 
 def intervals(flat: Flat, scores: Sequence[Score], own: Method) -> np.ndarray:
-    """The estimate with the bounds of its 95% interval, float64 [settings, scores, 3]."""
+    """The estimate, the bounds of its 95% interval, and the number of seeds: float64 [settings, scores, 4]."""
     axes = stats.hyperparameters(flat.ds)
-    shown = np.full((flat.count, len(scores), 3), np.nan)
+    shown = np.full((flat.count, len(scores), 4), np.nan)
     for i, score in enumerate(scores):
         if score.key == "score":
             interval = own.interval
@@ -102,7 +102,7 @@ def intervals(flat: Flat, scores: Sequence[Score], own: Method) -> np.ndarray:
             x = score.of(flat)
             x = x if "diverged" not in flat.ds or score.middle == "median" else x.where(~flat.ds.diverged)
             interval = (stats.median_interval if score.middle == "median" else stats.mean_interval)(x)
-        for k, part in enumerate(interval[:3]):
+        for k, part in enumerate(interval):
             shown[:, i, k] = np.asarray(part.transpose(*axes)).reshape(-1)
     return shown
 
