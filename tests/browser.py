@@ -56,18 +56,28 @@ class Browser:
             self._ask(f"{domain}.enable")
         self.resize(width, height)
 
-    def resize(self, width, height=900):
-        self._ask(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
+    def resize(self, width, height=900, *, phone=False):
+        """The size of the window; a phone has no mouse."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": phone}
+        self._ask("Emulation.setDeviceMetricsOverride", **size)
+        self._ask("Emulation.setTouchEmulationEnabled", enabled=phone)
 
-    def media(self, kind):
-        """ "print" or "screen"."""
-        self._ask("Emulation.setEmulatedMedia", media=kind)
+    def media(self, kind="screen", colours="light"):
+        """ "print" or "screen", and whether the system is "light" or "dark"."""
+        features = [{"name": "prefers-color-scheme", "value": colours}]
+        self._ask("Emulation.setEmulatedMedia", media=kind, features=features)
+
+    def read_out(self):
+        """What a screen reader finds: (role, name, description) of each node that is not ignored."""
+        self._ask("Accessibility.enable")
+        nodes = self._ask("Accessibility.getFullAXTree")["nodes"]
+        self._ask("Accessibility.disable")
+        parts = ("role", "name", "description")
+        return [
+            tuple(node.get(part, {}).get("value", "") for part in parts)
+            for node in nodes
+            if not node["ignored"]
+        ]
 
     def scripts(self, on):
         self._ask("Emulation.setScriptExecutionDisabled", value=not on)
@@ -94,7 +104,15 @@ class Browser:
 
     def key(self, key, text=""):
         for kind in ("keyDown", "keyUp"):
-            code = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36, "End": 35}
+            code = {
+                "ArrowLeft": 37,
+                "ArrowUp": 38,
+                "ArrowRight": 39,
+                "ArrowDown": 40,
+                "Home": 36,
+                "End": 35,
+                "Tab": 9,
+            }
             more = {"windowsVirtualKeyCode": code.get(key, 13 if key == "Enter" else 0)}
             self._ask(
                 "Input.dispatchKeyEvent",
@@ -110,6 +128,11 @@ class Browser:
         kinds = ["mousePressed", *["mouseMoved"] * (len(places) - 1), "mouseReleased"]
         for kind, (x, y) in zip(kinds, [*places, places[-1]], strict=True):
             self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+
+    def tap(self, x, y):
+        """A touch of the screen at a place."""
+        self._ask("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        self._ask("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
     def close(self):
         with contextlib.suppress(OSError):

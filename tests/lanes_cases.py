@@ -112,7 +112,7 @@ CASES = {
     "rem": each(lax.rem, *ANY_TWO),
     "max": each(lax.max, *WITH_BOOL),
     "min": each(lax.min, *WITH_BOOL),
-    "pow": each(lax.pow, *TWO),
+    "pow": each(lax.pow, *TWO, (F32, I32)),
     "eq": each(lax.eq, *WITH_BOOL),
     "ne": each(lax.ne, *WITH_BOOL),
     "lt": each(lax.lt, *WITH_BOOL),

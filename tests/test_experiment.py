@@ -413,10 +413,11 @@ def test_the_plan_counts_programs_runs_blocks_and_bytes(parts, monkeypatch):
     assert n_step[:5] == (2 * kinds, 60, 2 * kinds, 48_000, 60 * each)
     assert each * 64 < sarsa.working < 20 * each * 64
     assert found.unit == "steps" and found.devices == "2 cores"
-    head, *lines, total, where = found.text().splitlines()
+    head, *lines, total, where, about = found.text().splitlines()
     assert head.split() == ["programs", "runs", "blocks", "steps", "results", "working", "memory", "time"]
     assert len(lines) == 4 and total.split()[:3] == ["all", "together", str(2 + 4 * kinds)]
-    assert where == "on 2 cores"
+    assert where.startswith("on 2 cores; the time is that of computing")
+    assert " about " in total and "it may take twice as long, or half" in about
 
 
 def test_the_plan_says_what_a_run_takes(parts):

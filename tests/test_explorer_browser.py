@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from browser import Browser, needs_browser
+from looking import at_cursor, choose, column_of, look_at, number, slide
 from made_up import make_result
 from PIL import Image
 
@@ -29,48 +30,6 @@ def page(browser, explored):
     yield browser
     assert browser.messages == []
     assert browser.requests == [f"file://{explored[0]}"]
-
-
-def look_at(browser, file, address=""):
-    browser.messages.clear()
-    browser.resize(1200)
-    browser.open(file, address)
-    browser.wait("$('.explorer')?.dataset.ready === 'yes'")
-
-
-def choose(page, card, name, value):
-    """Chooses a value in the list of this name, and tells the page as a user's choice would."""
-    page(
-        f"""(() => {{
-        const labels = [...$$({json.dumps(card + " label.field")})];
-        const box = labels.find(label => label.textContent.startsWith({json.dumps(name)})).querySelector("select");
-        box.value = {json.dumps(value)};
-        if (box.value !== {json.dumps(value)}) throw Error("no such choice");
-        box.dispatchEvent(new Event("change", {{ bubbles: true }}));
-        }})()"""
-    )
-
-
-def slide(page, moment):
-    page(f"(s => {{ s.value = {moment}; s.dispatchEvent(new Event('input')) }})($('.player input'))")
-
-
-def number(text):
-    return float(text.replace("−", "-").replace("\u202f", "").replace("∞", "inf").replace("–", "nan"))
-
-
-def at_cursor(page):
-    """What the legend of the curves says: name -> number."""
-    cells = page("$$('.legend td[data-curve]').map(x => [x.dataset.curve, x.textContent, x.dataset.value])")
-    for _, text, value in cells:
-        if value is not None:
-            assert number(text) == pytest.approx(float(value), rel=1e-3, nan_ok=True)
-    return {name: float(value) for name, _, value in cells if value is not None}
-
-
-def rows_of(page, row):
-    """The numbers of a row of the table of the cell that is looked at."""
-    return [number(x) for x in page(f"$$('.about tr[data-row=\"{row}\"] td').map(x => x.textContent)")]
 
 
 def merged(x, every=3):
@@ -115,12 +74,12 @@ def test_the_slider_moves_the_grid(page):
     exact = rl.planning.value_iteration(env)[1]
     for s in (30, 33, 20):
         page(f"$('.cell[data-s=\"{s}\"]').dispatchEvent(new Event('pointerenter'))")
-        assert rows_of(page, "learned") == pytest.approx(recorded[:, s].mean(0), abs=0.006)
-        assert rows_of(page, "exact") == pytest.approx(exact[s], abs=0.006)
-        assert sum(rows_of(page, "times taken")) <= 1260
+        assert column_of(page, "learned") == pytest.approx(recorded[:, s].mean(0), abs=0.006)
+        assert column_of(page, "exact") == pytest.approx(exact[s], abs=0.006)
+        assert sum(column_of(page, "times taken")) <= 1260
     choose(page, ".chosen", "runs", "median")
     page.wait("$('.stage .small').textContent.startsWith('median')")
-    assert rows_of(page, "learned") == pytest.approx(np.median(recorded[:, 20], 0), abs=0.006)
+    assert column_of(page, "learned") == pytest.approx(np.median(recorded[:, 20], 0), abs=0.006)
 
 
 def test_visits_are_as_many_as_steps(page):
@@ -225,27 +184,67 @@ def test_a_setting_as_toml_is_an_experiment(page, explored, tmp_path):
     np.testing.assert_array_equal(one.returns, whole.returns)
 
 
-def test_what_is_shown_can_be_copied_as_python(page, explored, tmp_path, monkeypatch):
-    """It runs beside the results. Broken once: a name of a group that is not there -> fails."""
+@pytest.fixture
+def copied(page, explored, tmp_path, monkeypatch):
+    """Runs the lines of Python of a card beside the results, and gives the axes that they draw."""
+    import matplotlib.pyplot as plt
+
     from jaxrl_tab.engine.results import save
 
     for name, ds in explored[1].datasets.items():
         save(ds, name.partition("/")[2], tmp_path / "results.nc", {})
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
-    choose(page, ".curves", "bands", "all")
-    choose(page, ".curves", "measure", "reward")
-    for card in (".curves", ".settings"):
+    monkeypatch.setattr(plt.Figure, "savefig", lambda *a: None)
+
+    def run(card):
         page(f"$$('{card} button').find(x => x.textContent === 'as Python').click()")
-        code = page("$('dialog pre').textContent")
-        page("$('dialog').close()")
         names = {}
-        exec(compile(code, card, "exec"), names)
-        assert len(names["ax"].get_lines()) >= 2
-        if card == ".curves":
-            last = [line.get_ydata()[-1] for line in names["ax"].get_lines()]
-            assert last == pytest.approx([*at_cursor(page).values()], rel=1e-5)
-        names["plt"].close("all")
+        exec(compile(page("$('dialog pre').textContent"), card, "exec"), names)
+        page("$('dialog').close()")
+        return names["ax"]
+
+    yield run
+    plt.close("all")
+
+
+def test_curves_can_be_copied_as_python(page, copied):
+    """What they draw is what is shown. Broken once: a name of a group that is not there; no single run -> fails."""
+    last = lambda ax: {x.get_label(): x.get_ydata()[-1] for x in ax.get_lines() if x.get_label()[0] != "_"}
+    choose(page, ".curves", "bands", "all")
+    choose(page, ".curves", "measure", "episodes")
+    assert last(copied(".curves")) == pytest.approx(at_cursor(page), rel=1e-5)
+    choose(page, ".curves", "bands", "none")
+    choose(page, ".curves", "a curve for each", "alpha")
+    for view in ("median", "best", "worst"):
+        choose(page, ".chosen", "runs", view)
+        assert last(copied(".curves")) == pytest.approx(at_cursor(page), rel=1e-5)
+    choose(page, ".curves", "measure", "return")
+    page(
+        "$$('.curves input[type=checkbox]').forEach(box => box.click())"
+    )  # logarithmic time, and single runs
+    choose(page, ".curves", "vertical axis", "log")
+    ax = copied(".curves")
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "symlog")
+    assert (
+        len(ax.get_lines()) == len(at_cursor(page)) + 1 + 5 + 1
+    )  # the mean beside one run, five runs, the optimum
+
+
+def test_settings_can_be_copied_as_python(page, copied):
+    """Of a method, of the values of another hyperparameter, as a heat map. Broken once: always of methods -> fails."""
+    value = "[...$$('.settings .point')].map(x => +x.dataset.value)"
+    places = lambda ax: [y for bars in ax.containers for y in bars.lines[0].get_ydata()]
+    for score in ("score", "interim", "episodes"):
+        choose(page, ".settings", "score", score)
+        assert places(copied(".settings")) == pytest.approx(page(value), rel=1e-5)
+    choose(page, ".chosen", "method", "0")
+    choose(page, ".settings", "on the axis", "epsilon")
+    choose(page, ".settings", "a curve for each", "alpha")
+    assert places(copied(".settings")) == pytest.approx(page(value), rel=1e-5)
+    choose(page, ".settings", "picture", "heat")
+    [image] = copied(".settings").get_images()
+    assert image.get_array().T.ravel().tolist() == pytest.approx(page(value), rel=1e-5)
 
 
 def test_two_methods_stand_side_by_side_in_step(page):
@@ -290,15 +289,6 @@ def test_dragging_over_the_curves_moves_time(page):
     assert page("+$('.player input').value") == pytest.approx(16, abs=1)
 
 
-@pytest.mark.parametrize("width", [390, 1200])
-def test_nothing_is_wider_than_the_window(page, width):
-    """Broken once: a table without its box -> fails."""
-    page.resize(width)
-    page.wait(f"innerWidth === {width}")
-    assert page("document.documentElement.scrollWidth") <= width
-    page.wait("$$('.card svg').every(x => x.getBoundingClientRect().right <= innerWidth)")
-
-
 def test_panels_name_the_actions(browser, tmp_path):
     """Blackjack: what a mean of tables says, and letters of what most seeds would do. Broken once: columns as rows
     -> fails."""
@@ -316,10 +306,10 @@ def test_panels_name_the_actions(browser, tmp_path):
     box = "(x => [x.x, x.y])($('.cell[data-s=\"{}\"]').getBoundingClientRect())"
     (x, y), (left, same) = (browser(box.format(states.index(at))) for at in (s, tables[1].states[0, 3]))
     assert (left < x, same) == (True, y)
-    assert rows_of(browser, "learned") == pytest.approx(result.q[:, s].mean(0), abs=1e-4)
+    assert column_of(browser, "learned") == pytest.approx(result.q[:, s].mean(0), abs=1e-4)
     greedy = result.q[:, s] == result.q[:, s].max(-1, keepdims=True)
     votes = (greedy / greedy.sum(-1, keepdims=True)).sum(0)
-    bold = browser("$$('.about th.best').map(x => x.textContent)")
+    bold = browser("$$('.about .best th').map(x => x.textContent)")
     assert bold == [env.action_names[a] for a in np.flatnonzero(np.isclose(votes, votes.max()))]
     assert browser.messages == []
 
@@ -329,7 +319,7 @@ def test_tasks_without_a_picture_have_a_table_of_states(browser, tmp_path):
     env = rl.RandomWalk()
     result = rl.sweep(env, "td", {"alpha": 0.1}, num_seeds=3, num_episodes=20, exact=True, progress=False)
     look_at(browser, report.write(tmp_path, {"walk/td": result.to_xarray()}, {"walk": env}, {}))
-    rows = browser("$$('.list tbody tr').map(row => [...row.cells].map(cell => cell.textContent))")
+    rows = browser("$$('.stage tbody tr').map(row => [...row.cells].map(cell => cell.textContent))")
     inner = range(1, env.num_states - 1)
     assert [int(row[0].removesuffix(" (start)")) for row in rows] == [*inner]
     assert [number(row[1]) for row in rows] == pytest.approx(result.q[:, 1:-1, 0].mean(0), abs=1e-3)
@@ -425,6 +415,7 @@ def test_it_prints(page):
         page.media("screen")
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_page_in_a_frame(browser, explored, tmp_path):
     """Of a sweep, and of an experiment; what is chosen there works. Broken once: the page is not escaped -> fails."""
     result = rl.sweep(rl.make("windy-gridworld"), "sarsa", {"alpha": [0.3, 1.0]}, num_seeds=3, num_steps=2000)

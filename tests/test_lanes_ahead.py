@@ -17,6 +17,8 @@ from jaxrl_tab.lanes.emit import emit
 from jaxrl_tab.lanes.lower import lower
 from jaxrl_tab.lanes.target import host
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 RANDOM = np.random.default_rng(0)
 LANES = 4
 KEYS = RANDOM.integers(0, 2**32, (LANES, 2), np.uint32)

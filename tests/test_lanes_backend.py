@@ -17,6 +17,7 @@ import tiny
 from jax._src.dispatch import runtime_tokens
 from lanes_runs import runs_of
 from lanes_tools import assert_same_bits
+from marks import slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch, cli
@@ -24,8 +25,11 @@ from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import backend, by_lanes, provenance
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.experiment.executors.base import Job
-from jaxrl_tab.lanes import calls, machine
+from jaxrl_tab.lanes import calls, machine, program
+from jaxrl_tab.lanes.emit import emit
 from jaxrl_tab.lanes.kernel import Kernel
+
+pytestmark = pytest.mark.usefixtures("optimised")
 
 TWO_DOORS = {"num_steps": 20, "log_every": 10}
 
@@ -271,6 +275,16 @@ def test_a_record_that_calls_python_does_as_with_xla(used, caplog):
     assert "a call of Python from within is not compiled" in caplog.messages[0]
 
 
+def test_what_llvm_refuses_xla_does(used, monkeypatch, caplog):
+    """Broken once: its error goes through -> RuntimeError, and no run."""
+    with monkeypatch.context() as patched:
+        patched.setattr(program, "emit", lambda *args: emit(*args)._replace(text="define nonsense"))
+        found = swept("cliff-walking")
+    assert used == ["ByXLA"]
+    assert "is not compiled by lanes: LLVM refuses its code: LLVM IR parsing error" in caplog.messages[0]
+    assert_same_bits(arrays(found), arrays(swept("cliff-walking")))
+
+
 def test_an_error_in_what_xla_does_for_a_kernel_arrives_as_it_is(used, monkeypatch):
     """Also where the other thread still works, and nothing hangs.
 
@@ -281,11 +295,11 @@ def test_an_error_in_what_xla_does_for_a_kernel_arrives_as_it_is(used, monkeypat
         return failing
 
     monkeypatch.setattr(calls, "callable_of", fails)
-    by_lanes._kernel.cache_clear()
+    by_lanes.kernel.cache_clear()
     for _ in range(20):
         with pytest.raises(Mine, match="not today"):
             swept(num_seeds=300, exact=True)
-    by_lanes._kernel.cache_clear()
+    by_lanes.kernel.cache_clear()
 
 
 OWN = '''
@@ -315,7 +329,7 @@ LONG = {
 }
 
 
-@pytest.mark.parametrize("which", LONG)
+@pytest.mark.parametrize("which", slow_but_first(LONG))
 def test_ctrl_c_ends_a_kernel(tmp_path, which):
     """By itself: nothing has to end the process. Broken once: a loop does not ask -> hangs until it is killed."""
     for name, waits in STUCK.items():
@@ -383,10 +397,10 @@ def test_xlas_want_of_memory_is_one_too(monkeypatch):
         raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 1 bytes.")
 
     monkeypatch.setattr(calls, "callable_of", lambda call: fails)
-    by_lanes._kernel.cache_clear()
+    by_lanes.kernel.cache_clear()
     with pytest.raises(RunError, match="there is not enough memory for"):
         swept(num_seeds=300, exact=True)
-    by_lanes._kernel.cache_clear()
+    by_lanes.kernel.cache_clear()
 
 
 def test_more_threads_than_devices_share_the_room(monkeypatch):
@@ -403,6 +417,7 @@ def test_more_threads_than_devices_share_the_room(monkeypatch):
     assert by_lanes.ByLanes(runs, one // 4, None).threads == 1
 
 
+@pytest.mark.slow
 def test_as_many_threads_as_cores_unless_devices_were_chosen():
     code = "import jax, {first}; from jaxrl_tab.engine import by_lanes; print(by_lanes.threads())"
     run = lambda first, **env: subprocess.run(

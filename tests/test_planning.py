@@ -13,8 +13,6 @@ from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs import CliffWalking, FiniteMDP, RandomWalk, WindyGridworld
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 # --- tasks and oracles -------------------------------------------------------------------------------
 
 

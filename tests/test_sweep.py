@@ -143,10 +143,10 @@ def test_infinities_and_nan_anywhere_are_divergence():
 
 def test_one_program_for_all_hyperparameter_values(windy, grid):
     """Neither values, nor their number, nor Python numbers against arrays make a second program."""
-    programs = by_lanes._kernel.cache_info().misses
+    programs = by_lanes.kernel.cache_info().misses
     other = {"alpha": np.array([1, 0.25, 0.75]), "gamma": 0.5, "epsilon": 1}
     again = rl.sweep(windy, "sarsa", other, num_seeds=9, **BUDGET)
-    assert by_lanes._kernel.cache_info().misses == programs
+    assert by_lanes.kernel.cache_info().misses == programs
     assert grid.compile_seconds > 0
     assert again.log.steps.shape == (3, 9, 3)
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("optimised")  # the numbers of the page are those of a user
+
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs/why.md").read_text(encoding="utf-8")
 NUMBER = re.compile(r"\d+(?:\.\d+)?")

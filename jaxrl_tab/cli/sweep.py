@@ -28,6 +28,7 @@ from jaxrl_tab.core import memory
 from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.names import is_from_outside
 from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, runner
@@ -179,7 +180,7 @@ def _conduct(experiment: Experiment, executor: Executor, options: Sweep, command
     """Runs the experiment, prints what came out, and leaves it in the folder; or says what it would do."""
     start_jax()
     if options.dry_run or (not options.quiet and sys.stderr.isatty()):
-        with busy("planning", options.quiet):
+        with busy("planning", options.quiet), backend.using(experiment.backend):
             planned = plan(experiment.parts(), options.bytes)
         if options.dry_run and options.json:
             parts = {name: part._asdict() for name, part in planned.parts.items()}

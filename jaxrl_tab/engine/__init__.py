@@ -14,11 +14,13 @@ Its modules, from the ground up:
     by_lanes    runs on a CPU that `lanes` compiles, in threads
     by_xla      runs that XLA compiles, on all devices
     batch       many runs at once
+    within      runs in a program of somebody's own, under `jit` and `vmap`
     train       one run, checked, compiled and measured
     stepwise    one run, one step at a time
     watch       an episode of a run, step by step, and what the run learns over time
     axes        what a sweep tries of a hyperparameter: grids in steps, and random draws
     part        one method in one environment, with all its configurations and seeds
+    typical     how long runs usually take, from what they are
     speeds      how fast runs were on this machine, so that a plan can say how long it takes
     counted     a method that also counts how often it took each action
     acting      by which policies runs act in the end

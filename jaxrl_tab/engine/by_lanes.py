@@ -82,12 +82,8 @@ class ByLanes:
         self.threads = max(1, min(threads(devices), on_all // runs.needs.call.bytes(LANES, blocks=1)))
         results, self._tree = jax.tree.flatten(runs.needs.results)
         arguments = runs.arguments(np.array(0))
-        of_thread = -(-len(runs) // self.threads)
-        # Of three sizes, so that few programs are made.
-        lanes = next(size for size in (1, target().width, MANY) if of_thread <= size)
-        of_program = signature(arguments)
-        shared = _Shared(_arrays(arguments, of_program)[1])
-        self._kernel = _kernel(runs.budget, of_program, shared, len(results), lanes)
+        program, lanes = signature(arguments), lanes_for(-(-len(runs) // self.threads))
+        self._kernel = kernel(runs.budget, program, Shared(arguments[-1], program), len(results), lanes)
         self.lanes, scratch = self._kernel.program.lanes, self._kernel.program.scratch
         # While a thread works on some blocks, what it gave before may still wait to be kept.
         left = min(on_all // self.threads, CALL_BYTES) - scratch
@@ -161,19 +157,18 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
     if backend.asked() == "auto" and (budget.record or budget.exact) and rows > MEASURED_ROWS:
         return None
     arguments = program_arguments(budget, key, None, algorithm, env)
-    of_program = signature(arguments)
-    of_run, shared = _arrays(arguments, of_program)
+    program = signature(arguments)
+    kinds, structure = gives(budget, program)
     try:
-        kernel, structure = _of_one(budget, of_program, _Shared(shared))
+        of_one = kernel(budget, program, Shared(arguments[-1], program), len(kinds), 1)
     except Unsupported as reason:
         backend.fall_back(algorithm, env, reason)
         return None
-    inputs = [np.broadcast_to(x, (kernel.program.lanes, *x.shape)) for x in of_run]
+    inputs = [np.broadcast_to(x, (of_one.program.lanes, *x.shape)) for x in _of_run(arguments, program)]
     # As many steps take as long as they took before; nobody knows how long episodes are.
-    is_quick = budget.num_steps is not None and kernel.seconds < ASK_SECONDS / 2
-    results = kernel(*inputs) if is_quick else _called(kernel, *inputs)
-    outputs = _as_jax(*(x[0] for x in results))
-    (_, log), learner = jax.tree.unflatten(structure, outputs)
+    is_quick = budget.num_steps is not None and of_one.seconds < ASK_SECONDS / 2
+    outputs = of_one(*inputs) if is_quick else _called(of_one, *inputs)
+    (_, log), learner = jax.tree.unflatten(structure, _as_jax(*(x[0] for x in outputs)))
     return learner, log
 
 
@@ -184,16 +179,15 @@ def _as_jax(*arrays: Any) -> tuple[Any, ...]:
 
 
 @functools.lru_cache(maxsize=64)
-def _of_one(budget: Budget, signature: Signature, shared: "_Shared") -> tuple[Kernel, Any]:
-    """The program for a run alone, and the structure of all that it gives: ((table, Log), state of the learner)."""
+def gives(budget: Budget, signature: Signature) -> tuple[list[Any], Any]:
+    """The kinds of all arrays that a run gives, and their structure: ((table, Log), state of the learner)."""
     _, _, (algorithm, _), (env, _) = signature.arguments
 
     def learner(algorithm: Algorithm, env: Environment) -> Any:
         return init_learner(restricted(algorithm, available_actions(env)), env)
 
     results = needs_of_program(budget, signature).results
-    structure = jax.tree.structure((results, jax.eval_shape(learner, algorithm, env)))
-    return _kernel(budget, signature, shared, None, 1), structure
+    return jax.tree.flatten((results, jax.eval_shape(learner, algorithm, env)))
 
 
 def _called(kernel: Kernel, *inputs: np.ndarray) -> list[np.ndarray]:
@@ -209,38 +203,47 @@ def _called(kernel: Kernel, *inputs: np.ndarray) -> list[np.ndarray]:
         return future.result()
 
 
-class _Shared:
+class Shared:
     """What is the same for all runs of a program: the leaves of the environment. Two that are equal are one key."""
 
-    def __init__(self, leaves: list[np.ndarray]):
-        self.leaves = leaves
+    def __init__(self, env: Any, program: Signature):
+        leaves = jax.tree.leaves(env)
+        self.leaves = _plain(leaves, program.avals[len(program.avals) - len(leaves) :])
         parts = [f"{x.dtype} {x.shape} ".encode() + x.tobytes() for x in self.leaves]
         self.digest = hashlib.sha256(b"".join(parts)).hexdigest()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Shared) and self.digest == other.digest
+        return isinstance(other, Shared) and self.digest == other.digest
 
     def __hash__(self) -> int:
         return hash(self.digest)
 
 
-def _arrays(arguments: tuple, signature: Signature) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """The leaves of a run, and those of its environment, in the dtypes in which JAX takes them."""
-    leaves = zip(jax.tree.leaves(arguments), signature.avals, strict=True)
-    arrays = [np.asarray(x, kind.dtype) for x, kind in leaves]
-    of_run = len(arrays) - len(jax.tree.leaves(arguments[-1]))
-    return arrays[:of_run], arrays[of_run:]
+def _of_run(arguments: tuple, program: Signature) -> list[np.ndarray]:
+    """What differs from run to run: what names its random numbers, and its hyperparameters."""
+    leaves = jax.tree.leaves(arguments[:-1])
+    return _plain(leaves, program.avals[: len(leaves)])
+
+
+def _plain(leaves: list[Any], kinds: Sequence[Any]) -> list[np.ndarray]:
+    """Leaves in the dtypes in which JAX takes them."""
+    return [np.asarray(x, kind.dtype) for x, kind in zip(leaves, kinds, strict=True)]
 
 
 def _inputs(arguments: tuple, lanes: int) -> list[np.ndarray]:
-    """What differs from run to run, [lanes, ...] each: what names its random numbers, and its hyperparameters."""
-    (root, *of_runs), _ = _arrays(arguments, signature(arguments))
+    """The same of so many runs, [lanes, ...] each."""
+    root, *of_runs = _of_run(arguments, signature(arguments))
     return [np.broadcast_to(root, (lanes, *root.shape)), *of_runs]
 
 
+def lanes_for(runs: int) -> int:
+    """How many lanes a program for so many runs in a thread has: one of three numbers, so that few are made."""
+    return next((size for size in (1, target().width) if runs <= size), MANY)
+
+
 @functools.lru_cache(maxsize=64)
-def _kernel(budget: Budget, signature: Signature, shared: _Shared, results: int | None, lanes: int) -> Kernel:
-    """The program for so many lanes. It gives the first `results` arrays that a run gives, or all."""
+def kernel(budget: Budget, signature: Signature, shared: Shared, results: int, lanes: int) -> Kernel:
+    """The program for so many lanes. It gives the first `results` of the arrays that a run gives."""
 
     def make() -> Program:
         closed = traced_program(budget, signature).jaxpr

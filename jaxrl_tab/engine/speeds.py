@@ -1,37 +1,49 @@
 """How fast runs were on this machine, kept beside the programs, so that a plan can say how long it will take.
 
-A speed is that of a method in an environment: the seconds that a block of 64 runs took for a step, or an episode, with
-all cores at work, and those of making the program ready: the first time, and when it was kept from an earlier process.
-What was never run here gets the mean of all that was.
+A speed is that of a method in an environment, as a multiple of what is usual (see `typical`): that of running, with
+all cores at work, and that of making a program ready, the first time, and when it was kept from an earlier process.
+What was run here for a short time alone, or never, is judged by what else was run here, the more by what is like it and
+took long; and where nothing was, by what is usual.
 """
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from jaxrl_tab.engine import programs
+import jax
+
+from jaxrl_tab.engine import backend, programs
+from jaxrl_tab.engine.by_lanes import threads
 from jaxrl_tab.engine.part import Part
-from jaxrl_tab.engine.room import LANES
+from jaxrl_tab.engine.typical import typical
 
 NAME = "speeds"
 SHORTEST = 0.01  # seconds
 AT_MOST = 500  # speeds, and ten times as many programs; of more, those of longest ago are forgotten
-OF_COMPILING = 0.2  # about so much of it a program takes that is kept, where just one of the two was measured
+TOGETHER = 16  # runs, that take as long as one
+SURE = 0.2  # seconds of measuring that count as much as all that is known of others
+LONGEST = 5.0  # seconds of measuring: more of them count as much
+ALIKE = 4  # times as much counts the same method, or the same environment
 
 
 class Speed(NamedTuple):
-    """How fast something was.
+    """How long something took, as a multiple of what is usual.
 
     Attributes:
-        running: seconds of a block of runs for each step or episode of their budget.
-        compiling: seconds for each program that is made.
-        starting: seconds for each program that was made before.
+        running: a run.
+        compiling: a program that was made.
+        starting: a program that had been made before.
+        seconds: for how long it was measured.
     """
 
     running: float
     compiling: float
     starting: float
+    seconds: float
+
+
+USUAL = Speed(1.0, 1.0, 1.0, SURE)
 
 
 class Known(NamedTuple):
@@ -51,7 +63,7 @@ class Forecast(NamedTuple):
 
     Attributes:
         seconds: that it is computed.
-        is_measured: whether this method was run in this environment here before; else it is the mean of what was.
+        is_measured: whether this method was run in this environment here before, for long enough.
     """
 
     seconds: float
@@ -59,35 +71,63 @@ class Forecast(NamedTuple):
 
 
 def forecast(part: Part, known: Known) -> Forecast | None:
-    """How long a part will take, by what is `known`; None where nothing is that is counted in its unit."""
-    speed, unit = known.speeds.get(_name(part)), f"{_unit(part)} of "
-    if speed is None and (others := [x for name, x in known.speeds.items() if name.startswith(unit)]):
-        # The mean of logarithms: speeds differ by factors.
-        speed = Speed(*(math.exp(sum(map(math.log, x)) / len(x)) for x in zip(*others, strict=True)))
-    if speed is None:
+    """How long a part will take, by what is `known`; None where nothing is, and it is not computed on CPUs."""
+    name, usual = _name(part), typical(part)
+    weighted = [(_alike(name, other) * _weight(x), x) for other, x in known.speeds.items() if other != name]
+    if jax.default_backend() == "cpu":
+        weighted.append((SURE, USUAL))
+    own = known.speeds.get(name)
+    if own is not None:  # the others count as much as a short measurement
+        weighted = [(_weight(own), own), *([(SURE, _mean(weighted))] if weighted else [])]
+    if not weighted:
         return None
+    speed = _mean(weighted)
     before = sum(needs.program in known.programs for needs in part.needs)
-    ready = before * speed.starting + (len(part.needs) - before) * speed.compiling
-    return Forecast(_work(part, part.runs) * speed.running + ready, _name(part) in known.speeds)
+    ready = before * speed.starting * usual.starting
+    ready += (len(part.needs) - before) * speed.compiling * usual.compiling
+    running = sum(_in_turn(len(members) * part.num_seeds) for members in part.programs) * usual.running
+    return Forecast(running * speed.running + ready, own is not None and own.seconds >= SURE)
+
+
+def _in_turn(runs: int) -> int:
+    """How many runs a core does one after another, or together in the time of so many."""
+    return -(-runs // (TOGETHER * threads())) * TOGETHER
+
+
+def _weight(speed: Speed) -> float:
+    return min(speed.seconds, LONGEST)
+
+
+def _alike(name: str, other: str) -> int:
+    """How much another speed counts: more, where it is that of the same method or in the same environment."""
+    return ALIKE ** sum(a == b for a, b in zip(name.split(" in "), other.split(" in "), strict=False))
+
+
+def _mean(weighted: Sequence[tuple[float, Speed]]) -> Speed:
+    """The mean of logarithms: speeds differ by factors."""
+    total = sum(weight for weight, _ in weighted)
+    mean = lambda of: math.exp(sum(weight * math.log(of(x)) for weight, x in weighted) / total)
+    return Speed(
+        mean(lambda x: x.running), mean(lambda x: x.compiling), mean(lambda x: x.starting), seconds=total
+    )
 
 
 class _Took(NamedTuple):
-    """What some runs took: their work, the seconds, and of programs (made, or made before) how many and the seconds."""
+    """What some runs took: seconds, and those that are usual; of running, and of programs made and made before."""
 
-    work: float = 0
-    running: float = 0
-    made: int = 0
-    compiling: float = 0
-    before: int = 0
-    starting: float = 0
+    running: tuple[float, float] = (0.0, 0.0)
+    compiling: tuple[float, float] = (0.0, 0.0)
+    starting: tuple[float, float] = (0.0, 0.0)
+
+    def and_of(self, what: str, seconds: float, usual: float) -> "_Took":
+        before = getattr(self, what)
+        return self._replace(**{what: (before[0] + seconds, before[1] + usual)})
 
     def speed(self, last: Speed | None) -> Speed:
-        compiling = self.compiling / self.made if self.made else last and last.compiling
-        starting = self.starting / self.before if self.before else last and last.starting
-        if compiling is None:
-            compiling = (starting or 0) / OF_COMPILING
-        starting = OF_COMPILING * compiling if starting is None else starting
-        return Speed(self.running / self.work, max(compiling, 1e-3), max(starting, 1e-3))
+        ratio = lambda x: max(x[0] / x[1], 1e-3) if x[1] else None
+        last = last or USUAL  # for what was not measured now
+        running, compiling, starting = (ratio(x) or y for x, y in zip(self, last[:3], strict=True))
+        return Speed(running, compiling, starting, self.running[0])
 
 
 class Clock:
@@ -102,13 +142,14 @@ class Clock:
 
     def finished(self, part: Part, program: int, runs: int, running: float, compiling: float) -> None:
         """So many runs of a program of a part took so many seconds, and the program others to be ready."""
+        usual = typical(part)
         took = self._took.get(_name(part), _Took())
-        took = took._replace(work=took.work + _work(part, runs), running=took.running + running)
+        took = took.and_of("running", running, _in_turn(runs) * usual.running)
         name = part.needs[program].program
         if compiling and name in self.known.programs:
-            took = took._replace(before=took.before + 1, starting=took.starting + compiling)
+            took = took.and_of("starting", compiling, usual.starting)
         elif compiling:
-            took = took._replace(made=took.made + 1, compiling=took.compiling + compiling)
+            took = took.and_of("compiling", compiling, usual.compiling)
         self._took[_name(part)] = took
         self._made[name] = None
 
@@ -116,7 +157,9 @@ class Clock:
         """Keeps what was measured. What was over at once tells nothing."""
         old = self.known.speeds
         new = {
-            name: took.speed(old.get(name)) for name, took in self._took.items() if took.running >= SHORTEST
+            name: took.speed(old.get(name))
+            for name, took in self._took.items()
+            if took.running[0] >= SHORTEST
         }
         # What was measured now comes last.
         speeds = [*((name, x) for name, x in old.items() if name not in new), *new.items()]
@@ -131,20 +174,13 @@ def read() -> Known:
     return programs.noted(NAME, _unpacked) or Known()
 
 
-def _unit(part: Part) -> str:
-    return "steps" if part.budget.num_steps else "episodes"
-
-
-def _work(part: Part, runs: int) -> float:
-    return -(-runs // LANES) * (part.budget.num_steps or part.budget.num_episodes or 1)
-
-
 def _name(part: Part) -> str:
     """What has one speed: a method in an environment of so many states; what is measured costs, too."""
     env, budget = part.env, part.budget
-    measures = f", exact every {budget.row}" if budget.exact else ", recorded" if budget.record else ""
-    where = f"{type(env).__qualname__}, {env.num_states} states{measures}"
-    return f"{_unit(part)} of {part.algorithm.__qualname__} in {where}"
+    unit = "steps" if budget.num_steps else "episodes"
+    measures = ", exact values" if budget.exact else ", recorded" if budget.record else ""
+    method = f"{part.algorithm.__qualname__} by {unit}{measures} by {backend.chosen()}"
+    return f"{method} in {type(env).__qualname__}, {env.num_states} states"
 
 
 def _packed(known: Known) -> bytes:

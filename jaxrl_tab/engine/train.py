@@ -15,7 +15,7 @@ from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, restricted
-from jaxrl_tab.engine import by_lanes
+from jaxrl_tab.engine import by_lanes, within
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.traced import in_full, unchecked
@@ -55,6 +55,11 @@ def train(
         record: a function from the state of the learner to a dict of arrays, such as
             `lambda state: {"q_start": state.q[30].max()}`; recorded at the end of every row.
 
+    Derivatives with respect to the numbers of the method are forward-mode (`jax.jvp`, `jax.jacfwd`, also under
+    `vmap`). The run goes as it goes, and they say how what it learns, and what that is worth, changes with alpha,
+    lambda or epsilon. For control that is not all: where a number changes the actions that are taken, everything
+    jumps, and no derivative sees it.
+
     Returns:
         The state of the learner (`.q` is float [S, A]), and the Log.
 
@@ -66,7 +71,8 @@ def train(
     algorithm, env = checked_pair(algorithm, env)
     if exact:
         planning.check_finite(env)
-    if not _is_traced((key, algorithm, env)) and (learned := by_lanes.alone(key, algorithm, env, budget)):
+    by_compiler = within.train if _is_traced((key, algorithm, env)) else by_lanes.alone
+    if learned := by_compiler(key, algorithm, env, budget):
         return learned
     full = in_full((algorithm, env)) if exact else None
     return unchecked(key, algorithm, env, full, budget)

@@ -21,7 +21,7 @@ class PartPlan(NamedTuple):
         work: how many steps, or episodes, they are in all.
         results: the bytes of what they give.
         working: the bytes that are needed beside, at most, while they are computed.
-        seconds: how long computing it will take, about; None where nothing of the kind was run here before.
+        seconds: how long computing it will take, about; None where nobody knows, as on a GPU that is new.
         is_measured: whether just this was run here before, so that one may rely on the seconds.
     """
 
@@ -65,18 +65,23 @@ class Plan(NamedTuple):
         rows = [["", "programs", "runs", "blocks", self.unit, "results", "working memory", "time"]]
         for name, x in [*self.parts.items(), *([("all together", total)] if len(parts) > 1 else [])]:
             counts = [f"{n:,}" for n in x[:4]]
-            time = "unknown" if x.seconds is None else _duration(x.seconds) + ("" if x.is_measured else "?")
+            about = "about " if not x.is_measured else ""
+            time = "unknown" if x.seconds is None else about + _duration(x.seconds)
             rows.append([name, *counts, memory.words(x.results), memory.words(x.working), time])
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = [
             "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip()
             for row in rows
         ]
-        measured = "; the time is that of computing, as fast as it was here before" if times else ""
-        notes = [f"on {self.devices}{measured}"]
+        notes = [f"on {self.devices}"]
+        if times:
+            notes[0] += (
+                "; the time is that of computing: tables, pictures and the report take some seconds more"
+            )
         if total.seconds is not None and not total.is_measured:
             notes.append(
-                "?: nothing like it was run here yet, so this is no more than the right order of size"
+                "about: it was hardly run here yet, and is judged by what is usual and by what else was run here: "
+                "it may take twice as long, or half"
             )
         return "\n".join([*lines, *notes])
 
@@ -113,8 +118,8 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
 
 def _duration(seconds: float) -> str:
     """As people say it: in one unit, and not more exact than it can be known."""
-    if seconds < 1:
-        return "under 1 s"
+    if seconds < 0.095:
+        return "under 0.1 s"
     unit = "s"
     for size, larger in ((60, "min"), (60, "h"), (24, "days")):
         if seconds < 1.5 * size:

@@ -10,6 +10,8 @@ from jaxrl_tab.experiment.shards import Job, Shard
 from jaxrl_tab.experiment.storage import Store
 from jaxrl_tab.show.progress import Progress, Report, reporting
 
+SURE = 1.0  # seconds of computing that count as much as the forecast
+
 
 def seconds_left(
     runs: Mapping[str, int],
@@ -18,16 +20,21 @@ def seconds_left(
 ) -> float | None:
     """How much longer an experiment will take, judged by what is finished; None where nothing can be said yet.
 
-    A part goes on as fast as it went; one that has not begun, as is expected, or else as fast as the others on
-    average, per run.
+    A part goes on as fast as it went. One that has not begun takes what is expected, corrected as what is finished
+    was off; or else it is as fast as the others on average, per run.
 
     Args:
         runs: for each part, how many runs are to be done in all.
         took: for each part that has begun, how many of them are finished, and in how many seconds.
-        expected: the seconds of a run of some parts, from what was measured before.
+        expected: the seconds of a run of some parts, from a forecast.
     """
     finished = {part: (n, seconds) for part, (n, seconds) in took.items() if n}
-    pace = dict(expected or {}) | {part: seconds / n for part, (n, seconds) in finished.items()}
+    expected = dict(expected or {})
+    foreseen = {part: n * expected[part] for part, (n, _) in finished.items() if part in expected}
+    # What was over at once tells little.
+    off = (SURE + sum(finished[part][1] for part in foreseen)) / (SURE + sum(foreseen.values()))
+    pace = {part: off * seconds for part, seconds in expected.items()}
+    pace |= {part: seconds / n for part, (n, seconds) in finished.items()}
     if finished:
         all_runs, all_seconds = map(sum, zip(*finished.values(), strict=True))
         pace = dict.fromkeys(runs, all_seconds / all_runs) | pace
@@ -69,7 +76,7 @@ class Meter:
         What is `known` of their speeds says how long the parts will take that have not begun.
         """
         for name, part in job.parts.items():
-            if (time_of_all := speeds.forecast(part, known)) and time_of_all.is_measured:
+            if time_of_all := speeds.forecast(part, known):
                 self._expected[name] = time_of_all.seconds / part.runs
         self._missing = {number: job.shards[number] for number in missing}
         self._todo |= later

@@ -10,6 +10,7 @@ import numpy as np
 from jaxrl_tab.lanes import calls, machine
 from jaxrl_tab.lanes.analysis import Facts, operations
 from jaxrl_tab.lanes.calls import Exported, Kind
+from jaxrl_tab.lanes.code import Unsupported
 from jaxrl_tab.lanes.emit import emit
 from jaxrl_tab.lanes.layout import lane_after_lane
 from jaxrl_tab.lanes.lower import lower
@@ -109,7 +110,8 @@ def compile(
         target: the processor, by default this one.
 
     Raises:
-        Unsupported: it holds something for which there is no rule; the message says what.
+        Unsupported: it holds something for which there is no rule, or of which the code is refused by LLVM; the
+            message says what.
     """
     target = target or host()
     code = lower(closed, varying, others or [None] * len(varying), results)
@@ -117,7 +119,7 @@ def compile(
     emitted = emit(code, facts, target, *block(code, facts, target, lanes))
     of = lambda variables: [(v.aval.shape, np.dtype(v.aval.dtype)) for v in variables]
     return Program(
-        machine.object_code(emitted.text, target),
+        _object_code(emitted.text, target),
         target,
         emitted.lanes,
         emitted.scratch,
@@ -126,6 +128,14 @@ def compile(
         emitted.tables,
         [calls.exported(call, emitted.lanes) for call in code.calls],
     )
+
+
+def _object_code(text: str, target: Target) -> bytes:
+    """Machine code. What LLVM refuses is a defect of ours; whoever wants an answer gets it from XLA nevertheless."""
+    try:
+        return machine.object_code(text, target)
+    except RuntimeError as error:
+        raise Unsupported(f"LLVM refuses its code: {' '.join(str(error).split())}") from error
 
 
 def block(code: Lowering, facts: Facts, target: Target, lanes: int) -> tuple[int, int]:

@@ -146,5 +146,5 @@ OPERATIONS: dict[str, Operation] = {
     ),  # no where it is False
     "convert": Operation(_converted, _same_dtype),
     "bitcast": Operation(lambda dtype, x: x.view(dtype), _same_dtype),
-    "pow": Operation(lambda _, x, y: np.power(x, y)),
+    "pow": Operation(lambda dtype, x, y: np.power(x, np.asarray(y, dtype))),
 }

@@ -70,6 +70,8 @@ def operation(code: Lowering, equation: Any, first: Plain, *others: Plain) -> Pl
     if name == "div" and dtype.kind == "f" and _is_repeated(others[0], shape):
         return each_number(code, equation, lambda x, y: _times_reciprocal(code, x, y), args)
     write = code.choice if name == "select" else lambda *xs: code.op(name, dtype, *xs)
+    if name == "pow":  # a whole exponent becomes a real number first
+        write = lambda x, y: code.op(name, dtype, x, code.op("convert", dtype, y))
     return each_number(code, equation, write, args)
 
 

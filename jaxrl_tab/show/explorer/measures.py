@@ -23,8 +23,8 @@ MOST_SEEDS = 0.9  # where fewer of the seeds have a number at a point, those tha
 BLOCK = 2**21  # numbers that are worked out at a time
 SUMS = ("steps", "episodes", "returns", "lengths", "rewards")
 # The statistics of a curve, in this order: the mean with its 95% interval at each point, and that of all points at
-# once (Bonferroni); the median with its interval at each point.
-STATISTICS = ("mean", "low", "high", "all_low", "all_high", "median", "median_low", "median_high")
+# once (Bonferroni); the median with its interval at each point; and of how many seeds.
+STATISTICS = ("mean", "low", "high", "all_low", "all_high", "median", "median_low", "median_high", "n")
 
 Kind = Literal["return", "cost", "count", "share"]
 Sums = dict[str, np.ndarray]
@@ -174,8 +174,8 @@ def statistics(
 ) -> np.ndarray:
     """Curves of settings, float64 [settings, measures, statistics and single runs, points].
 
-    The `STATISTICS` are NaN where fewer than `MOST_SEEDS` of the seeds have a number, of measures of which a run
-    may have none.
+    The `STATISTICS`, but for the number of seeds, are NaN where fewer than `MOST_SEEDS` of the seeds have a number,
+    of measures of which a run may have none.
 
     Args:
         flat: the sweep.
@@ -199,13 +199,14 @@ def _of_seeds(runs: np.ndarray, measure: Measure, flat: Flat, costs: bool, setti
     x = xr.DataArray(runs, dims=("setting", "seed", "row"))
     if measure.kind == "share":
         share = stats.proportion_interval(x == 1)
-        return np.stack([np.asarray(part) for part in (*share[:3], share.low, share.high, *share[:3])], 1)
+        return np.stack([np.asarray(part) for part in (*share[:3], share.low, share.high, *share)], 1)
     together = 1 - 0.05 / x.sizes["row"]
 
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         return *mean_and_bounds(values, "hall", 0.95, together), *median_and_bounds(values, 0.95)
 
-    *statistics, n = along(x, "seed", of, parts=len(STATISTICS))  # in one go, which takes a third of the time
+    # In one go, which takes a third of the time.
+    *statistics, n = along(x, "seed", of, parts=len(STATISTICS) - 1)
     parts = np.stack([part.values for part in statistics], 1)
     if measure.key == "return":
         parts[:, [2, 4]] = np.minimum(
@@ -215,7 +216,7 @@ def _of_seeds(runs: np.ndarray, measure: Measure, flat: Flat, costs: bool, setti
         parts[:, [1, 3]] = np.maximum(parts[:, [1, 3]], 0)
     if measure.partial:
         parts[np.broadcast_to((n.values < MOST_SEEDS * flat.seeds)[:, None], parts.shape)] = np.nan
-    return parts
+    return np.concatenate([parts, n.values[:, None]], 1)
 
 
 def _highest(x: xr.DataArray, flat: Flat, costs: bool, settings: list[int], mean: np.ndarray) -> np.ndarray:

@@ -19,8 +19,7 @@ function niceTicks(low, high, n) {
   const lead = raw / power;
   const step = (lead > 5 ? 10 : lead > 2 ? 5 : lead > 1 ? 2 : 1) * power;
   const ticks = [];
-  for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-9; v += step)
-    ticks.push(+v.toPrecision(12));
+  for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + step * 1e-9; v += step) ticks.push(+v.toPrecision(12));
   return ticks;
 }
 
@@ -41,17 +40,24 @@ function ticksOf(scale, n) {
   return niceTicks(scale.low, scale.high, n);
 }
 
-let clips = 0;
+let charts = 0;
 
-// The frame of a chart: `x` and `y` give places, `plot` is what is cut off at its edges.
-function frame(box, label, { height, x, y, xName, xTicks, yName, left, yTicks }) {
+// The frame of a chart: `x` and `y` give places, `plot` is what is cut off at its edges. `tells` says in words what a
+// reader sees in it.
+function frame(box, label, { height, x, y, xName, xTicks, yName, left, yTicks, tells }) {
   box.replaceChildren();
+  el("p", { class: "axis-name", "aria-hidden": "true" }, box, yName);
   const W = Math.max(260, box.clientWidth);
   const x0 = left || 56;
   const x1 = W - 24;
   const y0 = height - 44;
-  const y1 = 26;
-  const svg = el("svg", { viewBox: `0 0 ${W} ${height}`, width: W, height, role: "group", "aria-label": label }, box);
+  const y1 = 12;
+  const id = `chart-${charts++}`;
+  const said = { role: "group", "aria-labelledby": `${id}-title`, "aria-describedby": `${id}-desc` };
+  const svg = el("svg", { viewBox: `0 0 ${W} ${height}`, width: W, height, ...said }, box);
+  el("title", { id: `${id}-title` }, svg, label);
+  el("desc", { id: `${id}-desc` }, svg, tells);
+  const ticks = el("g", { "aria-hidden": "true" }, svg);
   const a = y.warp(y.low);
   const b = y.warp(y.high);
   const pad = 6;
@@ -66,11 +72,11 @@ function frame(box, label, { height, x, y, xName, xTicks, yName, left, yTicks })
   const margin = x.margin || 0;
   const atX = (v) => x0 + margin + ((x1 - x0 - 2 * margin) * (x.warp(v) - c)) / (d - c || 1);
   for (const v of yTicks || ticksOf(y, 5)) {
-    el("line", { class: "grid", x1: x0, x2: x1, y1: atY(v), y2: atY(v) }, svg);
+    el("line", { class: "grid", x1: x0, x2: x1, y1: atY(v), y2: atY(v) }, ticks);
     el(
       "text",
       { class: "tick", x: x0 - 7, y: atY(v) + 4, "text-anchor": "end" },
-      svg,
+      ticks,
       y.text ? y.text(v) : minus(String(v)),
     );
   }
@@ -80,12 +86,10 @@ function frame(box, label, { height, x, y, xName, xTicks, yName, left, yTicks })
     const half = 4 * text.length;
     if (at - half < end) continue; // no room beside the last one
     end = at + half + 6;
-    el("text", { class: "tick", x: at, y: y0 + 18, "text-anchor": "middle" }, svg, text);
+    el("text", { class: "tick", x: at, y: y0 + 18, "text-anchor": "middle" }, ticks, text);
   }
-  el("text", { class: "name", x: 0, y: 12 }, svg, yName);
-  el("text", { class: "name", x: (x0 + x1) / 2, y: height - 4, "text-anchor": "middle" }, svg, xName);
-  el("line", { class: "axis", x1: x0, x2: x1, y1: y0, y2: y0 }, svg);
-  const id = `clip-${clips++}`;
+  el("text", { class: "name", x: (x0 + x1) / 2, y: height - 4, "text-anchor": "middle" }, ticks, xName);
+  el("line", { class: "axis", x1: x0, x2: x1, y1: y0, y2: y0 }, ticks);
   el(
     "rect",
     { x: x0, y: y1 - 4, width: x1 - x0 + 6, height: y0 - y1 + 4 },
@@ -119,9 +123,17 @@ function bandPath(xs, low, high) {
 }
 
 const DASHES = ["", "8 4", "2 4", "10 4 2 4"];
-const COLOURS = 7; // as in the pictures; `page.css` has them
+const COLOURS = 7; // much as in the pictures, but all with contrast enough: `page.css` has them
 const colourOf = (i) => `var(--c${i % COLOURS})`;
 const dashOf = (i) => DASHES[i % DASHES.length];
+
+// A line with its mark, as a legend has it.
+function swatch(parent, colour, dash, i) {
+  const box = el("svg", { viewBox: "0 0 34 12", width: 34, height: 12, "aria-hidden": "true" }, parent);
+  const style = { stroke: colour };
+  el("line", { class: "line", x1: 1, x2: 33, y1: 6, y2: 6, style, "stroke-dasharray": dash }, box);
+  if (i !== undefined) mark(box, i, 17, 6, 4, colour);
+}
 
 // A mark for each number, of different shapes.
 function mark(parent, i, x, y, r, colour) {

@@ -9,7 +9,8 @@ const STATISTICS = {
   median: 5,
   medianLow: 6,
   medianHigh: 7,
-  runs: 8,
+  n: 8,
+  runs: 9,
 };
 
 function curvesCard(c) {
@@ -37,11 +38,12 @@ function curvesCard(c) {
   const logTime = check(controls, "logarithmic time", (on) => c.set({ logTime: on }));
   const runs = check(controls, "single runs", (on) => c.set({ runs: on }));
   const code = el("button", { type: "button" }, controls, "as Python");
-  code.addEventListener("click", () => dialog("These curves in Python", curvesCode(c, series())));
-  const legend = el("table", { class: "legend" }, section);
+  code.addEventListener("click", () => dialog("These curves in Python", curvesCode(c, series(), drawn)));
+  const legend = el("table", { class: "legend", role: "table" }, section);
   el("caption", {}, legend);
   const note = el("p", { class: "note" }, section);
   let cursor = null;
+  let drawn = null; // the axes, and what is exact
 
   const chosen = () => data.measures.find((m) => m.key === state.measure);
 
@@ -113,12 +115,12 @@ function curvesCard(c) {
     ]);
     lines.show(state.lines);
     if (lines.box.selectedIndex < 0) lines.show("methods");
-    const drawn = (s) => [
+    const statisticsOf = (s) => [
       statistics(s).at,
       ...(statistics(s).at >= STATISTICS.runs ? [STATISTICS[statistics(s).middle]] : []),
       ...(state.runs && s.main ? s.m.ranks.map((_, k) => STATISTICS.runs + k) : []),
     ];
-    const values = shown.flatMap((s) => drawn(s).flatMap((k) => [...s.m.curve(s.setting, m, k)]));
+    const values = shown.flatMap((s) => statisticsOf(s).flatMap((k) => [...s.m.curve(s.setting, m, k)]));
     const optimum = chosen().key === "return" && data.optimum !== null ? data.optimum : NaN;
     const y = scaleOf(
       chosen().kind === "share" ? "linear" : state.scale,
@@ -137,10 +139,14 @@ function curvesCard(c) {
       y,
       xName: unit,
       xTicks,
-      yName: chosen().title + (Number.isFinite(optimum) ? ` (dashed: the exact optimum, ${short(optimum)})` : ""),
+      yName: chosen().title,
+      tells: shown
+        .map((s) => `${s.name}: ${short(s.m.curve(s.setting, m, statistics(s).at).at(-1))} in the end.`)
+        .join(" "),
     });
     if (Number.isFinite(optimum))
       el("line", { class: "exact", x1: f.x0, x2: f.x1, y1: f.y(optimum), y2: f.y(optimum) }, f.plot);
+    drawn = { scales: { y }, optimum };
     const marks = [];
     for (const s of shown) {
       const at = statistics(s);
@@ -169,6 +175,14 @@ function curvesCard(c) {
     cursor = { f, marks, line: el("line", { class: "cursor", y1: f.y1, y2: f.y0 }, f.svg) };
     scrub(el("rect", { class: "hit", x: f.x0, y: f.y1, width: f.x1 - f.x0, height: f.y0 - f.y1 }, f.svg), f, times);
     drawLegend(all);
+    if (Number.isFinite(optimum)) {
+      const row = el("tr", { role: "row" }, legend);
+      const key = el("span", { class: "key" }, el("th", { scope: "row", role: "rowheader" }, row));
+      swatch(key, "var(--soft)", "5 4");
+      el("span", {}, key, "exact optimum");
+      el("td", { class: "number", role: "cell" }, row, short(optimum));
+      el("td", { role: "cell" }, row);
+    }
     const some = c.methods.some((one) => one.data.kept.length < one.count);
     const middle = shown.length && statistics(shown[0]).middle;
     const one = shown.find((s) => statistics(s).at >= STATISTICS.runs);
@@ -193,31 +207,28 @@ function curvesCard(c) {
     for (const s of all) {
       const kept = s.m.curve(s.setting, 0, 0) !== null;
       const on = kept && !state.off.has(s.name);
-      const row = el("tr", { class: on ? (s.main ? "main" : "") : "off" }, legend);
+      const row = el("tr", { class: on ? (s.main ? "main" : "") : "off", role: "row" }, legend);
       const button = el(
         "button",
         { type: "button", class: "toggle", "aria-pressed": on, disabled: !kept },
-        el("th", { scope: "row" }, row),
+        el("th", { scope: "row", role: "rowheader" }, row),
       );
-      const swatch = el("svg", { viewBox: "0 0 34 12", width: 34, height: 12, "aria-hidden": "true" }, button);
-      el(
-        "line",
-        { class: "line", x1: 1, x2: 33, y1: 6, y2: 6, style: { stroke: s.colour }, "stroke-dasharray": s.dash },
-        swatch,
-      );
-      mark(swatch, s.i, 17, 6, 4, s.colour);
+      swatch(button, s.colour, s.dash, s.i);
       el(
         "span",
         {},
         button,
-        s.m.data.axes.length && state.lines === "methods" ? `${s.name} (${s.m.inWords(s.setting)})` : s.name,
+        (s.m.data.axes.length && state.lines === "methods"
+          ? `${s.name} (${s.m.inWords(s.setting)})`
+          : s.name
+        ).replaceAll(" = ", "\u00a0=\u00a0"),
       );
       button.addEventListener("click", () => {
         state.off.has(s.name) ? state.off.delete(s.name) : state.off.add(s.name);
         c.set({});
       });
-      el("td", { "data-curve": s.name, class: "number" }, row, kept ? "" : "no curve here");
-      el("td", { class: "soft" }, row);
+      el("td", { "data-curve": s.name, class: "number", role: "cell" }, row, kept ? "" : "no curve here");
+      for (let k = 0; k < 2; k++) el("td", { class: "soft", role: "cell" }, row);
     }
   }
 
@@ -235,10 +246,16 @@ function curvesCard(c) {
       dot.style.display = Number.isFinite(v) ? "" : "none";
       const cell = [...legend.querySelectorAll("td[data-curve]")].find((td) => td.dataset.curve === s.name);
       ((cell.textContent = short(v)), (cell.dataset.value = v));
-      const bounds = at.low !== undefined && at.at < STATISTICS.runs;
-      cell.nextSibling.textContent = bounds ? `${short(of(at.low)[k])} to ${short(of(at.high)[k])}` : "";
+      const ofSeeds = at.at < STATISTICS.runs;
+      const bounds = ofSeeds && at.low !== undefined && Number.isFinite(v);
+      const interval = cell.nextSibling;
+      interval.textContent = bounds ? `${short(of(at.low)[k])} to ${short(of(at.high)[k])}` : "";
+      interval.nextSibling.textContent = ofSeeds ? `${of(STATISTICS.n)[k]} seeds` : "";
     }
   }
+
+  const says = () =>
+    `${chosen().title}: ${cursor.marks.map(({ s, at, of }) => `${s.name} ${short(of(at.at)[s.m.pointAt(c.time())])}`).join(", ")}.`;
 
   function scrub(hit, f, times) {
     const moment = (event) => {
@@ -250,5 +267,5 @@ function curvesCard(c) {
     hit.addEventListener("pointermove", (event) => hit.hasPointerCapture(event.pointerId) && moment(event));
   }
 
-  return { draw, move };
+  return { draw, move, says };
 }

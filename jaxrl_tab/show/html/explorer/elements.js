@@ -13,6 +13,7 @@ const IN_SVG = new Set([
   "clipPath",
   "pattern",
   "title",
+  "desc",
 ]);
 
 function el(tag, attributes, parent, text) {
@@ -68,6 +69,48 @@ function check(parent, name, then) {
   el("span", {}, label, name);
   box.addEventListener("change", () => then(box.checked));
   return { label, show: (on) => (box.checked = on) };
+}
+
+// A wide table whose rows are cards on a phone. Its roles are said, for as cards it is no table to some readers.
+function asCards(table, kind) {
+  table.classList.add("cards", kind);
+  const roles = { table: [table], rowgroup: [table.tHead, ...table.tBodies], row: [...table.rows] };
+  for (const [role, elements] of Object.entries(roles)) for (const e of elements) e.setAttribute("role", role);
+  const heads = [...table.tHead.rows[0].cells].map((th) => (th.setAttribute("role", "columnheader"), th.textContent));
+  for (const body of table.tBodies)
+    for (const row of body.rows)
+      [...row.cells].forEach((cell, k) => {
+        cell.setAttribute("role", cell.scope === "row" ? "rowheader" : "cell");
+        if (k) cell.dataset.label = heads[k];
+        cell.classList.toggle("nothing", cell.textContent === "–");
+      });
+}
+
+// What a screen reader says once things stand still: `says` gives the sentence.
+function announcer(parent, says) {
+  const box = el("p", { class: "unseen", role: "status" }, parent);
+  let timer = null;
+  return () => {
+    clearTimeout(timer);
+    timer = setTimeout(() => (box.textContent = says()), 400);
+  };
+}
+
+const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
+
+// The arrow keys go from one of some elements to its neighbour, `(row, column)` each; the tab key finds one alone.
+function byArrows(items, here) {
+  const place = new Map(items.map((item) => [`${item.row},${item.column}`, item]));
+  items.forEach((item) => {
+    item.e.setAttribute("tabindex", item === here ? 0 : -1);
+    item.e.addEventListener("focus", () => items.forEach((x) => x.e.setAttribute("tabindex", x === item ? 0 : -1)));
+    item.e.addEventListener("keydown", (event) => {
+      const step = ARROWS[event.key];
+      if (!step) return;
+      event.preventDefault();
+      place.get(`${item.row + step[0]},${item.column + step[1]}`)?.e.focus();
+    });
+  });
 }
 
 function card(parent, title, kind) {

@@ -24,7 +24,8 @@ function methodOf(data, curves, scores, sizes) {
       const i = ((slots.get(setting) * sizes.measures + measure) * rows + statistic) * points;
       return curves.subarray(i, i + points);
     },
-    score: (setting, k) => scores.subarray((setting * sizes.scores + k) * 3, (setting * sizes.scores + k) * 3 + 3),
+    // The middle, the bounds of its interval, and the number of seeds.
+    score: (setting, k) => scores.subarray((setting * sizes.scores + k) * 4, (setting * sizes.scores + k) * 4 + 4),
     pointAt: (time) =>
       Math.max(
         0,
@@ -101,7 +102,7 @@ async function chapter(root, number) {
     },
     set: (changes) => (Object.assign(state, changes), draw()),
     pick: (m, setting) => ((state.settings[m] = setting), c.set({ method: m })),
-    go: (moment) => ((state.moment = moment), move()),
+    go: (moment) => ((state.moment = moment), move(), announce()),
     choose: (s) => ((state.cell = s), parts.scene.cell(), remember()),
   };
 
@@ -123,7 +124,12 @@ async function chapter(root, number) {
   );
   const parts = { scene: sceneCard(c), curves: curvesCard(c), settings: settingsCard(c) };
   const player = playerOf(c);
+  sortMethods(root.closest("section"));
   const list = listing(c, root.closest("section"));
+  const announce = announcer(
+    root,
+    () => `After ${c.time()} ${data.unit}. ${parts.curves.says()} ${parts.scene.says()}`,
+  );
 
   function drawControls() {
     const m = methods[state.method];
@@ -221,8 +227,7 @@ async function chapter(root, number) {
       else if (sizes[name] && /^-?\d+$/.test(value) && +value >= sizes[name][0] && +value < sizes[name][1])
         state[name] = +value;
       else if (name === "off") state.off = new Set(value.split("\n"));
-      else if (m && methods[m[1]] && /^\d+$/.test(value) && +value < methods[m[1]].count)
-        state.settings[m[1]] = +value;
+      else if (m && methods[m[1]] && /^\d+$/.test(value) && +value < methods[m[1]].count) state.settings[m[1]] = +value;
     }
   }
 
@@ -240,7 +245,7 @@ function playerOf(c) {
   const { state } = c;
   const button = el("button", { type: "button" }, box);
   const slider = el("input", { type: "range", min: 0, step: 1, "aria-label": c.data.unit }, box);
-  const now = el("output", {}, box);
+  const now = el("output", { "aria-live": "off" }, box); // a sentence is said instead, once it stands still
   let timer = null;
   function play(on) {
     clearInterval(timer);

@@ -45,7 +45,12 @@ function sceneCard(c) {
         : "";
   }
 
-  return { draw, move, cell: () => stages.forEach((stage) => stage.cell()) };
+  const says = () =>
+    stages
+      .map((stage) => stage.says?.())
+      .filter(Boolean)
+      .join(" ");
+  return { draw, move, says, cell: () => stages.forEach((stage) => stage.cell()) };
 }
 
 // The view that is shown of a table, its moment, and what to say of both.
@@ -105,13 +110,23 @@ function panelStage(c, box, m, tables) {
       {
         class: "panel",
         viewBox: `0 0 ${left + columns * size + 4} ${top + rows * size + below}`,
-        role: "group",
-        "aria-label": `${panel.title || "the states"}: arrow keys go from state to state`,
+        role: "radiogroup",
+        "aria-labelledby": `panel-${charts}-title`,
+        "aria-describedby": `panel-${charts}-desc`,
       },
       box,
     );
-    svg.style.maxWidth = `${(left + columns * size + 4) * 1.1}px`;
-    const hatch = `hatch-${clips++}`;
+    const wide = left + columns * size + 4;
+    svg.style.maxWidth = `${wide * 1.1}px`;
+    const scale = Math.min(1.1, (box.clientWidth || 500) / wide);
+    const type = typeIn(size * scale);
+    svg.style.setProperty("--number", `${type.size / scale}px`);
+    svg.style.setProperty("--tick", `${Math.max(12, 10 / scale)}px`);
+    const badge = Math.max(9, 6.5 / scale);
+    svg.style.setProperty("--badge", `${badge * 1.35}px`);
+    el("title", { id: `panel-${charts}-title` }, svg, panel.title || "The states");
+    el("desc", { id: `panel-${charts}-desc` }, svg, "The arrow keys go from state to state.");
+    const hatch = `hatch-${charts++}`;
     const pattern = el(
       "pattern",
       { id: hatch, width: 7, height: 7, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" },
@@ -124,7 +139,7 @@ function panelStage(c, box, m, tables) {
       row.forEach((s, k) => {
         const x = left + k * size;
         const y = top + i * size;
-        const g = el("g", { class: "cell", tabindex: -1, role: "img", "data-s": s }, svg);
+        const g = el("g", { class: "cell", tabindex: -1, role: "radio", "data-s": s }, svg);
         const rect = el("rect", { class: "box", x, y, width: size, height: size, rx: 4 }, g);
         if (unreachable.has(s))
           el("rect", { x, y, width: size, height: size, fill: `url(#${hatch})`, class: "over" }, g);
@@ -137,6 +152,7 @@ function panelStage(c, box, m, tables) {
           i,
           k,
           panel,
+          type,
           arrow: el("path", { class: "arrow" }, above),
           text: el("text", { class: "v", x: x + size / 2, y: y + size / 2 + (grid ? 24 : 17) }, above),
           letter: el("text", { class: "letter", x: x + size / 2, y: y + size / 2 + 1 }, above),
@@ -144,10 +160,9 @@ function panelStage(c, box, m, tables) {
         cells.push(cell);
         for (const kind of ["pointerenter", "focus", "click"]) g.addEventListener(kind, () => c.choose(s));
         g.addEventListener("keydown", (event) => {
-          const step = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] }[event.key];
+          const step = ARROWS[event.key];
           const next =
-            step &&
-            cells.find((other) => other.panel === panel && other.i === i + step[0] && other.k === k + step[1]);
+            step && cells.find((other) => other.panel === panel && other.i === i + step[0] && other.k === k + step[1]);
           if (!step) return;
           event.preventDefault();
           if (next) (c.choose(next.s), next.g.focus());
@@ -186,16 +201,17 @@ function panelStage(c, box, m, tables) {
     svg.append(above);
     if (grid)
       for (const cell of cells) {
-        const badge = starts.has(cell.s) ? "S" : cell.s === grid.goal ? "G" : null;
-        if (!badge) continue;
-        el("circle", { class: "badge", cx: cell.x - 20, cy: cell.y - 20, r: 9 }, above);
-        el("text", { class: "badge-text", x: cell.x - 20, y: cell.y - 15.5 }, above, badge);
+        const letter = starts.has(cell.s) ? "S" : cell.s === grid.goal ? "G" : null;
+        if (!letter) continue;
+        const at = (part) => part - size / 2 + badge + 3;
+        el("circle", { class: "badge", cx: at(cell.x), cy: at(cell.y), r: badge }, above);
+        el("text", { class: "badge-text", x: at(cell.x), y: at(cell.y) + badge / 2 }, above, letter);
       }
   }
   const ramp = el("p", { class: "ramp soft small" }, box);
   const bar = el("span", { class: "bar" }, ramp);
   const meaning = el("span", {}, ramp);
-  const about = el("div", { class: "about", "aria-live": "off" }, box);
+  const about = el("div", { class: "about", style: { minHeight: `${4 + 1.6 * tables.actions}rem` } }, box);
   const range = rangeOf(c, tables, m);
 
   function move() {
@@ -220,8 +236,8 @@ function panelStage(c, box, m, tables) {
           : state.colour === "visits"
             ? visitsText(tables.visits(view, moment, s))
             : state.colour === "error"
-              ? tight(v - exact(s))
-              : tight(v);
+              ? tight(v - exact(s), cell.type.room)
+              : tight(v, cell.type.room);
       cell.text.textContent = shown;
       const arrows = grid && scene.arrows.every(Boolean);
       cell.arrow.setAttribute(
@@ -234,9 +250,9 @@ function panelStage(c, box, m, tables) {
               best.length > 1,
             ),
       );
-      cell.letter.textContent =
-        arrows || over || q.length < 2 || untouched ? "" : best.map((a) => letters[a]).join("");
-      for (const part of [cell.arrow, cell.letter]) part.style.opacity = 0.25 + 0.75 * sure;
+      cell.letter.textContent = arrows || over || q.length < 2 || untouched ? "" : best.map((a) => letters[a]).join("");
+      cell.arrow.style.opacity = 0.3 + 0.7 * sure;
+      cell.letter.classList.toggle("sure", sure >= SURE);
       const acts = q.length > 1 && !untouched ? `, ${best.map((a) => scene.actions[a]).join(" or ")}` : "";
       cell.g.setAttribute(
         "aria-label",
@@ -254,26 +270,29 @@ function panelStage(c, box, m, tables) {
       cells.path.setAttribute("stroke-dasharray", way && way.ends ? "" : "2 9");
     }
     bar.style.background = range.bar;
-    const faint = view === "mean" || view === "median" ? " The fainter an arrow, the fewer seeds agree." : "";
+    const several = view === "mean" || view === "median";
     meaning.textContent =
       range.words +
       (way
         ? ` The greedy way ${way.ends ? `takes ${way.states.length - 1} steps${grid.stochastic ? " by the likeliest outcomes" : ""}` : "does not arrive"}.`
         : "") +
-      (grid ? faint : letters.words + (faint && " The fainter a letter, the fewer seeds agree."));
+      (grid ? "" : letters.words) +
+      (several ? (grid ? " The fainter an arrow, the fewer seeds agree." : " Bold: 9 of 10 seeds agree.") : "");
     cell();
   }
 
   function cell() {
     for (const one of cells) {
       one.g.classList.toggle("on", one.s === state.cell);
+      one.g.setAttribute("aria-checked", one.s === state.cell);
       one.g.setAttribute("tabindex", one.s === state.cell ? 0 : -1);
     }
     const { view, moment } = viewOf(c, tables, m);
     cellTable(c, about, tables, view, moment);
   }
 
-  return { move, cell };
+  const says = () => cells.find((one) => one.s === state.cell)?.g.getAttribute("aria-label");
+  return { move, cell, says };
 }
 
 // The states as a table, for tasks that have no picture.
@@ -287,7 +306,14 @@ function listStage(c, box, m, tables) {
     );
   const several = tables.actions > 1;
   const names = several ? scene.actions : ["V"];
-  const wide = el("div", { class: "wide list", tabindex: 0, role: "region", "aria-label": "states" }, box);
+  const states = scene.states
+    .map((_, s) => s)
+    .filter((s) => !scene.terminal.includes(s) && !scene.unreachable.includes(s));
+  const wide = el(
+    "div",
+    { class: states.length > 20 ? "wide list" : "wide", tabindex: 0, role: "region", "aria-label": "states" },
+    box,
+  );
   const table = el("table", {}, wide);
   const head = el("tr", {}, el("thead", {}, table));
   const body = el("tbody", {}, table);
@@ -298,16 +324,14 @@ function listStage(c, box, m, tables) {
     ...(c.exact ? names.map((name) => (several ? `q*(${name})` : "exact")) : []),
     ...(tables.visits("mean", 0, 0) ? ["visits"] : []),
   ];
-  const many = scene.states.length * titles.length > 20000;
-  const states = scene.states
-    .map((_, s) => s)
-    .filter((s) => !scene.terminal.includes(s) && !scene.unreachable.includes(s));
   for (const title of titles) el("th", { scope: "col" }, head, title);
   const rows = states.map((s) => {
     const row = el("tr", {}, body);
     el("th", { scope: "row" }, row, `${scene.states[s]}${scene.start.includes(s) ? " (start)" : ""}`);
     return titles.slice(1).map(() => el("td", {}, row));
   });
+  asCards(table, "many");
+  const order = sorting(table, move);
   if (scene.of > scene.states.length)
     el(
       "p",
@@ -330,6 +354,7 @@ function listStage(c, box, m, tables) {
       ];
       texts.forEach((text, k) => (rows[i][k].textContent = text));
     });
+    if (order.by) body.replaceChildren(...order.of([...body.rows]));
   }
   return { move, cell() {} };
 }

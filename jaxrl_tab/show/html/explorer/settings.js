@@ -35,19 +35,20 @@ function settingsCard(c) {
   const scale = select(controls, "vertical axis", kinds, (v) => c.set({ scoreScale: v }));
   const log = check(controls, "logarithmic axis", (on) => c.set({ logAxis: on }));
   const code = el("button", { type: "button" }, controls, "as Python");
-  code.addEventListener("click", () => dialog("This picture in Python", settingsCode(c)));
+  code.addEventListener("click", () =>
+    dialog("This picture in Python", drawn.heat ? heatCode(c, drawn.heat) : settingsCode(c, drawn)),
+  );
+  const told = el("p", { class: "told" }, section); // of the point that the pointer is at, or the focus
   const note = el("p", { class: "note" }, section);
+  let focused = null; // the setting whose point has the focus, while all points are drawn anew
+  let drawn = null; // as `python.js` asks for it
   if (!axes.some((a) => a.name === state.axis)) state.axis = axes[0].name;
 
   // The settings along an axis, those of the other axes as chosen: [value, text, number] each.
   function along(m, name, setting) {
     const k = m.data.axes.findIndex((a) => a.name === name);
     if (k >= 0)
-      return m.data.axes[k].values.map((v, i) => [
-        v,
-        m.data.axes[k].texts[i],
-        m.number(m.places(setting).with(k, i)),
-      ]);
+      return m.data.axes[k].values.map((v, i) => [v, m.data.axes[k].texts[i], m.number(m.places(setting).with(k, i))]);
     const drawn = m.data.draws.find((a) => a.name === name);
     const draw = m.data.axes.findIndex((a) => a.name === "draw");
     return drawn ? drawn.values.map((v, i) => [v, drawn.texts[i], m.number(m.places(setting).with(draw, i))]) : null;
@@ -55,9 +56,7 @@ function settingsCard(c) {
 
   // Hyperparameters of the focus method that may be the other axis; those with few values may have a curve for each.
   const others = () =>
-    c.methods[state.method].data.axes.filter(
-      (a) => a.name !== "draw" && a.name !== state.axis && a.values.length > 1,
-    );
+    c.methods[state.method].data.axes.filter((a) => a.name !== "draw" && a.name !== state.axis && a.values.length > 1);
   const FEW = 12;
 
   function draw() {
@@ -81,9 +80,11 @@ function settingsCard(c) {
     ];
     by.fill(heat ? more.map(named) : [["methods", "method"], ...few.map(named)]);
     by.label.firstChild.textContent = heat ? "up the side" : "a curve for each";
+    scale.label.firstChild.textContent = heat ? "colours" : "vertical axis";
     const other = (heat ? more : few).find((a) => a.name === state.by) || (heat ? more[0] : undefined);
     by.show(other ? other.name : "methods");
     (score.show(state.score), axis.show(state.axis), scale.show(state.scoreScale), log.show(state.logAxis));
+    told.textContent = "";
     heat ? drawHeat(own, other) : drawCurves(own, other);
   }
 
@@ -118,16 +119,8 @@ function settingsCard(c) {
     const means = lines.flatMap((line) =>
       line.points ? line.points.map((p) => line.m.score(p[2], k)[0]) : [line.m.score(line.setting, k)[0]],
     );
-    const y = scaleOf(
-      state.scoreScale,
-      [
-        ...means,
-        ["score", "interim"].includes(state.score) && data.optimum !== null && chosen().kind === "return"
-          ? data.optimum
-          : NaN,
-      ],
-      chosen().kind === "count" ? 0 : undefined,
-    );
+    const optimum = exactly();
+    const y = scaleOf(state.scoreScale, [...means, optimum], chosen().kind === "count" ? 0 : undefined);
     const sym = axes.find((a) => a.name === state.axis);
     const name = sym.symbol === sym.name ? sym.name : `${sym.symbol} (${sym.name})`;
     const fr = frame(body, `${chosen().title} against ${name}`, {
@@ -136,16 +129,21 @@ function settingsCard(c) {
       y,
       xName: name,
       yName: chosen().title,
+      tells: `${lines.map((line) => `${line.name}: ${spanOf(line, k)}.`).join(" ")} The arrow keys go from setting to setting.`,
       xTicks:
         numeric && texts.length > FEW
           ? ticksOf(x, 6).map((v) => [v, minus(String(v))])
           : texts.map(([text, v]) => [at(v, text), text]),
     });
+    if (Number.isFinite(optimum))
+      el("line", { class: "exact", x1: fr.x0, x2: fr.x1, y1: fr.y(optimum), y2: fr.y(optimum) }, fr.plot);
+    const items = [];
     lines.forEach((line) => {
       const colour = colourOf(line.i);
       const dash = dashOf(line.i);
       if (!line.points) {
         const v = fr.y(line.m.score(line.setting, k)[0]);
+        if (!Number.isFinite(v)) return;
         el(
           "line",
           { class: "line", x1: fr.x0, x2: fr.x1, y1: v, y2: v, style: { stroke: colour }, "stroke-dasharray": "3 6" },
@@ -153,10 +151,10 @@ function settingsCard(c) {
         );
         return;
       }
-      const drawn = line.m.data.draws.some((a) => a.name === state.axis);
+      const random = line.m.data.draws.some((a) => a.name === state.axis);
       const px = line.points.map(([v, text]) => fr.x(at(v, text)));
       const scores = line.points.map((p) => line.m.score(p[2], k));
-      if (numeric && !drawn)
+      if (numeric && !random)
         el(
           "path",
           {
@@ -178,12 +176,13 @@ function settingsCard(c) {
           el("path", { class: "bar", d: `M${px[i]} ${low}V${high}${ends}`, style: { stroke: colour } }, fr.plot);
         const m = c.methods.indexOf(line.m);
         const here = c.settingOf(m) === line.points[i][2];
-        const text = `${line.name}, ${sym.symbol} = ${line.points[i][1]}: ${short(s[0])} (${short(s[1])} to ${short(s[2])}), ${line.m.data.seeds} seeds`;
+        const text = `${line.name}, ${sym.symbol} = ${line.points[i][1]}: ${inNumbers(s)}`;
         const point = chooser(fr.svg, m, line.points[i][2], text, {
           "data-value": s[0],
           "data-low": s[1],
           "data-high": s[2],
         });
+        items.push({ e: point, row: line.i, column: i });
         el("circle", { class: "halo", cx: px[i], cy: fr.y(s[0]), r: 11 }, point);
         mark(point, line.i, px[i], fr.y(s[0]), here ? 6 : 4.5, colour);
       });
@@ -198,32 +197,47 @@ function settingsCard(c) {
       (lines.some((line) => !line.points)
         ? " A dotted line: the method does not have this hyperparameter on an axis."
         : "");
-    legendOf(lines);
+    legendOf(lines, optimum);
+    drawn = { lines, optimum, scales: { x: logs ? { kind: "log" } : {}, y } };
+    navigate(items);
   }
 
   const legendBox = el("p", { class: "keys" }, section);
-  section.insertBefore(legendBox, note);
-  function legendOf(lines) {
+  section.insertBefore(legendBox, told);
+  function legendOf(lines, optimum) {
     legendBox.replaceChildren();
     for (const line of lines) {
       const key = el("span", { class: "key" }, legendBox);
-      const swatch = el("svg", { viewBox: "0 0 34 12", width: 34, height: 12, "aria-hidden": "true" }, key);
-      el(
-        "line",
-        {
-          class: "line",
-          x1: 1,
-          x2: 33,
-          y1: 6,
-          y2: 6,
-          style: { stroke: colourOf(line.i) },
-          "stroke-dasharray": dashOf(line.i),
-        },
-        swatch,
-      );
-      mark(swatch, line.i, 17, 6, 4, colourOf(line.i));
+      swatch(key, colourOf(line.i), line.points ? dashOf(line.i) : "3 6", line.points ? line.i : undefined);
       el("span", {}, key, line.name);
     }
+    if (!Number.isFinite(optimum)) return;
+    const key = el("span", { class: "key" }, legendBox);
+    swatch(key, "var(--soft)", "5 4");
+    el("span", {}, key, `exact optimum ${short(optimum)}`);
+  }
+
+  // What a score may be compared with: no mean return is above the exact optimum.
+  const exactly = () =>
+    ["score", "interim", "greedy_value end"].includes(state.score) &&
+    data.optimum !== null &&
+    chosen().kind === "return"
+      ? data.optimum
+      : NaN;
+
+  const inNumbers = ([middle, low, high, n]) => `${short(middle)} (${short(low)} to ${short(high)}), ${n} seeds`;
+
+  function spanOf(line, k) {
+    const all = (line.points || [[0, "", line.setting]]).map((p) => line.m.score(p[2], k)[0]).filter(Number.isFinite);
+    return all.length ? `${short(Math.min(...all))} to ${short(Math.max(...all))}` : "no value";
+  }
+
+  // One stop for the tab key: the setting that is shown, or the first one.
+  function navigate(items) {
+    byArrows(items, items.find(({ e }) => e.classList.contains("here")) || items[0]);
+    const again = items.find(({ e }) => e.dataset.setting === focused);
+    if (again) again.e.focus();
+    focused = null;
   }
 
   function drawHeat(own, other) {
@@ -248,18 +262,22 @@ function settingsCard(c) {
       xTicks: across.texts.map((text, a) => [a, text]),
       yTicks: other.values.map((_, b) => b).filter((b) => b % Math.ceil(other.values.length / 20) === 0),
       yName: other.symbol,
+      tells: `From ${short(range.low)} to ${short(range.high)}. The arrow keys go from setting to setting.`,
       left: 40 + 7 * Math.max(...other.texts.map((t) => t.length)),
     });
     const w = f.x(1) - f.x(0) || f.x1 - f.x0;
     const h = f.y(0) - f.y(1) || f.y0 - f.y1;
     const better = chosen().kind === "cost";
+    const items = [];
     const gap = Math.min(w, h) > 12 ? 1 : 0;
     across.values.forEach((_, a) =>
       other.values.forEach((_, b) => {
-        const [v, low, high] = own.score(number(a, b), k);
+        const s = own.score(number(a, b), k);
+        const v = s[0];
         const dark = Number.isFinite(v) ? (better ? 1 - share(v) : share(v)) : 0;
-        const text = `${across.symbol} = ${across.texts[a]}, ${other.symbol} = ${other.texts[b]}: ${short(v)} (${short(low)} to ${short(high)}), ${own.data.seeds} seeds`;
+        const text = `${across.symbol} = ${across.texts[a]}, ${other.symbol} = ${other.texts[b]}: ${inNumbers(s)}`;
         const g = chooser(f.svg, m, number(a, b), text, { "data-value": v });
+        items.push({ e: g, row: -b, column: a });
         el(
           "rect",
           {
@@ -276,8 +294,10 @@ function settingsCard(c) {
           el("text", { class: "in", x: f.x(a), y: f.y(b) + 4, "text-anchor": "middle" }, g, short(v));
       }),
     );
-    note.textContent = `${own.data.title}: ${chosen().title}, ${chosen().middle} over the seeds: the darker, the better (${short(range.low)} to ${short(range.high)}${range.kind === "linear" ? "" : ", on a logarithmic scale"}). Choose a cell to see its setting.`;
+    note.textContent = `${own.data.title}: ${chosen().title}, ${chosen().middle} over the seeds: the stronger its colour, the better (${short(range.low)} to ${short(range.high)}${range.kind === "linear" ? "" : ", on a logarithmic scale"}). Choose a cell to see its setting.`;
     legendBox.replaceChildren();
+    drawn = { heat: { m: own, setting: c.settingOf(m), across, other, range } };
+    navigate(items);
   }
 
   // A setting of method m that can be chosen: what it is, is read out, and shown beside the pointer.
@@ -287,20 +307,24 @@ function settingsCard(c) {
       "g",
       {
         class: here ? "point here" : "point",
-        tabindex: 0,
         role: "button",
+        "aria-pressed": here,
         "aria-label": text,
         "data-setting": `${m}-${setting}`,
         ...data,
       },
       parent,
     );
-    el("title", {}, g, text);
-    press(g, () => c.pick(m, setting));
+    if (here && m === state.method) told.textContent = text;
+    for (const kind of ["pointerenter", "focus"]) g.addEventListener(kind, () => (told.textContent = text));
+    press(g, () => {
+      if (document.activeElement === g) focused = g.dataset.setting; // which is drawn anew
+      c.pick(m, setting);
+    });
     return g;
   }
 
-  return { draw, move: () => {} };
+  return { draw };
 }
 
 function press(e, then) {

@@ -60,12 +60,22 @@ function rangeOf(c, tables, m) {
 const total = (visits) => (visits ? visits.reduce((a, b) => a + b, 0) : 0);
 const visitsText = (visits) =>
   visits ? (total(visits) >= 10000 ? `${Math.round(total(visits) / 1000)}k` : count(Math.round(total(visits)))) : "";
-const tight = (v) =>
-  Number.isFinite(v)
-    ? Math.abs(v) < 9.95
-      ? fixed(v, Math.abs(v) < 0.995 ? 2 : 1)
-      : fixed(v, Math.abs(v) < 99.5 ? 1 : 0)
-    : fixed(v, 0);
+
+// How large numbers are in a cell that is so many pixels wide, and how many characters there is room for.
+function typeIn(width) {
+  const size = Math.min(12.5, Math.max(8.5, width / 3.3));
+  return { size, room: Math.floor(width / (0.65 * size)) };
+}
+
+// A number in at most so many characters: with fewer decimals, then without the zero before them; or none.
+function tight(v, room) {
+  if (!Number.isFinite(v)) return fixed(v, 0);
+  for (let decimals = Math.abs(v) < 0.995 ? 2 : Math.abs(v) < 99.5 ? 1 : 0; decimals >= 0; decimals--)
+    for (const text of [fixed(v, decimals), fixed(v, decimals).replace(/^(−?)0\./, "$1.")])
+      if (text.length <= room) return text;
+  return "";
+}
+const SURE = 0.9; // of the seeds
 
 // One letter for each action, and what they stand for.
 function lettersOf(names) {
@@ -128,11 +138,7 @@ function nameOf(c, s) {
       const k = row.indexOf(s);
       if (k < 0) continue;
       if (c.scene.grid) return `row ${i}, column ${k}`;
-      return [
-        panel.title,
-        `${panel.down || "row"} ${panel.rows[i]}`,
-        `${panel.along || "column"} ${panel.columns[k]}`,
-      ]
+      return [panel.title, `${panel.down || "row"} ${panel.rows[i]}`, `${panel.along || "column"} ${panel.columns[k]}`]
         .filter(Boolean)
         .join(", ");
     }
@@ -164,22 +170,22 @@ function cellTable(c, box, tables, view, moment) {
   const table = el("table", {}, el("div", { class: "wide" }, box));
   const head = el("tr", {}, el("thead", {}, table));
   const body = el("tbody", {}, table);
-  const of = q.length > 1 ? scene.actions : ["V"];
-  const rows = [["learned", (a) => fixed(q[a], tables.decimals)]];
+  const several = view === "mean" || view === "median";
+  const columns = [["learned", (a) => fixed(q[a], tables.decimals)]];
   if (c.exact)
-    rows.push(
+    columns.push(
       ["exact", (a) => fixed(c.exactOf(s)[a], tables.decimals)],
       ["difference", (a) => fixed(q[a] - c.exactOf(s)[a], tables.decimals)],
     );
-  if (visits && q.length > 1)
-    rows.push(["times taken", (a) => fixed(visits[a], view === "mean" || view === "median" ? 1 : 0)]);
+  if (visits && q.length > 1) columns.push(["times taken", (a) => fixed(visits[a], several ? 1 : 0)]);
   el("th", { scope: "col" }, head, q.length > 1 ? "action" : "");
-  of.forEach((text, a) =>
-    el("th", { scope: "col", class: q.length > 1 && best.includes(a) ? "best" : "" }, head, text),
-  );
-  for (const [text, value] of rows) {
-    const row = el("tr", { "data-row": text }, body);
-    el("th", { scope: "row" }, row, text);
-    of.forEach((_, a) => el("td", { class: q.length > 1 && best.includes(a) ? "best" : "" }, row, value(a)));
-  }
+  for (const [text] of columns) el("th", { scope: "col" }, head, text);
+  (q.length > 1 ? scene.actions : ["V"]).forEach((action, a) => {
+    const row = el("tr", { class: q.length > 1 && best.includes(a) ? "best" : "" }, body);
+    el("th", { scope: "row" }, row, action);
+    for (const [text, value] of columns) el("td", { "data-of": text }, row, value(a));
+  });
+  if (!several || q.length < 2 || best.length === q.length) return;
+  const share = Math.round(100 * tables.agree(view, moment, s));
+  el("p", { class: "soft small" }, box, `In bold what ${share}% of these seeds would do.`);
 }
