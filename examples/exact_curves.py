@@ -30,7 +30,7 @@ for name, method, setting in (
     ("off-line TD(1/2)", methods.TDLambda(v0=0.5, offline=True), {"lam": 0.5}),
     ("Monte Carlo", methods.MonteCarloPrediction(v0=0.5), {}),
 ):
-    best = rl.moments.best_alpha(env, method, num_episodes=10, **setting)
+    best = rl.moments.best_alpha(env, method, num_episodes=10, **setting)  # pyright: ignore[reportArgumentType]
     print(f"  {name:18}{best.alpha:.4f}  {best.mse:.6f}")
 
 result = rl.sweep(env, methods.TD, {"alpha": 0.1, "v0": 0.5}, num_seeds=20_000, num_episodes=10)
