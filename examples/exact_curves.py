@@ -23,14 +23,14 @@ for i, alpha in enumerate(curve.grid["alpha"]):
     print(f"  {alpha:<11g}{parts[0]}     {parts[1]}")
 
 print("The best alpha for 10 episodes, and what it gives")
-for name, method, setting in (
-    ("TD(0)", methods.TD(v0=0.5), {}),
-    ("2-step TD", methods.NStepTD(v0=0.5), {"n": 2}),
-    ("4-step TD", methods.NStepTD(v0=0.5), {"n": 4}),
-    ("off-line TD(1/2)", methods.TDLambda(v0=0.5, offline=True), {"lam": 0.5}),
-    ("Monte Carlo", methods.MonteCarloPrediction(v0=0.5), {}),
+for name, method in (
+    ("TD(0)", methods.TD(v0=0.5)),
+    ("2-step TD", methods.NStepTD(n=2, v0=0.5)),
+    ("4-step TD", methods.NStepTD(n=4, v0=0.5)),
+    ("off-line TD(1/2)", methods.TDLambda(lam=0.5, offline=True, v0=0.5)),
+    ("Monte Carlo", methods.MonteCarloPrediction(v0=0.5)),
 ):
-    best = rl.moments.best_alpha(env, method, num_episodes=10, **setting)  # pyright: ignore[reportArgumentType]
+    best = rl.moments.best_alpha(env, method, num_episodes=10)
     print(f"  {name:18}{best.alpha:.4f}  {best.mse:.6f}")
 
 result = rl.sweep(env, methods.TD, {"alpha": 0.1, "v0": 0.5}, num_seeds=20_000, num_episodes=10)

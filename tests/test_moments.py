@@ -217,7 +217,7 @@ def check(mean, expected, deviation):
 
 def test_the_best_alpha_is_the_least_of_a_fine_grid():
     for whole_run in (False, True):
-        best = best_alpha(WALK, NStepTD(v0=0.5), num_episodes=10, n=2, whole_run=whole_run)
+        best = best_alpha(WALK, NStepTD(v0=0.5, n=2), num_episodes=10, whole_run=whole_run)
         alphas = np.linspace(0.9, 1.1, 101) * best.alpha
         mse = learning_curve(WALK, NStepTD(v0=0.5), num_episodes=10, n=2, alpha=alphas.tolist()).mse
         mse = mse[:, 1:].mean(1) if whole_run else mse[:, -1]

@@ -196,16 +196,13 @@ def learning_curve(
     return LearningCurve(axes, task.states, task.v, bias, covariance, mse)
 
 
-def best_alpha(
-    env: Environment, method: Any, *, num_episodes: int, whole_run: bool = False, **setting: Any
-) -> Best:
+def best_alpha(env: Environment, method: Any, *, num_episodes: int, whole_run: bool = False) -> Best:
     """The alpha in (0, 1] with the least exact mean squared error, to some four digits, and that error.
 
     Args:
         env, method, num_episodes: as in `learning_curve`.
         whole_run: whether the error is the mean over the episodes from 1 on, as in figures 7.2 and 12.3 of the book, or
             that after the last one.
-        setting: `lam` or `n`, a number.
 
     It is looked for on ever finer grids, from .001 to 1 on a logarithmic scale: of several minima the one that the
     coarsest of 17 points is nearest to.
@@ -214,7 +211,7 @@ def best_alpha(
     best = Best(np.nan, np.inf)
     for _ in range(ROUNDS):
         alphas = np.exp(np.linspace(low, high, POINTS))
-        curve = learning_curve(env, method, num_episodes=num_episodes, alpha=alphas.tolist(), **setting)
+        curve = learning_curve(env, method, num_episodes=num_episodes, alpha=alphas.tolist())
         errors = curve.mse[:, 1:].mean(1) if whole_run else curve.mse[:, -1]
         errors = np.where(np.isnan(errors), np.inf, errors)
         i = int(errors.argmin())
