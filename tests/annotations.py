@@ -1,5 +1,8 @@
 """Has every call within jaxrl_tab checked against its annotations, by jaxtyping and beartype.
 
+Of a function that is called hundreds of times, as those of the lane compiler are, one call of many is checked, unless
+`every_call` is set: `pytest --slow` does that.
+
 Many tests give bad values on purpose. An annotation that excludes a value is right where the function refuses it
 by itself, with an InputError or a RunError: then that error is raised, as it is without this. Everything else
 is a wrong annotation, or a wrong call, and an error.
@@ -33,6 +36,8 @@ class WrongArgument(BeartypeCallHintParamViolation):
     called = False
 
 
+OFTEN, ONE_OF = 500, 16  # after so many calls of a function, one of so many is checked
+every_call = False
 DIMENSIONS = jaxtyping.jaxtyped("context")  # in which the name of a dimension stands for one size
 
 
@@ -57,11 +62,14 @@ def checked(definition: Any) -> Any:
         return definition
     if not definition.__annotations__:
         return definition
-    strict = None
+    strict, calls = None, 0
 
     @functools.wraps(definition)
     def call(*args: Any, **kwargs: Any) -> Any:
-        nonlocal strict
+        nonlocal strict, calls
+        calls += 1
+        if calls > OFTEN and calls % ONE_OF and not every_call:
+            return definition(*args, **kwargs)
         strict = strict or _strict_of(definition)  # made in the first call: then all that it names exists
         try:
             return strict(*args, __beartype_func=definition, **kwargs)

@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # see `optimising`
 os.environ["JAXRL_TAB_TRACEBACK"] = "1"  # no defect hides behind the one line that is said of it
 os.environ["XDG_CACHE_HOME"] = str(Path(__file__).parent.parent / ".pytest_cache")  # what the command keeps
 
@@ -22,7 +23,7 @@ import pytest
 annotations.check()
 
 from exploring import explored  # noqa: F401  A fixture of several files.
-from keeping import programs_folder, said, unoptimised  # noqa: F401  Fixtures of several files.
+from keeping import optimised, programs_folder, said  # noqa: F401  Fixtures of several files.
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli
@@ -63,9 +64,31 @@ def drawn_here(monkeypatch):
     monkeypatch.setattr(cli, "_draws", lambda *_: False)
 
 
-def pytest_collection_modifyitems(items):
+LEFT_OUT = "it takes long"
+
+
+def pytest_addoption(parser):
+    parser.addoption("--slow", action="store_true", help="run the tests that take long, too")
+
+
+def pytest_configure(config):
+    annotations.every_call = config.option.slow
+
+
+def pytest_collection_modifyitems(items, config):
     order = {f"test_{name}": k for k, name in enumerate(LONG)}
     items.sort(key=lambda item: order.get(item.path.stem, len(LONG)))
+    if not config.option.slow:
+        for item in items:
+            if item.get_closest_marker("slow"):
+                item.add_marker(pytest.mark.skip(reason=LEFT_OUT))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Nobody takes the tests that were run for all that there are."""
+    reasons = [report.longrepr[2] for report in terminalreporter.stats.get("skipped", ())]
+    if number := sum(LEFT_OUT in reason for reason in reasons):
+        terminalreporter.write_line(f"{number} tests that take long are left out; --slow runs them, too")
 
 
 @pytest.fixture(scope="session")

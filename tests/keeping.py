@@ -1,5 +1,8 @@
 """For the tests of what outlives the process."""
 
+import contextlib
+import os
+
 import jax
 import pytest
 
@@ -39,22 +42,31 @@ def plant(file, data):
     programs._write(file, (file.parent / "key").read_bytes(), data)
 
 
-@pytest.fixture(scope="module")
-def unoptimised():
-    """XLA compiles the programs of a file without optimising them: in two fifths of the time, but with other bits.
+@contextlib.contextmanager
+def optimising():
+    """XLA optimises what it compiles, as for a user: in tests it does not, for that takes more than twice as long.
 
-    `lanes` then gives these, too. What both give to a user is compared in tests/test_lanes_*.py, which do without it.
+    Where it does not, it rounds a product before it adds it to something, and so does `lanes`.
     """
 
     def optimise(chosen):
         forget()
-        by_lanes.kernel.cache_clear()  # parts of which XLA compiled
         jax.clear_caches()
         jax.config.update("jax_disable_most_optimizations", not chosen)
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(not chosen))  # for other processes
 
-    optimise(False)
-    yield
     optimise(True)
+    try:
+        yield
+    finally:
+        optimise(False)
+
+
+@pytest.fixture(scope="module")
+def optimised():
+    """For files that compare to the last bit what different programs give, or ask what is compiled."""
+    with optimising():
+        yield
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """The tests check every call in the package against its annotations: see `annotations`."""
 
+import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -71,3 +72,22 @@ def test_what_a_function_refuses_it_refuses_in_its_own_words():
         rl.train("no key", rl.Sarsa(), rl.WindyGridworld(), num_steps=1)
     with pytest.raises(rl.InputError, match="num_steps"):
         rl.train(jax.random.key(0), rl.Sarsa(), rl.WindyGridworld(), num_steps="many")
+
+
+def test_of_a_function_that_is_called_often_some_calls_are_checked(monkeypatch):
+    """All are with --slow. Broken once: all or none after the first ones -> fails."""
+    calls = annotations.OFTEN + 10 * annotations.ONE_OF
+    for every_call, refused in ((False, annotations.OFTEN + 10), (True, calls)):
+        monkeypatch.setattr(annotations, "every_call", every_call)
+
+        @checked
+        def same(x: int) -> int:
+            return x
+
+        found = 0
+        for _ in range(calls):
+            try:
+                same("x")  # pyright: ignore[reportArgumentType]
+            except WrongArgument:
+                found += 1
+        assert found == refused

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+from marks import slow_but
 from test_one_step import heads, target_words
 from test_reference import STEPS, task_of, words_of
 
@@ -17,6 +18,8 @@ from jaxrl_tab.core.policies import UCB, UNAVAILABLE, EpsilonGreedy, Greedy, Sof
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome, restricted
 from jaxrl_tab.envs.base import Finite
+
+pytestmark = pytest.mark.usefixtures("optimised")
 
 HAS = np.array([[1, 0, 1, 0], [0, 0, 1, 0], [1, 1, 0, 1], [1, 1, 1, 1], [0, 1, 0, 0]], bool)
 UNIFORM = HAS / HAS.sum(1, keepdims=True)
@@ -114,7 +117,10 @@ def played(method, **budget):
     return jax.tree.map(lambda x: x[0], (state, log))
 
 
-@pytest.mark.parametrize("name", rl.ALGORITHMS)
+SOME = ["sarsa", "double-q-learning", "monte-carlo", "sarsa-lambda", "off-policy-monte-carlo"]
+
+
+@pytest.mark.parametrize("name", slow_but(SOME, rl.ALGORITHMS))
 def test_every_step_agrees_with_the_plain_loop(name):
     """Broken once -> each fails: epsilon over all actions; Q0 everywhere; UCB and exploring starts that try
 

@@ -16,8 +16,6 @@ from jaxrl_tab.core.policies import EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 GAMMA, EPSILON = 0.9, 0.3
 ENVS = {
     "windy": rl.WindyGridworld(stochastic=True, shape=(3, 4), wind=(0, 1, 2, 0), start=(2, 0), goal=(1, 3)),

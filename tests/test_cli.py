@@ -190,6 +190,7 @@ def test_glie_is_one_over_the_number_of_the_episode(asked):
     assert float(epsilon(jax.numpy.int32(4))) == 0.25
 
 
+@pytest.mark.slow
 def test_sweep_records_exact_values_and_schedules(tmp_path):
     """With a device for each core, where batches of linear systems once waited for each other for ever.
 
@@ -317,6 +318,7 @@ def test_when_drawing_fails_the_data_are_kept_and_the_traceback_is_shown(monkeyp
     assert "results.nc" not in table
 
 
+@pytest.mark.slow
 def test_where_nobody_reads_the_table_the_files_are_written(tmp_path):
     """As with `| head -0`. Broken once: `show` lets the error through -> fails."""
     command = [sys.executable, "-m", "jaxrl_tab", "sweep", "windy-gridworld", "sarsa", *TINY, "--out", "run"]

@@ -80,6 +80,7 @@ def start(tmp_path):
         process.communicate()
 
 
+@pytest.mark.slow
 def test_both_compute_and_the_results_are_the_same_to_the_last_bit(start, tmp_path):
     """After another piece of work that was broken off."""
     for i, process in enumerate(start("learn")):
@@ -113,6 +114,7 @@ def test_other_sources_in_the_second_process_are_refused(start, tmp_path):
     assert [file.name for file in tmp_path.glob("*.npz")] == ["0.npz"]  # what the first has computed itself
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dies", [0, 1])
 def test_a_death_ends_both_and_leaves_what_was_given(start, tmp_path, dies):
     both = start("die", doomed=2 + dies)  # the tasks of the second round

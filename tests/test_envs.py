@@ -15,8 +15,6 @@ from jaxrl_tab.core.types import FiniteEnvironment, Outcome
 from jaxrl_tab.envs import ENVS, CliffWalking, FiniteMDP, RandomWalk, WindyGridworld, make
 from jaxrl_tab.envs.base import Finite
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 # of the book's four moves, the king's four more, and the one to stay
 UP, RIGHT, DOWN, LEFT, UP_RIGHT, DOWN_RIGHT, DOWN_LEFT, UP_LEFT, STAY = range(9)
 

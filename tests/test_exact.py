@@ -15,8 +15,6 @@ from jaxrl_tab import planning
 from jaxrl_tab.engine.traced import _restored, in_full
 from jaxrl_tab.exact.values import iterate_policies
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 S, A = 6, 2
 GAMMAS = 0.0, 0.5, 0.9, 0.99, 1.0
 SUM = np.vectorize(Fraction)
@@ -194,6 +192,7 @@ def test_nor_does_it_inside_a_run_and_gamma_is_that_which_was_given():
         np.testing.assert_allclose(log.q_error, error, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_policy_that_dithers_for_long_is_measured_to_the_last_digit_of_float32(windy):
     """-60300.65, by elimination in rational numbers."""
     budget = {"num_steps": 3000, "exact": True, "record": table}
@@ -204,6 +203,7 @@ def test_a_policy_that_dithers_for_long_is_measured_to_the_last_digit_of_float32
         assert value == want if np.isinf(want) else value == pytest.approx(want, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_problem_that_is_drawn_in_the_run_is_measured_as_it_was_drawn():
     """Some 1000 pulls of each arm: Q is near q* of that problem. Broken once: the numbers of `env` -> fails."""
     env, method = rl.make("k-armed-testbed"), rl.QLearning(alpha=rl.schedules.sample_average(), epsilon=1.0)

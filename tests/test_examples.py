@@ -5,6 +5,7 @@ import runpy
 from pathlib import Path
 
 import jax
+import keeping
 import nbformat
 import numpy as np
 import pytest
@@ -53,8 +54,10 @@ def test_a_sweep(capsys, one_device):
     assert np.isin(names["fresh"]["sarsa"], chosen).mean() < 0.1
 
 
+@pytest.mark.slow
 def test_jit_and_vmap(capsys):
-    names, _ = run_example("jit_and_vmap", capsys)
+    with keeping.optimising():  # of many steps
+        names, _ = run_example("jit_and_vmap", capsys)
     # Sarsa at 401 to 500 episodes, from long simulations with plain loops: -26.79, and Q-learning -49.94.
     assert abs(names["runs"].mean() + 26.79) < 4 * names["runs"].std() / 10
     assert abs(names["means"][2] + 49.94) < 4 * names["both"][2].std() / 10
@@ -83,6 +86,7 @@ def test_a_method_of_your_own(capsys):
     np.testing.assert_allclose(same.episodes, sarsa.episodes)
 
 
+@pytest.mark.slow
 def test_an_experiment(capsys, one_device, tmp_path, monkeypatch):
     folder = tmp_path / "cliff"
     monkeypatch.setattr("sys.argv", ["experiment.py", str(folder)])
@@ -99,6 +103,7 @@ def test_an_experiment(capsys, one_device, tmp_path, monkeypatch):
     assert "fresh seeds" in (folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_results_of_long_ago(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["read_results.py"])
     names, _ = run_example("read_results", capsys)
@@ -114,6 +119,7 @@ def test_results_of_long_ago(capsys, tmp_path, monkeypatch):
     assert set(names["table"].environment) == {"cliff"}
 
 
+@pytest.mark.slow
 def test_the_notebook_shows_what_it_gives(monkeypatch):
     """It is kept with its outputs, for it is read where it cannot run; `python tests/quick_start.py` makes them anew.
 
@@ -158,6 +164,7 @@ def test_the_example_of_a_log(capsys):
     assert np.ravel(printed).tolist() == [round(float(x), 4) for x in (*learned.values(), *values.values())]
 
 
+@pytest.mark.slow
 def test_the_example_of_a_replay(capsys):
     error = run_example("replay_old_policies", capsys)[0]["error"]
     assert error[0] > 3 > 100 * error[-1]

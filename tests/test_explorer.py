@@ -80,7 +80,8 @@ def test_curves_are_the_means_of_what_the_results_hold(explored, page):
     for i in range(3):
         worst, best = np.argmin(final[i]), np.argmax(final[i])
         np.testing.assert_allclose(curves[i, 3, len(STATISTICS)], episodes[i, worst], rtol=1e-6)
-        np.testing.assert_allclose(curves[i, 3, -1], episodes[i, best], rtol=1e-6)
+        tied = np.flatnonzero(final[i] == final[i, best])
+        assert any(np.allclose(curves[i, 3, -1], episodes[i, k], rtol=1e-6) for k in tied)
         assert q_learning["runs"][i][0] == worst
 
 

@@ -415,6 +415,7 @@ def test_it_prints(page):
         page.media("screen")
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_page_in_a_frame(browser, explored, tmp_path):
     """Of a sweep, and of an experiment; what is chosen there works. Broken once: the page is not escaped -> fails."""
     result = rl.sweep(rl.make("windy-gridworld"), "sarsa", {"alpha": [0.3, 1.0]}, num_seeds=3, num_steps=2000)

@@ -13,13 +13,12 @@ from flax import struct
 from gymnax.environments import environment, spaces
 from gymnax.experimental.rollout import RolloutWrapper
 from gymnax.wrappers import FlattenObservationWrapper, LegacyStepAPIWrapper, LogWrapper, StickyActionWrapper
+from marks import slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning
 from jaxrl_tab.interop import from_gymnasium, from_gymnax, make, to_gymnax
 from jaxrl_tab.interop.gymnax import EnumeratedGymnax, SampledGymnax
-
-pytestmark = pytest.mark.usefixtures("unoptimised")
 
 # --- exact ---------------------------------------------------------------------------------------------
 
@@ -93,7 +92,7 @@ def four_rooms(goal, starts, fail=1 / 3):
     return p, r, start / start.sum(), goal
 
 
-@pytest.mark.parametrize("anywhere", [False, True])
+@pytest.mark.parametrize("anywhere", slow_but_first([False, True]))
 def test_four_rooms(anywhere):
     """The slips, and the start anywhere but at the goal."""
     env = from_gymnax("FourRooms-misc", params={"resample_init_pos": anywhere, "fail_prob": 0.3})
@@ -122,7 +121,7 @@ def test_catch():
     assert planning.policy_value(env, idle) == pytest.approx(-0.6)
 
 
-@pytest.mark.parametrize("size", [4, 8])
+@pytest.mark.parametrize("size", slow_but_first([4, 8]))
 def test_deep_sea(size):
     """Always right: 1 - 0.01. What is seen at the end is always the same, but the ends are told apart."""
     env = from_gymnax("DeepSea-bsuite", size=size)
@@ -183,7 +182,14 @@ def gymnax_transitions(env, name, num_steps, lanes, **parameters):
 
 @pytest.mark.parametrize(
     ("name", "parameters"),
-    [("FrozenLake-misc", {}), ("FourRooms-misc", {"resample_init_pos": True, "max_steps_in_episode": 50})],
+    [
+        ("FrozenLake-misc", {}),
+        pytest.param(
+            "FourRooms-misc",
+            {"resample_init_pos": True, "max_steps_in_episode": 50},
+            marks=pytest.mark.slow,
+        ),
+    ],
 )
 def test_what_happens_in_gymnax_is_what_was_enumerated(name, parameters):
     """Broken once -> fails: slips to three sides; the start of FourRooms anywhere."""

@@ -17,6 +17,7 @@ import tiny
 from jax._src.dispatch import runtime_tokens
 from lanes_runs import runs_of
 from lanes_tools import assert_same_bits
+from marks import slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch, cli
@@ -27,6 +28,8 @@ from jaxrl_tab.experiment.executors.base import Job
 from jaxrl_tab.lanes import calls, machine, program
 from jaxrl_tab.lanes.emit import emit
 from jaxrl_tab.lanes.kernel import Kernel
+
+pytestmark = pytest.mark.usefixtures("optimised")
 
 TWO_DOORS = {"num_steps": 20, "log_every": 10}
 
@@ -326,7 +329,7 @@ LONG = {
 }
 
 
-@pytest.mark.parametrize("which", LONG)
+@pytest.mark.parametrize("which", slow_but_first(LONG))
 def test_ctrl_c_ends_a_kernel(tmp_path, which):
     """By itself: nothing has to end the process. Broken once: a loop does not ask -> hangs until it is killed."""
     for name, waits in STUCK.items():
@@ -414,6 +417,7 @@ def test_more_threads_than_devices_share_the_room(monkeypatch):
     assert by_lanes.ByLanes(runs, one // 4, None).threads == 1
 
 
+@pytest.mark.slow
 def test_as_many_threads_as_cores_unless_devices_were_chosen():
     code = "import jax, {first}; from jaxrl_tab.engine import by_lanes; print(by_lanes.threads())"
     run = lambda first, **env: subprocess.run(

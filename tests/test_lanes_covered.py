@@ -5,22 +5,26 @@ import sys
 
 import lanes_pairs
 import pytest
+from marks import slow_but
 
 from jaxrl_tab.envs import ENVS
 
+FIRST = "random-walk"  # in which every method runs by steps and by episodes
+
 
 @pytest.fixture(scope="module")
-def lines():
+def lines(request):
     """What the other process prints: a line for each problem, and how many pairs are compiled, by environment."""
+    envs = ENVS if request.config.option.slow else [FIRST]
     done = subprocess.run(
-        [sys.executable, lanes_pairs.__file__, *ENVS], capture_output=True, text=True, timeout=600
+        [sys.executable, lanes_pairs.__file__, *envs], capture_output=True, text=True, timeout=600
     )
     assert done.returncode == 0, done.stdout + done.stderr
     lines = [line.partition(" ") for line in done.stdout.splitlines()]
     return {env: [line for name, _, line in lines if name == env] for env in ENVS}
 
 
-@pytest.mark.parametrize("env", ENVS)
+@pytest.mark.parametrize("env", slow_but([FIRST], ENVS))
 def test_every_method_is_compiled_in_the_memory_that_was_forecast(lines, env):
     """By steps or by episodes. What does not fit the environment is refused as such, and is no pair.
 

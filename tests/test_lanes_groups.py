@@ -16,6 +16,8 @@ from jaxrl_tab.lanes.emit import emit
 from jaxrl_tab.lanes.lower import lower
 from jaxrl_tab.lanes.target import Target
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 AVX2 = Target("x86_64-unknown-linux-gnu", "", "+avx2,+fma")
 AVX512 = AVX2._replace(features="+avx2,+fma,+avx512f,+avx512vl,+avx512dq")
 LANES, STATES, ACTIONS = 40, 30, 4

@@ -9,6 +9,8 @@ from lanes_tools import by_lanes
 from jaxrl_tab.lanes.analysis import operations
 from jaxrl_tab.lanes.lower import lower
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 TABLE = np.random.default_rng(0).integers(-50, 50, (40, 3)).astype(np.int32)  # more than are taken apart
 ROWS = np.array([-1, 39, 40, 0, 7] * 8, np.int32)  # some of them lie outside
 

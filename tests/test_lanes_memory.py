@@ -12,6 +12,8 @@ from lanes_tools import assert_as_xla
 from jaxrl_tab.lanes.analysis import Facts, operations
 from jaxrl_tab.lanes.lower import lower
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 LANES, SIZE = 40, 50  # more numbers than are taken apart
 RNG = np.random.default_rng(0)
 X = RNG.normal(size=(LANES, SIZE)).astype(np.float32)

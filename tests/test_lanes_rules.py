@@ -7,17 +7,25 @@ import pytest
 from jax import lax
 from lanes_cases import CASES
 from lanes_tools import assert_as_xla
+from marks import slow_but
 
 from jaxrl_tab.lanes.code import Unsupported
 from jaxrl_tab.lanes.lower import lower
 from jaxrl_tab.lanes.registry import RULES
+
+pytestmark = pytest.mark.usefixtures("optimised")
 
 
 def test_every_rule_has_a_case():
     assert set(RULES) == set(CASES)
 
 
-@pytest.mark.parametrize("name", sorted(RULES))
+# Whose rules are those of others, with another operation: cumsum, scatter-add, reduce_sum, argmax.
+ALIKE = {"cumprod", "cummax", "cummin", "scatter", "scatter-mul", "scatter-min", "scatter-max", "scatter-sub"}
+ALIKE |= {"reduce_prod", "reduce_min", "reduce_max", "reduce_or", "reduce_and", "reduce_xor", "argmin"}
+
+
+@pytest.mark.parametrize("name", slow_but(set(RULES) - ALIKE, sorted(RULES)))
 def test_a_rule_gives_the_bits_of_xla(name, monkeypatch):
     """All cases of a primitive are compiled together, for the same number of lanes."""
     used, rule = [], RULES[name]

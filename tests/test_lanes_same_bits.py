@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from lanes_runs import runs_of
 from lanes_tools import assert_same_bits, narrow
+from marks import slow_but, slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import Outcome, policies, pytree, schedules, static
@@ -23,6 +24,8 @@ from jaxrl_tab.interop import from_gymnasium
 from jaxrl_tab.lanes import program
 from jaxrl_tab.lanes.kernel import Kernel
 from jaxrl_tab.lanes.target import host
+
+pytestmark = pytest.mark.usefixtures("optimised")
 
 
 @pytree
@@ -144,7 +147,11 @@ def arrays(result):
     return [np.asarray(x) for x in jax.tree.leaves((result.q, result.log))]
 
 
-@pytest.mark.parametrize("name", CASES)
+# By which a mistake shows soonest; all others take long to compile.
+FIRST = {"sarsa", "monte-carlo", "td", "schedules", "record"}
+
+
+@pytest.mark.parametrize("name", slow_but(FIRST, CASES))
 def test_lanes_gives_what_xla_gives(name):
     """The tables, and all of the log. Broken once: no product fused -> fails.
 
@@ -232,7 +239,7 @@ def test_the_bits_depend_on_neither_the_vectors_nor_the_block(env, method, by):
     assert_same_bits([np.roll(x, -5, axis=0) for x in shifted], results[0][1])
 
 
-@pytest.mark.parametrize("case", ["sarsa", "monte-carlo", "exact"])
+@pytest.mark.parametrize("case", slow_but_first(["sarsa", "monte-carlo", "exact"], 2))
 def test_a_run_is_what_it_is_among_any_number_of_others(case):
     """1 and 3 are programs of their own, and what XLA does of a row is done for a block at least."""
     result = swept(CASES[case], "lanes", 300)

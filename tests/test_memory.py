@@ -19,6 +19,8 @@ from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.part import leaves_as_arrays
 from jaxrl_tab.experiment import shards
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 BUDGET = {"num_steps": 200, "log_every": 100}
 
 
@@ -38,7 +40,12 @@ SHAPES = {  # tables and log; traces in many states; episodes and their memory; 
 
 @pytest.mark.parametrize(
     ("case", "blocks"),
-    [*((case, 1) for case in SHAPES if case != "sarsa-lambda"), ("sarsa-lambda", room.BLOCKS)],
+    [
+        ("sarsa", 1),
+        ("monte-carlo", 1),
+        pytest.param("sarsa-lambda", room.BLOCKS, marks=pytest.mark.slow),
+        pytest.param("exact", 1, marks=pytest.mark.slow),
+    ],
 )
 def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
     """Against what XLA says of the compiled program.
@@ -162,6 +169,7 @@ def test_files_have_no_names_and_can_be_written_in_any_order(tmp_path, monkeypat
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_on_a_gpu_all_runs_that_fit_go_side_by_side(grid, all_at_once, widths, monkeypatch):
     """Rather, on a CPU that is taken for one, and there bitwise the same as in blocks."""
     monkeypatch.setattr(room, "_on_cpu", lambda devices: False)
@@ -232,6 +240,7 @@ def test_a_sweep_streams_through_in_bounded_memory():
     assert results == ["4000", "True"]
 
 
+@pytest.mark.slow
 def test_an_experiment_ends_in_bounded_memory(tmp_path):
     """2 x 50 000 runs with tables, intervals, pictures and the report: 114 MB of results, in 50 MB and a shard.
 

@@ -17,8 +17,6 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning, schedules
 from jaxrl_tab.core.schedules import Optax, Power
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 GAMMAS = (0.0, 0.5, 0.9, 1.0)
 EPSILON = 0.25
 
@@ -98,7 +96,10 @@ KINDS = {
 
 @pytest.mark.parametrize(
     ("kind", "env_name"),
-    [*((kind, "random mdp") for kind in KINDS), ("first visit", "windy, stochastic, king")],
+    [
+        *((kind, "random mdp") for kind in KINDS),
+        pytest.param("first visit", "windy, stochastic, king", marks=pytest.mark.slow),
+    ],
 )
 def test_every_step_agrees_with_the_plain_loop(kind, env_name):
     """Broken once -> each fails: what follows a time limit discounted twice, or 0; all visits for first ones;

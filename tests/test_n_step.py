@@ -12,8 +12,6 @@ from test_reference import STEPS, env_and_task, task_of, words_of
 import jaxrl_tab as rl
 from jaxrl_tab import schedules
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 LONG = 200  # more steps than any of these episodes has
 
 

@@ -16,8 +16,6 @@ from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.core.schedules import Power
 from jaxrl_tab.core.types import Transition
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 # --- decision for decision, in float64 ---------------------------------------------------------------
 
 
@@ -56,7 +54,10 @@ KINDS = {
 
 @pytest.mark.parametrize(
     ("kind", "env_name"),
-    [*((kind, "random mdp") for kind in KINDS), ("weighted", "windy, stochastic, king")],
+    [
+        *((kind, "random mdp") for kind in KINDS),
+        pytest.param("weighted", "windy, stochastic, king", marks=pytest.mark.slow),
+    ],
 )
 def test_every_step_agrees_with_the_plain_loop(kind, env_name):
     """Broken once -> each fails: its own ratio in a weight; pi by the Q before the update; W not a

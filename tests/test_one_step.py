@@ -13,8 +13,6 @@ from jaxrl_tab.core import coverage, rng
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.core.types import Transition
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 ALPHAS = 0.5, 0.25, 0.5, 0.125
 EPSILON = 0.25
 
@@ -65,7 +63,10 @@ def methods(env):
 
 @pytest.mark.parametrize(
     ("name", "env_name"),
-    [*((name, "random mdp") for name in methods(random_mdp())), ("double", "windy, stochastic, king")],
+    [
+        *((name, "random mdp") for name in methods(random_mdp())),
+        pytest.param("double", "windy, stochastic, king", marks=pytest.mark.slow),
+    ],
 )
 def test_every_step_agrees_with_the_plain_loop(name, env_name):
     """Broken once: Double Q-learning by its own maximum, the coin from bit 8, A' of the target drawn by the

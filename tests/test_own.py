@@ -292,6 +292,7 @@ def test_environments_of_other_libraries_with_their_arguments(here, capsys):
 # --- experiments -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_typed_killed_resumed_and_selected(here, capsys):
     """The same, to the last bit, as the classes give in Python; though the file is gone in between."""
     code = (
@@ -432,6 +433,7 @@ def test_what_cannot_be_saved_is_refused_where_there_is_a_folder(here, monkeypat
         assert ds.sizes["seed"] == 2
 
 
+@pytest.mark.slow
 def test_a_script_is_saved_by_its_file_and_must_be_guarded(here):
     """Broken once: without the check the script runs itself a second time -> fails."""
     run = "rl.run(rl.Experiment(Coin(), Hasty, seeds=2, steps=20), 'run')"

@@ -146,6 +146,7 @@ def test_an_altered_copy_of_a_neighbour_is_not_used(here):
     assert final("run") == expected()
 
 
+@pytest.mark.slow
 def test_files_of_two_folders_do_not_mix(here):
     """Both have a file helpers.py. Broken once: all copies in one folder -> fails."""
     Path("other").mkdir()
@@ -224,6 +225,7 @@ def test_a_class_of_a_neighbour_is_found_in_its_own_file(here):
 # --- versions of libraries ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_another_version_of_a_library_stops_resume(here, monkeypatch):
     """Where an environment comes from it, and something is still to be computed.
 

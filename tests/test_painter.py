@@ -79,6 +79,7 @@ class Own(RandomWalk):
 """
 
 
+@pytest.mark.slow
 def test_what_it_cannot_import_is_drawn_here(tmp_path, beside, here):
     """A class in a file, which only this process has read."""
     (tmp_path / "own.py").write_text(OWN)
@@ -87,6 +88,7 @@ def test_what_it_cannot_import_is_drawn_here(tmp_path, beside, here):
     assert [cls.__name__ for cls in here] == ["Own"] and beside.returncode == 1
 
 
+@pytest.mark.slow
 def test_more_results_than_are_worth_sending_are_drawn_here(tmp_path, drawn, beside, here, monkeypatch):
     monkeypatch.setattr(painter, "LARGEST", 100)
     assert made(tmp_path / "run") == drawn

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+from marks import slow_but
 from test_monte_carlo import ALPHAS, GAMMAS, played
 from test_off_policy import PI as TARGET
 from test_off_policy import B as BEHAVIOUR
@@ -32,8 +33,6 @@ from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.policies import Softmax, Table
 from jaxrl_tab.core.schedules import Power
 from jaxrl_tab.core.types import Algorithm
-
-pytestmark = pytest.mark.usefixtures("unoptimised")
 
 # --- decision for decision, in float64: five states, three actions, and a time limit that is often met -----
 
@@ -112,7 +111,7 @@ def with_a_state_out_of_reach():
     return rl.FiniteMDP(p, r, terminal=[3], start=[0.5, 0.25, 0.25, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("name", PREDICTION)
+@pytest.mark.parametrize("name", slow_but(["td", "n-step-td", "monte-carlo-prediction"], PREDICTION))
 def test_what_all_methods_promise(name):
     """Shapes and dtypes; a sweep by name; no run depends on those beside it, to the last bit; the error of V;
 

@@ -114,6 +114,7 @@ def test_resume_sets_what_it_can_and_sets_it_back(folder, whole):
     assert first["surroundings"] == second["surroundings"] == provenance.surroundings()
 
 
+@pytest.mark.slow
 def test_so_does_the_command(folder, whole):
     """In a process that the variables of JAX have set up otherwise."""
     env = os.environ | {name.upper(): str(value) for name, value in OTHERWISE.items()}

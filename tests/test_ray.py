@@ -55,6 +55,7 @@ def connection(cluster):
     ray.shutdown()
 
 
+@pytest.mark.slow
 def test_settings_go_along_and_few_tasks_are_ahead(cluster, tmp_path):
     """With a connection that ends with each run."""
     executor = executors.Ray(cluster.address)
@@ -75,6 +76,7 @@ def test_settings_go_along_and_few_tasks_are_ahead(cluster, tmp_path):
     assert not ray.is_initialized()
 
 
+@pytest.mark.slow
 def test_a_worker_is_killed(connection, tmp_path):
     kill = lambda: os.kill(shards.the_process(tmp_path, 2), signal.SIGKILL)
     killer = threading.Thread(target=kill, daemon=True)
@@ -85,6 +87,7 @@ def test_a_worker_is_killed(connection, tmp_path):
     assert shards.times(2, tmp_path) == 2
 
 
+@pytest.mark.slow
 def test_a_worker_that_always_dies_is_given_up(connection, tmp_path):
     work = functools.partial(shards.dies, folder=tmp_path, deaths=9)
     with pytest.raises(RunError, match=r"shard 1 was lost 2 times"):
@@ -92,6 +95,7 @@ def test_a_worker_that_always_dies_is_given_up(connection, tmp_path):
     assert shards.times(1, tmp_path) == 2
 
 
+@pytest.mark.slow
 def test_an_error_is_raised_and_not_tried_again(connection, tmp_path):
     work = functools.partial(shards.fails, folder=tmp_path)
     with pytest.raises(RunError, match=r"(?m)^shard 1 failed: ValueError: no such thing$"):
@@ -99,6 +103,7 @@ def test_an_error_is_raised_and_not_tried_again(connection, tmp_path):
     assert shards.times(1, tmp_path) == 1
 
 
+@pytest.mark.slow
 def test_what_is_under_way_is_given_up(connection, tmp_path):
     given = connection.run(functools.partial(shards.waits, folder=tmp_path, wait=[1]), [0, 1])
     assert next(given)[0] == 0
@@ -108,6 +113,7 @@ def test_what_is_under_way_is_given_up(connection, tmp_path):
     assert ray.is_initialized()  # the connection is not the executor's
 
 
+@pytest.mark.slow
 def test_own_classes_go_along_with_the_work(connection, tmp_path, monkeypatch):
     """Workers have neither the file nor its folder: they load what goes along with the work."""
     (tmp_path / "mine.py").write_text(test_own.OWN)
@@ -117,6 +123,7 @@ def test_own_classes_go_along_with_the_work(connection, tmp_path, monkeypatch):
     test_own.check(outcome.datasets["Coin/Hasty"], test_own.expected())
 
 
+@pytest.mark.slow
 def test_own_files_go_all_the_way_on_the_command_line(connection, cluster, tmp_path, monkeypatch):
     """A method, an environment and a recorder of one file, which imports another: typed, killed, resumed, reported.
 
@@ -156,6 +163,7 @@ def test_own_files_go_all_the_way_on_the_command_line(connection, cluster, tmp_p
     assert (tmp_path / "run" / "selection.csv").read_text().count("Hasty") == 1
 
 
+@pytest.mark.slow
 def test_an_experiment_is_interrupted_and_goes_on(connection, tmp_path, monkeypatch):
     monkeypatch.setattr(plot, "save_all", quick.picture)
     _shards.cache_clear()  # other tests cut the same experiment into smaller shards, which workers do not
@@ -174,6 +182,7 @@ def test_an_experiment_is_interrupted_and_goes_on(connection, tmp_path, monkeypa
         xr.testing.assert_equal(found.fresh[name], expected.fresh[name])
 
 
+@pytest.mark.slow
 def test_a_node_goes_away(cluster, connection, tmp_path):
     """The last test: the cluster is smaller after it."""
     (node,) = cluster.worker_nodes
@@ -254,6 +263,7 @@ def test_clusters_that_do_not_let_us_in_are_refused_soon(listens, monkeypatch, r
         executors.get("ray", address=listens(GRPC))
 
 
+@pytest.mark.slow
 def test_a_cluster_of_our_own_is_for_this_process_alone(cluster, tmp_path):
     """Though another runs here: with a token, on the loopback interface; and nothing is left or printed.
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from keeping import forget
+from marks import slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab.core.pytree import pytree
@@ -97,7 +98,9 @@ def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
 
 @pytest.mark.parametrize("backend", ["lanes", "xla"])
 @pytest.mark.parametrize(
-    "length", [{"num_steps": 120}, {"num_steps": 125}, {"num_episodes": 12}, {"num_episodes": 7}], ids=str
+    "length",
+    slow_but_first([{"num_steps": 120}, {"num_episodes": 7}, {"num_steps": 125}, {"num_episodes": 12}], 2),
+    ids=str,
 )
 def test_how_many_rows_are_measured_at_once_changes_nothing(backend, length, monkeypatch):
     """One at a time, or up to five: 12 rows in fours or threes, 7 one by one, and a shorter one after 12.

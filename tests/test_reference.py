@@ -13,8 +13,6 @@ from jaxrl_tab.core import rng
 from jaxrl_tab.core.schedules import Optax, Power
 from jaxrl_tab.engine.loop import BEFORE_RESET, BEFORE_START, IN_A_STEP
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
 STEPS = 600
 
 

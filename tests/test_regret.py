@@ -11,9 +11,6 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning
 from jaxrl_tab.core.errors import InputError
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
-
-
 # --- oracles -----------------------------------------------------------------------------------------
 
 

@@ -5,9 +5,11 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 import starts
 
 
+@pytest.mark.slow
 def test_each_kind_starts_twice_with_the_same_bits(tmp_path):
     """On an empty folder, and once more without any. Broken once: JAX not told of the folder -> nothing comes from it.
 

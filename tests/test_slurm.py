@@ -41,6 +41,7 @@ def surroundings(monkeypatch):
     monkeypatch.setattr(submitit.Job, "_results_timeout_s", 0)
 
 
+@pytest.mark.slow
 def test_shards_are_dealt_out_among_jobs_and_one_that_dies_is_handed_in_again(tmp_path):
     folder, noted = tmp_path / "jobs", tmp_path / "noted"
     noted.mkdir()
@@ -72,6 +73,7 @@ def test_an_error_is_raised_after_what_came_before_it(tmp_path):
     assert not (tmp_path / "jobs").exists()
 
 
+@pytest.mark.slow
 def test_what_is_under_way_is_given_up(tmp_path):
     work = functools.partial(shards.waits, folder=tmp_path, wait=[0])
     executor = executors.Slurm(tmp_path / "jobs", cluster="local", max_jobs=2)

@@ -1,5 +1,6 @@
 """Experiments survive: each fault is made to happen; the results are those of an undisturbed run, bitwise."""
 
+import functools
 import json
 import os
 import shutil
@@ -11,13 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import keeping
 import numpy as np
 import pytest
 import quick
 import xarray as xr
+from marks import slow_but, slow_but_first
 
 import jaxrl_tab as rl
-from jaxrl_tab import cli, plot, stats
+from jaxrl_tab import cli, plot, report, stats
 from jaxrl_tab.cli import interrupt
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import by_xla
@@ -29,9 +32,10 @@ LONG = "sweep windy-gridworld sarsa --alpha 0.25 --steps 2000 --log-every 2000 -
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    """Shards of 64 runs, and a picture that takes no time."""
+    """Shards of 64 runs; a picture and a report that take no time."""
     monkeypatch.setattr(shards, "SHARD_STEPS", 64 * 200)
     monkeypatch.setattr(plot, "save_all", quick.picture)
+    monkeypatch.setattr(report, "write_methods", quick.page)
     shards._shards.cache_clear()
 
 
@@ -42,6 +46,7 @@ def undisturbed(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(shards, "SHARD_STEPS", 64 * 200)
         patched.setattr(plot, "save_all", quick.picture)
+        patched.setattr(report, "write_methods", quick.page)
         outcome = runner.run(quick.SELECTED, folder, progress=reports.append, command="a command")
     return folder, outcome, reports
 
@@ -70,8 +75,11 @@ def saved(folder):
     return found
 
 
-def assert_same(folder, other):
-    one, two = saved(folder), saved(other)
+expected = functools.cache(saved)
+
+
+def assert_same(folder, undisturbed):
+    one, two = saved(folder), expected(undisturbed)
     assert one.keys() == two.keys()
     for key in one:
         np.testing.assert_array_equal(one[key], two[key], err_msg=str(key))
@@ -198,7 +206,7 @@ def test_without_a_folder_the_outcome_is_the_same_and_nothing_is_left(undisturbe
 # --- interrupted, killed, damaged --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shards", [0, 1, 4, 5, 7, 9])
+@pytest.mark.parametrize("shards", slow_but([0, 4, 7], [0, 1, 4, 5, 7, 9]))
 def test_an_interrupted_run_goes_on_where_it_was(undisturbed, tmp_path, computed, shards):
     """Before anything, in a part, between parts, before and in the fresh seeds, before files are written."""
 
@@ -289,7 +297,9 @@ def test_a_changed_experiment_is_refused_with_the_difference(folder, computed):
 
 
 @pytest.mark.parametrize("name", ["experiment.toml", "resolved.json"])
-@pytest.mark.parametrize("damage", [b"", b"[1, 2]", b"\0\xff", b"seeds = 1", b'{"seeds": 70}'])
+@pytest.mark.parametrize(
+    "damage", slow_but_first([b"seeds = 1", b'{"seeds": 70}', b"", b"[1, 2]", b"\0\xff"], 2)
+)
 def test_one_of_the_two_experiments_mends_the_other(folder, undisturbed, computed, caplog, name, damage):
     """Broken once: what is in `resolved.json` taken as it is -> TypeError."""
     before = (folder / name).read_bytes()
@@ -386,6 +396,7 @@ def test_too_many_results_for_the_disk_are_refused_before_anything(tmp_path, com
     assert computed == [] and list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_second_process_is_refused_and_the_first_goes_on(undisturbed, tmp_path):
     """Broken once: no lock -> fails."""
     hold = f"""
@@ -414,7 +425,7 @@ runner.run(quick.SELECTED, {str(tmp_path / "run")!r}, progress=wait)
 # --- no room, no memory ------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=["300k", "600k"])
+@pytest.fixture(params=slow_but_first(["300k", "600k"]))
 def small_disk(request, tmp_path):
     """A disk with room for some shards, or for all and no results; None for those who may not mount one."""
     place = tmp_path / "disk"
@@ -465,14 +476,17 @@ def little_memory(monkeypatch):
 
         return call
 
-    monkeypatch.setattr(by_xla, "_compiled", program)
-    return most, asked
+    program.cache_clear = compiled.cache_clear
+    with keeping.optimising():  # the bits are those that a user gets
+        monkeypatch.setattr(by_xla, "_compiled", program)
+        yield most, asked
 
 
-def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog):
+@pytest.mark.parametrize("exact", slow_but_first([False, True]))
+def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog, exact):
     """First blocks of a call, then lanes; the same to the last bit. Broken once: down to 2 lanes -> fails."""
     most, asked = little_memory
-    given = {"num_seeds": 70, "num_steps": 200, "exact": True, "backend": "xla"}
+    given = {"num_seeds": 70, "num_steps": 200, "exact": exact, "backend": "xla"}
     most[0] = 2**20
     expected = rl.sweep(windy, "sarsa", {"alpha": [0.3, 0.7]}, **given)
     for most[0], shape in ((64, (1, 64)), (8, (1, 8))):
@@ -532,7 +546,7 @@ def test_runs_that_diverge_are_counted_and_leave_all_others_as_they_are(tmp_path
 # --- Ctrl-C ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", slow_but_first([signal.SIGINT, signal.SIGTERM]))
 def test_ctrl_c_keeps_the_finished_shards_and_says_how_to_go_on(tmp_path, number):
     out = tmp_path / "windy"
     with subprocess.Popen([*QUICK, *LONG.split(), str(out)], stderr=subprocess.PIPE, text=True) as running:

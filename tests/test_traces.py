@@ -18,6 +18,8 @@ from jaxrl_tab.core.policies import Table
 from jaxrl_tab.core.schedules import Optax, Power
 from jaxrl_tab.core.types import Transition
 
+pytestmark = pytest.mark.usefixtures("optimised")
+
 TRACES = ("accumulating", "replacing", "dutch")
 METHODS = [
     *((rl.SarsaLambda, {"trace": trace}) for trace in TRACES),
@@ -36,8 +38,8 @@ GAMMAS, LAMBDAS, ALPHAS = (0.0, 0.5, 0.9, 1.0), (0.75, 1.0, 0.5, 0.875), (0.5, 0
     ("kind", "env_name"),
     [
         *((kind, "random mdp") for kind in KINDS),
-        ("SarsaLambda, dutch", "windy, stochastic, king"),
-        ("QLambda, accumulating", "cliff"),
+        pytest.param("SarsaLambda, dutch", "windy, stochastic, king", marks=pytest.mark.slow),
+        pytest.param("QLambda, accumulating", "cliff", marks=pytest.mark.slow),
     ],
 )
 def test_every_step_agrees_with_the_plain_loop(kind, env_name):

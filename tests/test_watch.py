@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from marks import slow_but
 from PIL import Image
 from rich.console import Console
 
@@ -25,8 +26,6 @@ from jaxrl_tab.engine import stepwise
 from jaxrl_tab.engine import watch as module
 from jaxrl_tab.show.states import state_names
 from jaxrl_tab.show.steps import Told
-
-pytestmark = pytest.mark.usefixtures("unoptimised")
 
 ROOT, SEED = 3, 2
 
@@ -46,7 +45,10 @@ def bits(x):
 # --- what is learned ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", METHODS)
+SOME = ["sarsa", "double-q-learning", "monte-carlo", "sarsa-lambda", "off-policy-td"]
+
+
+@pytest.mark.parametrize("name", slow_but(SOME, METHODS))
 def test_each_method_learns_what_it_learns_in_a_sweep(name):
     """To the last bit, with a step size that is no binary fraction; and nothing that it learns is left out.
 

@@ -93,23 +93,6 @@ def test_on_two_devices_each_does_its_own(done):
     assert done == [(3,)] * 2
 
 
-def test_derivatives_are_those_of_xla(done):
-    """Broken once: without a rule for them -> NotImplementedError."""
-
-    def values(alpha):
-        method = rl.PREDICTION["td"](alpha=alpha)
-        return rl.train(KEYS[0], method, WALK, num_steps=20, log_every=20)[0].q
-
-    program = lambda: lambda: jax.jit(lambda x: jax.jvp(values, (x,), (1.0,)))(0.1)
-    ours, theirs = both(program)
-    assert_same_bits(ours, theirs)
-    _, slope = ours
-    with jax.enable_x64():
-        above, below = (np.asarray(values(jnp.float64(x))) for x in (0.1 + 1e-4, 0.1 - 1e-4))
-    np.testing.assert_allclose(slope, (above - below) / 2e-4, atol=1e-4)
-    assert abs(slope).max() > 0.1 and done == []
-
-
 @pytest.mark.parametrize(
     "program",
     [

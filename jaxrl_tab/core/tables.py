@@ -69,27 +69,36 @@ def lane_by_lane(body: Callable[..., T], tables: T, *inputs: Any) -> T:
         inputs: pytrees of what the body reads.
     """
 
-    def one(tables, *inputs):
-        tables, *inputs = jax.tree.map(lambda x: jnp.asarray(x)[None], (tables, *inputs))
-        return jax.tree.map(lambda x: x[0], body(jnp.int32(0), tables, *inputs))
+    # Only the arrays are passed: derivatives of `custom_vmap` trip over a None among them.
+    leaves, structure = jax.tree.flatten((tables, inputs))
+    size = jax.tree.structure(tables).num_leaves
 
-    def lanes(tables, *inputs):
+    def changed(lane, tables, inputs):
+        tables, inputs = jax.tree.unflatten(structure, [*tables, *inputs])
+        return jax.tree.leaves(body(lane, tables, *inputs))
+
+    def one(*arrays):
+        arrays = [jnp.asarray(x)[None] for x in arrays]
+        return [x[0] for x in changed(jnp.int32(0), arrays[:size], arrays[size:])]
+
+    def lanes(*arrays):
         if not _lane_by_lane():
-            return jax.vmap(one)(tables, *inputs)
-        count = jnp.int32(jax.tree.leaves(tables)[0].shape[0])
-        return lax.fori_loop(jnp.int32(0), count, lambda lane, tables: body(lane, tables, *inputs), tables)
+            return jax.vmap(one)(*arrays)
+        tables, inputs = list(arrays[:size]), arrays[size:]
+        count = jnp.int32(tables[0].shape[0])
+        return lax.fori_loop(jnp.int32(0), count, lambda lane, tables: changed(lane, tables, inputs), tables)
 
     def one_rule(axis_size, batched, *args):
-        return _with_lanes(lanes, lanes_rule)(*_broadcast(axis_size, batched, args)), _all_true(tables)
+        return _with_lanes(lanes, lanes_rule)(*_broadcast(axis_size, batched, args)), [True] * size
 
     def lanes_rule(axis_size, batched, *args):
         """A second `vmap` only makes more lanes."""
         args = _broadcast(axis_size, batched, args)
-        merged = _with_lanes(lanes, lanes_rule)(*jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), args))
-        split = jax.tree.map(lambda x, like: x.reshape(like.shape), merged, args[0])
-        return split, _all_true(tables)
+        merged = _with_lanes(lanes, lanes_rule)(*(x.reshape(-1, *x.shape[2:]) for x in args))
+        split = [x.reshape(like.shape) for x, like in zip(merged, args[:size], strict=True)]
+        return split, [True] * size
 
-    return _with_lanes(one, one_rule)(tables, *inputs)
+    return jax.tree.unflatten(jax.tree.structure(tables), _with_lanes(one, one_rule)(*leaves))
 
 
 def changed_where(
@@ -126,9 +135,18 @@ def _lane_by_lane() -> bool:
 
 
 def _with_lanes(function: Callable[..., T], rule: Callable[..., Any]) -> Callable[..., T]:
-    function = custom_vmap(function)
-    function.def_vmap(rule)
-    return function
+    """The function, with a rule for `vmap`."""
+
+    def of_lanes(axis_size: int, batched: Any, *args: Any) -> tuple[T, Any]:
+        if any(jax.tree.leaves(batched)):
+            return rule(axis_size, batched, *args)
+        # Only derivatives have lanes, as in `jax.jacfwd`: then JAX makes a batch of what this does.
+        result = function(*jax.tree.map(jnp.asarray, args))
+        return result, jax.tree.map(lambda _: False, result)
+
+    with_lanes = custom_vmap(function)
+    with_lanes.def_vmap(of_lanes)
+    return with_lanes
 
 
 def _broadcast(axis_size: int, batched: Any, args: Any) -> Any:
@@ -138,35 +156,35 @@ def _broadcast(axis_size: int, batched: Any, args: Any) -> Any:
     return jax.tree.map(broadcast, args, tuple(batched))
 
 
-def _all_true(tables: Any) -> Any:
-    return jax.tree.map(lambda _: True, tables)
-
-
 # --- reading and writing, for one lane and for many --------------------------------------------------
 
 
-@custom_vmap
-def _read(table: Shaped[Array, "..."], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
+def _read_plainly(table: Shaped[Array, "..."], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
-@_read.def_vmap
 def _read_rule(axis_size, batched, table, *index):
     return _read_list(
         *_as_list(axis_size, batched[0], table, _broadcast(axis_size, batched[1:], index))
     ), True
 
 
-@custom_vmap
-def _write(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
+_read = _with_lanes(_read_plainly, _read_rule)
+
+
+def _write_plainly(
+    table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]
+) -> Shaped[Array, "..."]:
     return write(table, x, *index)
 
 
-@_write.def_vmap
 def _write_rule(axis_size, batched, table, x, *index):
     table, x, *index = _broadcast(axis_size, batched, (table, x, *index))
     entries, at = _as_list(axis_size, True, table, index)
     return _write_list(entries, at, x).reshape(table.shape), True
+
+
+_write = _with_lanes(_write_plainly, _write_rule)
 
 
 def _as_list(axis_size: int, has_lanes: bool, table: Array, index: Any) -> tuple[Array, Array]:
@@ -193,22 +211,22 @@ def _merge(axis_size: int, has_lanes: bool, entries: Array, at: Array) -> tuple[
     return entries.reshape(-1, *entries.shape[2:]), at + first.reshape(-1, *(1,) * (at.ndim - 1))
 
 
-@custom_vmap
-def _read_list(entries: Shaped[Array, "N ..."], at: UInt32[Array, "..."]) -> Shaped[Array, "..."]:
+def _read_list_plainly(entries: Shaped[Array, "N ..."], at: UInt32[Array, "..."]) -> Shaped[Array, "..."]:
     """`entries[at]`."""
     if _lane_by_lane() and math.prod(entries.shape[1:]) <= LONG_ROW:
         return _read_lanes(entries, at.ravel()).reshape(*at.shape, *entries.shape[1:])
     return entries.at[at].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
-@_read_list.def_vmap
 def _read_list_rule(axis_size, batched, entries, at):
     at = at if batched[1] else jnp.broadcast_to(at, (axis_size, *at.shape))
     return _read_list(*_merge(axis_size, batched[0], entries, at)), True
 
 
-@custom_vmap
-def _write_list(
+_read_list = _with_lanes(_read_list_plainly, _read_list_rule)
+
+
+def _write_list_plainly(
     entries: Shaped[Array, " N"], at: UInt32[Array, "..."], x: Shaped[Array, "..."]
 ) -> Shaped[Array, " N"]:
     """`entries` with `x` at `at`."""
@@ -217,10 +235,12 @@ def _write_list(
     return entries.at[at].set(x, mode="promise_in_bounds", unique_indices=True)
 
 
-@_write_list.def_vmap
 def _write_list_rule(axis_size, batched, entries, at, x):
     entries, at, x = _broadcast(axis_size, batched, (entries, at, x))
     return _write_list(*_merge(axis_size, True, entries, at), x).reshape(entries.shape), True
+
+
+_write_list = _with_lanes(_write_list_plainly, _write_list_rule)
 
 
 def _read_one(entries: Shaped[Array, "N ..."], at: UInt32[Array, ""]) -> Shaped[Array, "..."]:

@@ -55,6 +55,11 @@ def train(
         record: a function from the state of the learner to a dict of arrays, such as
             `lambda state: {"q_start": state.q[30].max()}`; recorded at the end of every row.
 
+    Derivatives with respect to the numbers of the method are forward-mode (`jax.jvp`, `jax.jacfwd`, also under
+    `vmap`). The run goes as it goes, and they say how what it learns, and what that is worth, changes with alpha,
+    lambda or epsilon. For control that is not all: where a number changes the actions that are taken, everything
+    jumps, and no derivative sees it.
+
     Returns:
         The state of the learner (`.q` is float [S, A]), and the Log.
 
