@@ -6,6 +6,7 @@ one line; most of it even before JAX is imported (see `front`). Tables and JSON 
 to stderr.
 """
 
+import atexit
 import contextlib
 import gc
 import importlib
@@ -129,6 +130,7 @@ def _load(name: str) -> ModuleType:
     finally:
         gc.freeze()
         gc.set_threshold(OBJECTS)
+        atexit.register(gc.freeze)  # in the end Python would look through all that there is
         gc.enable()
 
 
