@@ -19,6 +19,7 @@ from jaxrl_tab.algorithms import (
     SarsaLambdaForward,
     TargetQLearning,
     bridge,
+    moments,
     prediction,
 )
 from jaxrl_tab.algorithms.prediction import PREDICTION
@@ -132,6 +133,7 @@ __all__ = [
     "interop",
     "learn",
     "make",
+    "moments",
     "offline",
     "planning",
     "policies",

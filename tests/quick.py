@@ -18,7 +18,7 @@ import numpy as np
 import xarray  # noqa: F401  So that none of the processes has to.
 
 import jaxrl_tab as rl
-from jaxrl_tab import cli, plot
+from jaxrl_tab import cli, plot, report
 from jaxrl_tab.engine import by_xla, programs
 from jaxrl_tab.experiment import runner, shards
 
@@ -32,14 +32,19 @@ SELECTED = rl.Experiment(
 
 
 def make_quick() -> None:
-    """Shards of one block, and no pictures."""
+    """Shards of one block, and no pictures and report."""
     shards.SHARD_STEPS = 64 * 200
     plot.save_all = picture
+    report.write_methods = page
 
 
 def picture(_datasets, _env, folder, _formats):
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "overview.png").write_bytes(b"a picture")
+
+
+def page(folder, *_):
+    (folder / "report.html").write_text("a report")
 
 
 def conduct(folder: Path) -> None:

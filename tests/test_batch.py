@@ -88,6 +88,7 @@ def python(code, **env):
     return done.stdout.split("\n")[:-1]
 
 
+@pytest.mark.slow
 def test_flags_and_devices_are_set_before_jax_starts_and_never_over_the_users():
     show = "import os, jax, jaxrl_tab as rl; print(os.environ.get('XLA_FLAGS')); "
     devices = "print(rl.use_all_cores(), len(jax.devices()) == len(os.sched_getaffinity(0)))"

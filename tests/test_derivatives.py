@@ -10,7 +10,6 @@ import jaxrl_tab as rl
 from jaxrl_tab.core import tables
 from jaxrl_tab.engine import backend
 
-pytestmark = pytest.mark.usefixtures("unoptimised")
 WALK, DOORS = rl.make("random-walk", states=5), rl.make("two-doors")
 KEY = jax.random.key(3)
 STEP = 3e-3

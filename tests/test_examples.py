@@ -86,6 +86,7 @@ def test_a_method_of_your_own(capsys):
     np.testing.assert_allclose(same.episodes, sarsa.episodes)
 
 
+@pytest.mark.slow
 def test_an_experiment(capsys, one_device, tmp_path, monkeypatch):
     folder = tmp_path / "cliff"
     monkeypatch.setattr("sys.argv", ["experiment.py", str(folder)])
@@ -102,6 +103,7 @@ def test_an_experiment(capsys, one_device, tmp_path, monkeypatch):
     assert "fresh seeds" in (folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_results_of_long_ago(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["read_results.py"])
     names, _ = run_example("read_results", capsys)
@@ -162,6 +164,7 @@ def test_the_example_of_a_log(capsys):
     assert np.ravel(printed).tolist() == [round(float(x), 4) for x in (*learned.values(), *values.values())]
 
 
+@pytest.mark.slow
 def test_the_example_of_a_replay(capsys):
     error = run_example("replay_old_policies", capsys)[0]["error"]
     assert error[0] > 3 > 100 * error[-1]

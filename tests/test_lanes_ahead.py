@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from jax import lax
 from lanes_tools import assert_as_xla, assert_same_bits, by_lanes, by_xla
+from marks import slow_but_first
 
 from jaxrl_tab.core import policies, rng
 from jaxrl_tab.lanes import ahead
@@ -115,7 +116,7 @@ def walk(q, epsilon, key, t, length=200, conditions=4):
 
 
 @pytest.mark.parametrize("conditions", [4, 5])
-@pytest.mark.parametrize("length", [8, 63, 200])
+@pytest.mark.parametrize("length", slow_but_first([8, 63, 200]))
 def test_actions_in_all_cases(length, conditions, tables):
     """By which actions are best, by the word of the turn, and by which of two words is taken.
 

@@ -148,7 +148,7 @@ def arrays(result):
 
 
 # By which a mistake shows soonest; all others take long to compile.
-FIRST = {"sarsa", "monte-carlo", "double-q-learning", "td", "schedules", "a policy in a table", "record"}
+FIRST = {"sarsa", "monte-carlo", "td", "schedules", "record"}
 
 
 @pytest.mark.parametrize("name", slow_but(FIRST, CASES))

@@ -43,7 +43,7 @@ SHAPES = {  # tables and log; traces in many states; episodes and their memory; 
     [
         ("sarsa", 1),
         ("monte-carlo", 1),
-        ("sarsa-lambda", room.BLOCKS),
+        pytest.param("sarsa-lambda", room.BLOCKS, marks=pytest.mark.slow),
         pytest.param("exact", 1, marks=pytest.mark.slow),
     ],
 )

@@ -152,6 +152,7 @@ def test_any_policy_is_evaluated_from_the_log_of_another(log, visited):
     np.testing.assert_allclose(learned.q[visited], exact_q(CLIFF, pi)[visited], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_importance_sampling_from_logs_has_the_mean_of_the_target_policy():
     """256 logs of 20 games each, within 4 standard errors. The policy that acted has another value."""
     p = np.zeros((4, 2, 4))
@@ -320,6 +321,7 @@ def test_many_targets_are_learned_from_one_log(log, visited):
             np.testing.assert_allclose(state.q[i][visited], exact_q(CLIFF, pi)[visited], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_many_targets_with_noise_have_the_right_mean():
     """A stochastic task, step sizes that fall: the mean of 64 runs within 4 standard errors and 1%."""
     env = rl.RandomWalk(states=5)

@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 import pytest
 from made_up import make_result
+from marks import slow_but_first
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
@@ -138,7 +139,7 @@ def sweeps(control, windy, windy_q):
 SWEEPS = ("one setting", "six methods", "schedules", "many settings", "long names", "prediction", "cards")
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("width", slow_but_first(WIDTHS))
 @pytest.mark.parametrize("name", SWEEPS)
 def test_nothing_hides_anything_in_pictures_of_a_sweep(name, width, sweeps, monkeypatch):
     """Broken once: the legend of Matplotlib's choice; `_thin_out` away; names not tilted -> fails."""

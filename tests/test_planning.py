@@ -304,6 +304,7 @@ def test_measurer_agrees_with_the_exact_side_on_any_q():
     np.testing.assert_array_equal(np.isnan(error[1]), gammas == 1)  # no finite Q* to compare with
 
 
+@pytest.mark.slow
 def test_measurer_in_float32_on_batched_winds():
     winds = np.array([[0, 0, 0, 1, 1, 1, 2, 2, 1, 0], [0] * 10, [0, 0, 0, 0, 0, 1, 1, 1, 0, 0]])
     envs = [WindyGridworld(wind=w) for w in winds]

@@ -1,5 +1,6 @@
 """Experiments survive: each fault is made to happen; the results are those of an undisturbed run, bitwise."""
 
+import functools
 import json
 import os
 import shutil
@@ -19,7 +20,7 @@ import xarray as xr
 from marks import slow_but, slow_but_first
 
 import jaxrl_tab as rl
-from jaxrl_tab import cli, plot, stats
+from jaxrl_tab import cli, plot, report, stats
 from jaxrl_tab.cli import interrupt
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import by_xla
@@ -31,9 +32,10 @@ LONG = "sweep windy-gridworld sarsa --alpha 0.25 --steps 2000 --log-every 2000 -
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    """Shards of 64 runs, and a picture that takes no time."""
+    """Shards of 64 runs; a picture and a report that take no time."""
     monkeypatch.setattr(shards, "SHARD_STEPS", 64 * 200)
     monkeypatch.setattr(plot, "save_all", quick.picture)
+    monkeypatch.setattr(report, "write_methods", quick.page)
     shards._shards.cache_clear()
 
 
@@ -44,6 +46,7 @@ def undisturbed(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(shards, "SHARD_STEPS", 64 * 200)
         patched.setattr(plot, "save_all", quick.picture)
+        patched.setattr(report, "write_methods", quick.page)
         outcome = runner.run(quick.SELECTED, folder, progress=reports.append, command="a command")
     return folder, outcome, reports
 
@@ -72,8 +75,11 @@ def saved(folder):
     return found
 
 
-def assert_same(folder, other):
-    one, two = saved(folder), saved(other)
+expected = functools.cache(saved)
+
+
+def assert_same(folder, undisturbed):
+    one, two = saved(folder), expected(undisturbed)
     assert one.keys() == two.keys()
     for key in one:
         np.testing.assert_array_equal(one[key], two[key], err_msg=str(key))

@@ -120,10 +120,13 @@ class Prediction(Shown):
 
     def exact_value(self, env: Environment) -> float:
         """v_pi from the start distribution, float64; -inf where pi may go round for ever at a cost."""
+        method = restricted(self, available_actions(env))
+        return planning.policy_value(env, method.probabilities(env), self.gamma)
+
+    def probabilities(self, env: Environment) -> Float[np.ndarray, "S A"]:
+        """pi, float64 [S, A]; of a method that is `restricted_to` what the environment has."""
         with jax.enable_x64():
-            method = restricted(self, available_actions(env))
-            pi = np.asarray(_probabilities(method.pi, env.num_states, env.num_actions))
-        return planning.policy_value(env, pi, self.gamma)
+            return np.asarray(_probabilities(self.pi, env.num_states, env.num_actions))
 
     def measurer(self, env: Environment):
         """What `train(exact=True)` records: the root of the mean squared error of V, from the state."""

@@ -10,13 +10,12 @@ from rich.markup import escape
 from jaxrl_tab.cli.common import ENVIRONMENT, find, named_in, new_folder, start_jax, with_own
 from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import console, print_json
-from jaxrl_tab.cli.tables import best_actions, tables
+from jaxrl_tab.cli.tables import tables
 from jaxrl_tab.cli.typed import parse, values_of, word, words
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.pytree import checked_dataclass, field
-from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.words import six_digits
 
@@ -96,19 +95,5 @@ def _draw_solutions(env: Any, solutions: Mapping[str, tuple[np.ndarray, ...]], f
         f"{title}; value from the start {six_digits(planning.start_value(env, v))}"
         for title, (_, v, _) in solutions.items()
     ]
-    if of_environment(env).panels() and not isinstance(env, Grid):
-        figure, grid = plot.panels_canvas(env, len(solutions))
-        for row, title, (_, v, q) in zip(grid, titles, solutions.values(), strict=True):
-            best = np.array([np.isin(np.arange(env.num_actions), best_actions(x)) for x in q])
-            plot.panels(row, env, v, best, title)
-        plot.save(figure, folder / "values.png")
-        return
-    figure = plot.canvas(plot.WIDTH if isinstance(env, Grid) else plot.NARROW)
-    axes = np.ravel(figure.subplots(len(solutions)))
-    for ax, title, (_, v, q) in zip(axes, titles, solutions.values(), strict=True):
-        if isinstance(env, Grid):
-            plot.values(ax, env, v, q)
-        else:
-            plot.action_values(ax, env, np.where(q == policies.UNAVAILABLE, np.nan, q))
-        ax.set_title(plot.literal(title), fontsize=plot.TITLE)
-    plot.save(figure, folder / "values.png")
+    numbers = [(v, q) for _, v, q in solutions.values()]
+    plot.save(plot.solutions(env, dict(zip(titles, numbers, strict=True))), folder / "values.png")

@@ -9,5 +9,6 @@ Its modules, from the ground up:
     measure     what a table is worth, worked out inside a compiled program while it is learned
     planning    the public side of these: values and policies of an environment that states its dynamics
     losses      what the policies of many runs lose against the best one
+    affine      vectors that change while a Markov chain goes its way: their exact mean and covariance
     importance  importance sampling, judged: exact variances, and what a log is worth
 """

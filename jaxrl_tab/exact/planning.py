@@ -57,7 +57,7 @@ from jaxrl_tab.exact.values import (
     policy_values,
     sparse_solver,
 )
-from jaxrl_tab.exact.visits import occupancy, regret, stationary_distribution
+from jaxrl_tab.exact.visits import entered, occupancy, regret, stationary_distribution
 
 __all__ = [
     "Measure",
@@ -67,6 +67,7 @@ __all__ = [
     "check_finite",
     "checked_values",
     "doubled",
+    "entered",
     "enumerate_model",
     "epsilon_greedy_policy",
     "epsilon_soft",

@@ -12,6 +12,7 @@ Its modules, from the ground up:
     moves     where greedy actions lead: paths, and how long they are
     curves    pictures of learning curves and of sensitivity to hyperparameters
     grids     pictures of grids: values, greedy paths, and what changes from grid to grid
+    maps      a score over two hyperparameters
     panels    pictures of tasks that are no grids: panels of values and actions
     learning  learning over time as an animation: GIF, or a page with a slider
     plot      the public side of these, and all pictures of a sweep; `rl.plot`

@@ -15,6 +15,7 @@ from jaxrl_tab import stats
 from jaxrl_tab.core.errors import InputError, check_choice, nearest
 from jaxrl_tab.show import words
 from jaxrl_tab.show.explorer.measures import STATISTICS, Flat, measures_of, statistics
+from jaxrl_tab.show.explorer.scores import interval_of, score_named
 from jaxrl_tab.show.style import (
     DASHES,
     GREY,
@@ -168,6 +169,7 @@ def sensitivity(
     parameter: str = "alpha",
     *,
     soft: float = np.nan,
+    measure: str = "score",
     labels: Labels | None = None,
     color_by: str | None = None,
 ) -> None:
@@ -182,16 +184,21 @@ def sensitivity(
 
     Args:
         soft: as in `learning_curves`.
+        measure: what is drawn instead, by its name in the address of the report: "interim" (the mean return of the
+            whole run), "area", "until -20" (steps until a mean return of -20), "episodes", or what was recorded, as
+            it is at the end: "greedy_value end", "q_error end". Other hyperparameters stay at the best setting by
+            the usual score.
         labels, color_by: as in `episodes_against_steps`.
 
     Raises:
-        InputError: no method swept the parameter, or `color_by`; or there is no such method as a label names.
+        InputError: no method swept the parameter, or `color_by`; or there is no such method as a label names, or
+            no such measure.
     """
     if not any(parameter in stats.hyperparameters(ds) + stats.drawn(ds) for ds in datasets.values()):
         raise InputError(f"no method swept {parameter!r}")
     datasets, styles = _lines(datasets, labels, color_by)
     prediction = has_errors(*datasets.values())
-    series, drawn = {}, set()
+    series, drawn, score = {}, set(), None
     for name, own in Methods.of(datasets).settings.items():
         ds, chosen = own.ds, dict(own.best)
         if parameter in stats.drawn(ds):
@@ -199,7 +206,9 @@ def sensitivity(
             del chosen["draw"]
         chosen.pop(parameter, None)
         label = label_of(name, stats.named(ds, chosen))
-        parts = [part.sel(chosen) for part in (*own.interval, own.unfinished > 0)]
+        score = score_named(ds, measure)
+        interval, usual = interval_of(Flat(ds), score, own), score.key == "score"
+        parts = [part.sel(chosen) for part in (*interval, (own.unfinished > 0) & usual)]
         ds = ds.sel(chosen)
         if name not in drawn and parameter not in ds.dims:
             if parameter not in stats.fixed(ds):
@@ -236,7 +245,15 @@ def sensitivity(
         hollow = {"marker": "o", "mfc": "white", "mec": INK, "mew": 1.5}
         ax.plot([], [], ls="none", **hollow, label="hollow: some runs unfinished")
     what = "step size α" if parameter == "alpha" else words.symbol(parameter)
-    if prediction:
+    if score is not None and score.key != "score":
+        tidy(ax, what, score.title if score.middle == "mean" else f"{score.title}, median")
+        if score.kind == "return":
+            of_episodes = score.key in ("interim", "greedy_value end")
+            _return_axis(ax, shown, common_optimum(datasets) if of_episodes else np.nan, np.nan)
+        else:
+            seen = np.concatenate(shown)
+            ax.set_ylim(0, 1.08 * seen[np.isfinite(seen)].max(initial=0) or 1)
+    elif prediction:
         tidy(ax, what, "RMS error of V, mean over the run")
         _error_axis(ax, shown[::3])  # the means alone, without the ends of the intervals
     else:

@@ -26,6 +26,7 @@ from jaxrl_tab.show.style import (
     InCell,
     canvas,
     color_bar,
+    ink_on,
     legend,
     line_styles,
     literal,
@@ -48,6 +49,7 @@ def panels(
     *,
     what: str = "value",
     colors: str = "viridis",
+    scale: bool = True,
 ) -> None:
     """Heat maps of the values `v`, float [S], in the tables in which people see the states.
 
@@ -62,6 +64,7 @@ def panels(
         limits: the values at the ends of the colours, so that pictures compare; by default those of `v`.
         what: what they are called beside the scale of colours.
         colors: the name of the scale in Matplotlib.
+        scale: whether it is drawn, below them.
     """
     model = planning.exact_model(env)
     shown = np.isfinite(v) & planning.reachable(model) & ~planning.terminal_states(model)
@@ -79,8 +82,7 @@ def panels(
         longest = max((len(line) for text in texts for line in text.split("\n")), default=0)
         style = {"longest": longest, "size": CELL, "linespacing": 1}
         for (row, column, s), text in zip(cells, texts, strict=True):
-            is_bright = sum(image.cmap(image.norm(v[s]))[:3]) > 1.5  # the colour of the cell
-            color = INK if is_bright else "white"
+            color = ink_on(image.cmap(image.norm(v[s])))
             ax.add_artist(InCell(column, row, literal(text), (0.94, 0.94), color=color, **style))
         ax.set_xticks(range(len(table.columns)), map(literal, table.columns))
         ax.set_yticks(range(len(table.rows)), map(literal, table.rows))
@@ -90,7 +92,8 @@ def panels(
         ax.spines[:].set_visible(False)
         over = title if ax is axes[0] else ""  # it may be as long as all the tables are wide
         ax.set_title(literal("\n".join(filter(None, [over, table.title]))), fontsize=TYPE, loc="left")
-    color_bar(image, axes, what, below=True, length=0.5)
+    if scale:
+        color_bar(image, axes, what, below=True, length=0.5)
 
 
 def _cell(x: float) -> str:

@@ -9,7 +9,7 @@ figure is wider than `WIDTH`, a column of text, so that its type can be read whe
 Datasets are those of `SweepResult.to_xarray`, one for each method, by the name that the legend shows.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -20,6 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from jaxrl_tab import stats
+from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.exact import planning
@@ -40,6 +41,7 @@ from jaxrl_tab.show.grids import (
     values,
     walk,
 )
+from jaxrl_tab.show.maps import score_map, swept_pair
 from jaxrl_tab.show.moves import greedy_actions, tables_of_seeds
 from jaxrl_tab.show.panels import (
     action_values,
@@ -61,6 +63,7 @@ from jaxrl_tab.show.style import (
     TITLE,
     TYPE,
     WIDTH,
+    axes_title,
     canvas,
     color_bar,
     exact_line,
@@ -71,7 +74,7 @@ from jaxrl_tab.show.style import (
     tidy,
 )
 from jaxrl_tab.show.tasks import tables_of, uniform_values
-from jaxrl_tab.show.words import in_words, seeds_in_words, shortened, title_of, unusual, written
+from jaxrl_tab.show.words import in_words, label_of, seeds_in_words, shortened, title_of, unusual, written
 from jaxrl_tab.stats.along import Datasets
 from jaxrl_tab.stats.columns import Methods
 
@@ -111,7 +114,9 @@ __all__ = [
     "pictures",
     "save",
     "save_all",
+    "score_map",
     "sensitivity",
+    "solutions",
     "state_values",
     "tidy",
     "unusual",
@@ -161,7 +166,8 @@ def save_all(
 
     `episodes.png`, `learning_curves.png`, `sensitivity.png` and `sensitivity_NAME.png` (where hyperparameters
     were swept), `greedy_path.png` (on grids: every method, and the exact optimum), `values.png` (where people
-    see the states in tables: the learned values and best actions, and the exact ones), and `overview.png`.
+    see the states in tables: the learned values and best actions, and the exact ones), `score_map.png` (of methods
+    that swept two hyperparameters: heat maps over the first two, the step size along the axis), and `overview.png`.
     Of methods of prediction no `episodes.png` and no path, but always `values.png`.
 
     Args:
@@ -217,7 +223,24 @@ def pictures(
         figures["greedy_path"] = _all_paths(methods, env, width)
     elif tables_of(env):
         figures["values"] = value_tables(methods, env, width=width)
+    if maps := {name: pair for name, ds in methods.items() if (pair := swept_pair(ds))}:
+        figures["score_map"] = figure = _all_maps(methods, maps, width)
+        _say_what_ran(figure, methods, env)
     return figures
+
+
+def _all_maps(methods: Methods, maps: Mapping[str, tuple[str, str]], width: float) -> Figure:
+    """The map of each method that swept two hyperparameters, over this pair of them."""
+    figure, grid = _squares(len(maps), width if len(maps) > 1 else min(width, NARROW))
+    scores = np.concatenate([methods.settings[name].interval.estimate.values.ravel() for name in maps])
+    scores = scores[np.isfinite(scores)]
+    limits = (float(scores.min()), float(scores.max())) if scores.size else None
+    for ax, (name, pair) in zip(grid, maps.items(), strict=True):
+        own = methods.settings[name]
+        held = {key: value for key, value in own.best.items() if key not in pair and own.ds.sizes[key] > 1}
+        title = f"{label_of(name, stats.named(own.ds, held))}: mean of {seeds_in_words({name: own.ds})}"
+        score_map(ax, own, *pair, title=title, limits=limits)
+    return figure
 
 
 def _curves(methods: Methods, env: Environment) -> dict[str, Callable[[Axes], None]]:
@@ -244,7 +267,8 @@ def value_tables(
     """The panels of the environment: a row for what each method learned, and one for what is exact.
 
     What a method learned is the mean over seeds of its largest action value, and the action that is greedy
-    most often; of prediction the mean of V. Arguments and errors are as in `overview`.
+    most often; of prediction the mean of V. All rows have one scale of colours: from the smallest to the largest
+    of the exact values, or else of all that were learned. Arguments and errors are as in `overview`.
     """
     learned = {}
     for label, own in at_setting(datasets, {}, labels):
@@ -256,17 +280,62 @@ def value_tables(
             value,
             None if stats.is_prediction(ds) else best,
         )
-    limits = None
+    tables = [v for v, _ in learned.values()]
     if (exact := _exact_table(datasets, env)) is not None:
         learned["Exact"] = exact
-        model = planning.exact_model(env)
-        visited = exact[0][planning.reachable(model) & ~planning.terminal_states(model)]
-        limits = visited.min(), visited.max()
+        tables = [exact[0]]
     figure, grid = panels_canvas(env, len(learned), width)
-    for row, (title, (v, best)) in zip(grid, learned.items(), strict=True):
-        panels(row, env, v, best, title, limits)
+    _panels_in_rows(grid, env, learned, tables)
     _say_what_ran(figure, datasets, env)
     return figure
+
+
+def solutions(
+    env: Environment, solved: Mapping[str, tuple[np.ndarray, np.ndarray]], *, width: float = WIDTH
+) -> Figure:
+    """Exact values and best actions, one solution below the other, in one scale of colours.
+
+    On grids with arrows, or in the tables in which people see the states; else a mark for each action.
+
+    Args:
+        env: the environment.
+        solved: (v [S], q [S, A]) by what stands over them, such as `planning.value_iteration` gives; at least one.
+        width: of the figure, inches; of a picture that needs less, at most.
+    """
+    if tables_of(env) and not isinstance(env, Grid):
+        figure, grid = panels_canvas(env, len(solved), width)
+        named = {title: (v, greedy_actions(q)) for title, (v, q) in solved.items()}
+        _panels_in_rows(grid, env, named, [v for v, _ in solved.values()])
+        return figure
+    figure = canvas(width if isinstance(env, Grid) else min(width, NARROW))
+    limits = _limits(env, [v for v, _ in solved.values()])
+    for ax, (title, (v, q)) in zip(np.ravel(figure.subplots(len(solved))), solved.items(), strict=True):
+        if isinstance(env, Grid):
+            values(ax, env, v, q, limits)
+        else:
+            action_values(ax, env, np.where(q == UNAVAILABLE, np.nan, q))
+        axes_title(ax, title)
+    return figure
+
+
+def _panels_in_rows(
+    grid: np.ndarray,
+    env: Environment,
+    rows: Mapping[str, tuple[np.ndarray, np.ndarray | None]],
+    tables: Sequence[np.ndarray],
+) -> None:
+    """(v, best) by what stands over them, one below the other; one scale of colours, that of some `tables`, for all."""
+    limits, last = _limits(env, tables), len(rows) - 1
+    for i, (row, (title, (v, best))) in enumerate(zip(grid, rows.items(), strict=True)):
+        panels(row, env, v, best, title, limits, scale=i == last)
+
+
+def _limits(env: Environment, tables: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The smallest and the largest finite value [S] of the states that can be reached and are not terminal."""
+    model = planning.exact_model(env)
+    shown = np.concatenate([v[planning.reachable(model) & ~planning.terminal_states(model)] for v in tables])
+    shown = shown[np.isfinite(shown)]
+    return float(shown.min(initial=np.inf)), float(shown.max(initial=-np.inf))
 
 
 def _exact_table(datasets: Datasets, env: Environment) -> tuple[np.ndarray, np.ndarray | None] | None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
@@ -131,7 +132,7 @@ def color_bar(
     what: str = "value",
     below: bool = False,
     length: float = 0.8,
-) -> None:
+) -> Colorbar:
     """A scale that says what the colours of `image` stand for, beside `axes` or below them."""
     figure, location = image.figure, "bottom" if below else "right"
     if isinstance(layout := figure.get_layout_engine(), Layout):
@@ -141,6 +142,15 @@ def color_bar(
         bar = figure.colorbar(image, ax=list(axes), location=location, shrink=length)
     bar.set_label(what, fontsize=TYPE)
     bar.ax.tick_params(labelsize=SMALL)
+    return bar
+
+
+def ink_on(color: Any) -> str:
+    """The colour of text on a colour (r, g, b, ...), from 0 to 1: that of the two which has more contrast."""
+    rgb = np.asarray(color[:3], float)
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    light = linear @ (0.2126, 0.7152, 0.0722)  # the relative luminance of WCAG 2.1
+    return INK if light > 0.2 else "white"
 
 
 def line_styles() -> Iterable[dict[str, Any]]:

@@ -1,5 +1,6 @@
 """One number for each setting: how a run did as a whole, with an interval over seeds."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -9,9 +10,10 @@ import numpy as np
 import xarray as xr
 
 from jaxrl_tab import stats
-from jaxrl_tab.show.explorer.measures import POINTS, Flat, Kind, Measure
+from jaxrl_tab.core.errors import check_choice
+from jaxrl_tab.show.explorer.measures import POINTS, Flat, Kind, Measure, measures_of
 from jaxrl_tab.show.words import significant
-from jaxrl_tab.stats.columns import Method
+from jaxrl_tab.stats.settings import Settings
 
 Middle = Literal["mean", "median"]
 SHARES = (0.02, 0.1, 0.3)  # of the way from the worst to the best, so much is left at a threshold
@@ -91,18 +93,44 @@ def levels_of(middles: np.ndarray, cost: bool) -> list[float]:
     return list(dict.fromkeys(float(round(x, digits)) + 0.0 for x in left))
 
 
-def intervals(flat: Flat, scores: Sequence[Score], own: Method) -> np.ndarray:
+def score_named(ds: xr.Dataset, key: str) -> Score:
+    """The score of this name in the address of the report, or "until -20", with any threshold.
+
+    Raises:
+        InputError: the dataset has no such score.
+    """
+    levels = []
+    if key.startswith("until "):
+        with contextlib.suppress(ValueError):
+            levels = [float(key.removeprefix("until "))]
+    scores = {score.key: score for score in scores_of(ds, measures_of(ds), levels)}
+    key = f"until {levels[0]:g}" if levels else key
+    check_choice(None, "the measure", key, scores)
+    return scores[key]
+
+
+def interval_of(flat: Flat, score: Score, own: Settings) -> stats.Interval:
+    """A score with its 95% interval over seeds, [*hyperparameters]. Runs that diverged are in no mean but of the first.
+
+    Args:
+        flat: a sweep.
+        score: of what.
+        own: its settings.
+    """
+    if score.key == "score":
+        return own.interval
+    x = score.of(flat)
+    if score.middle == "median":
+        return stats.median_interval(x)
+    return stats.mean_interval(x.where(~flat.ds.diverged) if "diverged" in flat.ds else x)
+
+
+def intervals(flat: Flat, scores: Sequence[Score], own: Settings) -> np.ndarray:
     """The estimate, the bounds of its 95% interval, and the number of seeds: float64 [settings, scores, 4]."""
     axes = stats.hyperparameters(flat.ds)
     shown = np.full((flat.count, len(scores), 4), np.nan)
     for i, score in enumerate(scores):
-        if score.key == "score":
-            interval = own.interval
-        else:
-            x = score.of(flat)
-            x = x if "diverged" not in flat.ds or score.middle == "median" else x.where(~flat.ds.diverged)
-            interval = (stats.median_interval if score.middle == "median" else stats.mean_interval)(x)
-        for k, part in enumerate(interval):
+        for k, part in enumerate(interval_of(flat, score, own)):
             shown[:, i, k] = np.asarray(part.transpose(*axes)).reshape(-1)
     return shown
 

@@ -27,6 +27,7 @@ function sceneCard(c) {
     beside.show(shown.length > 1 ? state.beside : -1);
     body.replaceChildren();
     body.classList.toggle("two", shown.length > 1);
+    body.classList.toggle("broad", !inPanels && c.scene.actions.length > 3);
     stages = shown.map((m, i) =>
       (inPanels ? panelStage : listStage)(c, el("div", { class: "stage" }, body), m, tables[i]),
     );
