@@ -2,14 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 import xarray as xr
 
 from jaxrl_tab.stats.along import Interval
-
-if TYPE_CHECKING:
-    from jaxrl_tab.stats.columns import Method, Row
 
 Text = str | tuple[str, str]  # the same for control and for prediction, or one for each
 
@@ -25,7 +22,7 @@ class Column:
 
     Attributes:
         name: its name in a `Row`.
-        value: works it out, [*hyperparameters] or less; an `Interval` where it has one; None where the method
+        value: works it out of a `columns.Method`, [*hyperparameters] or less; an `Interval` where it has one; None where the method
             has no such number.
         in_summary: its name in `summary.csv`, by default `name`; "" if it is not there. An interval has two
             columns more, which end in `_low` and `_high`.
@@ -39,7 +36,7 @@ class Column:
     """
 
     name: str
-    value: "Callable[[Method], Interval | xr.DataArray | float | None]"
+    value: Callable[[Any], Interval | xr.DataArray | float | None]
     _: KW_ONLY
     in_summary: Text | None = None
     screen: Text = ""
@@ -49,8 +46,8 @@ class Column:
     scale: float = 1
     help: str = ""
 
-    def tells(self, rows: "Sequence[Row]") -> bool:
-        """Whether it has anything to tell of these rows: a number, a count that is not 0, or a share that is not 1."""
+    def tells(self, rows: Sequence[Any]) -> bool:
+        """Whether it has anything to tell of these `columns.Row`s: a number, a count that is not 0, a share below 1."""
         numbers = [row[self.name] for row in rows if row.has(self.name)]
         if self.written == "share":
             return any(share < 1 for share in numbers)
