@@ -22,8 +22,8 @@ class Column:
 
     Attributes:
         name: its name in a `Row`.
-        value: works it out of a `columns.Method`, [*hyperparameters] or less; an `Interval` where it has one; None where the method
-            has no such number.
+        value: works it out of a `columns.Method`, [*hyperparameters] or less; an `Interval` where it has one;
+            None where the method has no such number.
         in_summary: its name in `summary.csv`, by default `name`; "" if it is not there. An interval has two
             columns more, which end in `_low` and `_high`.
         screen, report: its heading on the screen, and in the tables of the report; "" if it is not there.
