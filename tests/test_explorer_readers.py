@@ -280,7 +280,9 @@ def test_the_moment_is_said_once_it_stands_still(usual, pages):
     said = usual.wait("$$('.unseen[role=status]').map(x => x.textContent).find(x => x.startsWith('After'))")
     numbers = usual("$$('.legend td[data-curve]').map(x => `${x.dataset.curve} ${x.textContent}`)")
     cell = usual("$('.cell.on').ariaLabel")
-    assert said == f"After 780 steps. mean return per episode: {', '.join(numbers)}. {cell}"
+    assert said == f"After 780 steps. Mean return per episode: {', '.join(numbers)}. {cell.capitalize()}"
+    learned = usual("$$('.about td[data-of=learned]').map(x => x.textContent)")
+    assert re.match(r"row 3, column 0: (\S+), ", cell)[1] in learned
     assert usual("said") == 1
     assert usual("$('output').ariaLive") == "off"
 

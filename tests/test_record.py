@@ -79,6 +79,7 @@ class Lottery(FixedStart):
         return jnp.ones(1), Outcome(jnp.array([1]), reward[None], jnp.array([True]))
 
 
+@pytest.mark.slow
 def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
     """The reward of a step tells which problem it is; all steps of a run are of one, and exact values too.
 

@@ -23,7 +23,6 @@ from jaxrl_tab.lanes.outside import prepared
 
 T = TypeVar("T")
 WAITING = 2**13  # bytes of a run: states of the learner at the ends of rows, until they are measured
-EXACT = {Learns.ACTIONS: ("greedy_value", "q_error"), Learns.STATES: ("v_error",)}  # the fields of the Log
 
 
 # Compiled by itself where nobody else does, so that a second call is quick; inlined where somebody does.
@@ -57,7 +56,7 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
     others = [x for x in jax.tree.leaves(learner) if x is not q]
     measured, waiting = {}, None
     if budget.exact:
-        measured |= dict.fromkeys(EXACT[of_method(algorithm).learns], jnp.zeros((), q.dtype))
+        measured |= dict.fromkeys(exact_fields(algorithm), jnp.zeros((), q.dtype))
     if budget.record is not None:
         measured["recorded"] = recorded(budget.record, algorithm, learner)
     is_free = (
@@ -113,7 +112,7 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
             with planning.doubled():
                 exact_algorithm, exact_env = _restored(full, (algorithm, env))
                 exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
-            measures.append(_exact_measurer(exact_algorithm, exact_env))
+            measures.append(_exact_measurer(exact_algorithm, exact_env, algorithm))
         if record is not None:
             of_learner = partial(recorded, record, algorithm)
             measures.append(lambda learner: {"recorded": of_learner(learner)})
@@ -141,9 +140,30 @@ def rows_at_once(algorithm: Any, learner: Any, exact: bool) -> int:
     return 1 if solves else max(1, WAITING // max(1, memory.size(learner)))
 
 
-def _exact_measurer(algorithm: Any, env: Environment) -> Callable[[Any], dict[str, Any]]:
-    """The exact numbers beside a method: in prediction those of its own `measurer`."""
+def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[Any], dict[str, Any]]:
+    """The exact numbers beside a method: in prediction those of its own `measurer`.
+
+    `acting` is the method with its numbers in the precision of the program, in which it acts.
+    """
     if of_method(algorithm).learns is Learns.STATES:
         return algorithm.measurer(env)
-    measure = planning.measurer(env, algorithm.gamma)
-    return lambda learner: dict(zip(EXACT[Learns.ACTIONS], measure(learner.q), strict=True))
+    of_table, of_policy = planning.measurers(env, algorithm.gamma)
+    states = np.arange(env.num_states, dtype=np.int32)
+
+    def measure(learner: Any) -> dict[str, Any]:
+        greedy_value, q_error = of_table(learner.q)
+        measured = {"greedy_value": greedy_value, "q_error": q_error}
+        if "policy_value" in exact_fields(acting):
+            probs = jax.vmap(acting.probs, (None, 0))(learner, states)
+            measured["policy_value"] = of_policy(probs.astype(learner.q.dtype))
+        return measured
+
+    return measure
+
+
+def exact_fields(algorithm: Any) -> tuple[str, ...]:
+    """The fields of the Log that exact values of a method are recorded in."""
+    if of_method(algorithm).learns is Learns.STATES:
+        return ("v_error",)
+    acts = ("policy_value",) if hasattr(algorithm, "probs") else ()
+    return ("greedy_value", *acts, "q_error")
