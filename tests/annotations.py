@@ -36,7 +36,7 @@ class WrongArgument(BeartypeCallHintParamViolation):
     called = False
 
 
-OFTEN, ONE_OF = 500, 16  # after so many calls of a function, one of so many is checked
+OFTEN, ONE_OF = 500, 64  # after so many calls of a function, one of so many is checked
 every_call = False
 DIMENSIONS = jaxtyping.jaxtyped("context")  # in which the name of a dimension stands for one size
 

@@ -22,7 +22,10 @@ def pairs():
     return [(methods[i % len(methods)], envs[i % len(envs)]) for i in range(count)]
 
 
-@pytest.mark.parametrize(("method", "env_name"), pairs())
+@pytest.mark.parametrize(
+    ("method", "env_name"),
+    [pytest.param(*x, marks=pytest.mark.slow) if i % 2 else x for i, x in enumerate(pairs())],
+)
 def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
     """Bitwise: runs among others, and in another order. (On one device and on two: see test_batch.)
 

@@ -169,6 +169,7 @@ def table(state):
     return {"table": state.q}
 
 
+@pytest.mark.slow
 def test_nor_does_it_inside_a_run_and_gamma_is_that_which_was_given():
     """On two devices, alone, and under x64.
 

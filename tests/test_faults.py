@@ -133,6 +133,7 @@ def check_all(path, step):
     return [*calls, check_every(step, folder, prepare, lambda: runner.resume(folder), expected)]
 
 
+@pytest.mark.slow
 def test_calls_fail_once(tmp_path):
     """Broken once: errors of reads not caught, an fsync left out of `said` -> each fails."""
     with tiny.small():

@@ -132,6 +132,7 @@ def test_without_llvmlite_xla_does_it_and_says_so_once(used, monkeypatch, caplog
     assert len(caplog.messages) == 1
 
 
+@pytest.mark.slow
 def test_where_there_really_is_no_llvmlite():
     """In a process that cannot find it. Broken once: llvmlite imported by the package -> fails."""
     code = """if True:

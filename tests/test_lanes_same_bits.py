@@ -223,7 +223,7 @@ def targets():
     [
         ("windy-gridworld", "n-step-sarsa", {"num_steps": 120}),
         ("trace-gridworld", "expected-sarsa", {"num_steps": 120}),
-        ("blackjack", "monte-carlo", {"num_episodes": 6}),
+        pytest.param("blackjack", "monte-carlo", {"num_episodes": 6}, marks=pytest.mark.slow),
     ],
 )
 def test_the_bits_depend_on_neither_the_vectors_nor_the_block(env, method, by):

@@ -200,7 +200,7 @@ def test_sizes_in_words():
 
 
 def test_what_does_not_fit_is_refused(grid, monkeypatch):
-    for module, name in ((by_xla, "_compiled"), (by_lanes, "_kernel")):
+    for module, name in ((by_xla, "_compiled"), (by_lanes, "kernel")):
         monkeypatch.setattr(module, name, lambda *_: pytest.fail("something was compiled"))
     with pytest.raises(
         InputError, match=r"^64 runs at a time on each device \(2\) need .* kB, more than the 100"

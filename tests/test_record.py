@@ -79,6 +79,7 @@ class Lottery(FixedStart):
         return jnp.ones(1), Outcome(jnp.array([1]), reward[None], jnp.array([True]))
 
 
+@pytest.mark.slow
 def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
     """The reward of a step tells which problem it is; all steps of a run are of one, and exact values too.
 
@@ -122,3 +123,21 @@ def test_how_many_rows_are_measured_at_once_changes_nothing(backend, length, mon
         jax.tree.leaves((one.q, one.log)), jax.tree.leaves((several.q, several.log)), strict=True
     ):
         np.testing.assert_array_equal(x, y)
+
+
+def test_what_stands_in_the_state_is_recorded_without_xla(monkeypatch):
+    """Nothing is worked out, so `lanes` copies it. Broken once: XLA is called -> fails."""
+    forget()
+    monkeypatch.setattr(traced, "prepared", lambda *_, **__: pytest.fail("it is left to XLA"))
+    record = lambda state: {"table": state.q}
+    for length in ({"num_steps": 205}, {"num_episodes": 25}):
+        by = [
+            rl.sweep(
+                rl.make("random-walk"), "sarsa", record=record, log_every=10, num_seeds=3, backend=x, **length
+            )
+            for x in ("lanes", "xla")
+        ]
+        tables = by[0].log.recorded["table"]
+        np.testing.assert_array_equal(tables, by[1].log.recorded["table"])
+        np.testing.assert_array_equal(tables[:, -1], by[0].q)
+        assert tables.std(axis=-3).any()

@@ -15,7 +15,8 @@ from jaxrl_tab.cli import screen
 from jaxrl_tab.experiment import files
 from jaxrl_tab.experiment.storage import Store
 from jaxrl_tab.stats import columns, settings
-from jaxrl_tab.stats.columns import COLUMNS, Column
+from jaxrl_tab.stats.column import Column
+from jaxrl_tab.stats.columns import COLUMNS
 
 METHODS = {"sarsa": -17.0, "q-learning": -16.0, "expected-sarsa": -18.0}
 

@@ -425,7 +425,7 @@ runner.run(quick.SELECTED, {str(tmp_path / "run")!r}, progress=wait)
 # --- no room, no memory ------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=slow_but_first(["300k", "600k"]))
+@pytest.fixture(params=["300k", "600k"])
 def small_disk(request, tmp_path):
     """A disk with room for some shards, or for all and no results; None for those who may not mount one."""
     place = tmp_path / "disk"
@@ -438,6 +438,7 @@ def small_disk(request, tmp_path):
     subprocess.run(["umount", str(place)], check=True)
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_line_and_no_shard_is_lost(small_disk, tmp_path, undisturbed):
     """A real one; or else a process that may write no large files. With room again it goes on."""
     place = small_disk or tmp_path

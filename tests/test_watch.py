@@ -76,7 +76,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", slow_but(["the first episode", "a time limit"], CASES))
 def test_the_steps_are_those_of_the_run(case):
     """As `collect` logs them, and the state of the learner is that of `train`, to the last bit.
 

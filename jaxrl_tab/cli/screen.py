@@ -20,7 +20,8 @@ from jaxrl_tab.show.words import cell, decimals_for, edge_warning, six_digits, s
 if TYPE_CHECKING:
     import pandas as pd
 
-    from jaxrl_tab.stats.columns import Column, Methods, Row
+    from jaxrl_tab.stats.column import Column
+    from jaxrl_tab.stats.columns import Methods, Row
 PATIENCE = 2.0  # seconds of silence, at most
 
 
@@ -86,7 +87,8 @@ def _work_out(methods: "Methods") -> None:
 def print_summary(environment: str, methods: "Methods") -> None:
     """The summary for people: what all rows share stands above the table, what the marks mean below it."""
     from jaxrl_tab import stats
-    from jaxrl_tab.stats.columns import COLUMNS, text
+    from jaxrl_tab.stats.column import text
+    from jaxrl_tab.stats.columns import COLUMNS
 
     rows, prediction, ds = methods.rows, methods.prediction, next(iter(methods.values()))
     setting_of = lambda row: row.setting | row.place
@@ -166,8 +168,8 @@ def print_summary(environment: str, methods: "Methods") -> None:
         say(f"With {name}, no policy that goes on exploring is worth more than {six_digits(value)}.")
     if "greedy_value" in columns:
         say(
-            "The worth of the greedy policy is its exact value at the end, the median over seeds; "
-            "-inf: it goes round for ever."
+            "The worth of a policy is its exact value at the end, without luck and without a time limit, the median "
+            "over seeds; -inf: it goes round for ever."
         )
 
 
@@ -180,7 +182,9 @@ def _cells(column: "Column", x: Any, digits: Any) -> list[str]:
     """A number as it stands on the screen; of an interval the estimate, and the bounds."""
     if isinstance(x, tuple):
         return [cell(x[0], digits), _interval(x[1], x[2], digits)]
-    write = {"exact": six_digits, "count": str, "tenths": "{:.1f}".format}.get(column.written, digits)
+    write = {"exact": six_digits, "count": str, "share": "{:.0%}".format, "tenths": "{:.1f}".format}.get(
+        column.written, digits
+    )
     return [cell(x * column.scale, write)]
 
 

@@ -23,7 +23,6 @@ from jaxrl_tab.lanes.outside import prepared
 
 T = TypeVar("T")
 WAITING = 2**13  # bytes of a run: states of the learner at the ends of rows, until they are measured
-EXACT = {Learns.ACTIONS: ("greedy_value", "q_error"), Learns.STATES: ("v_error",)}  # the fields of the Log
 
 
 # Compiled by itself where nobody else does, so that a second call is quick; inlined where somebody does.
@@ -57,10 +56,13 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
     others = [x for x in jax.tree.leaves(learner) if x is not q]
     measured, waiting = {}, None
     if budget.exact:
-        measured |= dict.fromkeys(EXACT[of_method(algorithm).learns], jnp.zeros((), q.dtype))
+        measured |= dict.fromkeys(exact_fields(algorithm), jnp.zeros((), q.dtype))
     if budget.record is not None:
         measured["recorded"] = recorded(budget.record, algorithm, learner)
-    if measured and (rows := rows_at_once(algorithm, learner, budget.exact)) > 1:
+    is_free = (
+        not budget.exact and budget.record is not None and _stands_there(budget.record, algorithm, learner)
+    )
+    if measured and not is_free and (rows := rows_at_once(algorithm, learner, budget.exact)) > 1:
         waiting = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), learner)
     return (q, loop.empty_log(q.dtype, budget, measured)), others, waiting
 
@@ -110,15 +112,23 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
             with planning.doubled():
                 exact_algorithm, exact_env = _restored(full, (algorithm, env))
                 exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
-            measures.append(_exact_measurer(exact_algorithm, exact_env))
+            measures.append(_exact_measurer(exact_algorithm, exact_env, algorithm))
         if record is not None:
             of_learner = partial(recorded, record, algorithm)
             measures.append(lambda learner: {"recorded": of_learner(learner)})
         return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
 
     like = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
+    if full is None and record is not None and _stands_there(record, algorithm, like):
+        return Measure(lambda learner: {"recorded": recorded(record, algorithm, learner)}, most=1)
     at_once = rows_at_once(algorithm, like, exact=full is not None)
     return Measure(prepared(make, algorithm, env, full, like=like), at_once)
+
+
+def _stands_there(record: Record, algorithm: Any, learner: Any) -> bool:
+    """Whether what `record` says stands in the state of the learner, so that XLA has nothing to work out."""
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), learner)
+    return not jax.make_jaxpr(partial(recorded, record, algorithm))(like).eqns
 
 
 def rows_at_once(algorithm: Any, learner: Any, exact: bool) -> int:
@@ -130,9 +140,30 @@ def rows_at_once(algorithm: Any, learner: Any, exact: bool) -> int:
     return 1 if solves else max(1, WAITING // max(1, memory.size(learner)))
 
 
-def _exact_measurer(algorithm: Any, env: Environment) -> Callable[[Any], dict[str, Any]]:
-    """The exact numbers beside a method: in prediction those of its own `measurer`."""
+def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[Any], dict[str, Any]]:
+    """The exact numbers beside a method: in prediction those of its own `measurer`.
+
+    `acting` is the method with its numbers in the precision of the program, in which it acts.
+    """
     if of_method(algorithm).learns is Learns.STATES:
         return algorithm.measurer(env)
-    measure = planning.measurer(env, algorithm.gamma)
-    return lambda learner: dict(zip(EXACT[Learns.ACTIONS], measure(learner.q), strict=True))
+    of_table, of_policy = planning.measurers(env, algorithm.gamma)
+    states = np.arange(env.num_states, dtype=np.int32)
+
+    def measure(learner: Any) -> dict[str, Any]:
+        greedy_value, q_error = of_table(learner.q)
+        measured = {"greedy_value": greedy_value, "q_error": q_error}
+        if "policy_value" in exact_fields(acting):
+            probs = jax.vmap(acting.probs, (None, 0))(learner, states)
+            measured["policy_value"] = of_policy(probs.astype(learner.q.dtype))
+        return measured
+
+    return measure
+
+
+def exact_fields(algorithm: Any) -> tuple[str, ...]:
+    """The fields of the Log that exact values of a method are recorded in."""
+    if of_method(algorithm).learns is Learns.STATES:
+        return ("v_error",)
+    acts = ("policy_value",) if hasattr(algorithm, "probs") else ()
+    return ("greedy_value", *acts, "q_error")

@@ -16,6 +16,7 @@ from jaxrl_tab.exact.model import Model, check_finite, ending_at, enumerate_mode
 from jaxrl_tab.exact.values import doubled, from_start, greedy_to, iterate_policies, policy_values
 
 Measure = Callable[[Float[Array, "S A"]], tuple[Float[Array, ""], Float[Array, ""]]]
+Worth = Callable[[Float[Array, "S A"]], Float[Array, ""]]
 
 
 def _traced_model(env: Any) -> Model:
@@ -50,6 +51,15 @@ def measurer(env: Environment, gamma: Any) -> Measure:
     Raises:
         InputError: `env` can only be sampled.
     """
+    return measurers(env, gamma)[0]
+
+
+def measurers(env: Environment, gamma: Any) -> tuple[Measure, Worth]:
+    """`measurer(env, gamma)`, and a function from a policy pi [S, A] to its exact value from the start.
+
+    That value is -inf where gamma is 1 and the policy may be caught for ever while rewards go on. The probabilities
+    of each state are made to add up to 1; it comes back in their precision, and is worked out as in `measurer`.
+    """
     check_finite(env)
     with doubled():
         model = _traced_model(env)
@@ -72,7 +82,13 @@ def measurer(env: Environment, gamma: Any) -> Measure:
             value = from_start(model, v).astype(q.dtype)
         return jnp.where(sound, value, jnp.nan), jnp.where(sound & is_solved, error, jnp.nan)
 
-    return measure
+    def worth(probs: Float[Array, "S A"]) -> Float[Array, ""]:
+        with doubled():
+            pi = lax.stop_gradient(probs).astype(model.prob.dtype)
+            value = from_start(model, policy_values(model, pi / pi.sum(1, keepdims=True), gamma).v)
+            return jnp.where(jnp.isnan(pi).any(), jnp.nan, value).astype(probs.dtype)
+
+    return measure, worth
 
 
 @jax.custom_jvp

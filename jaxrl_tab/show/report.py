@@ -43,7 +43,8 @@ from jaxrl_tab.show.rows import (
 )
 from jaxrl_tab.show.words import counts_in_words, listed, number
 from jaxrl_tab.stats.along import Datasets
-from jaxrl_tab.stats.columns import Methods, by_environment, text
+from jaxrl_tab.stats.column import text
+from jaxrl_tab.stats.columns import Methods, by_environment
 
 __all__ = ["write"]
 

@@ -9,7 +9,8 @@ import xarray as xr
 
 from jaxrl_tab.show import words
 from jaxrl_tab.show.words import counted, counts_in_words, number
-from jaxrl_tab.stats.columns import COLUMNS, Column, Methods, Row, text
+from jaxrl_tab.stats.column import Column, text
+from jaxrl_tab.stats.columns import COLUMNS, Methods, Row
 
 AT_ONCE, AT_MOST = 12, 1000  # rows of a table that are shown unfolded, and rows that are shown at all
 
@@ -190,6 +191,8 @@ def _cell(column: Column, row: Row, view: View) -> str:
         return _of(x, view)
     if column.written == "count":
         return str(x)
+    if column.written == "share":
+        return f"{x:.0%}"
     if column.written == "tenths":
         return number(x, 1 if x < 1000 else 0)
     return number(x, view.decimals if column.written == "score" else None)

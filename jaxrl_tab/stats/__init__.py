@@ -33,7 +33,8 @@ bad: they never reach a threshold (`time_to_threshold`), and with `final_return`
 
 from jaxrl_tab.stats.along import MEMORY, Interval
 from jaxrl_tab.stats.bootstrap import RESAMPLES, bootstrap_interval, iqm, iqm_interval
-from jaxrl_tab.stats.columns import COLUMNS, Column, Methods, summary
+from jaxrl_tab.stats.column import Column
+from jaxrl_tab.stats.columns import COLUMNS, Methods, summary
 from jaxrl_tab.stats.comparisons import (
     Difference,
     holm,

@@ -4,11 +4,11 @@ A statistic is one entry in `COLUMNS`. It is worked out once for each method, wh
 shows some of them, and is not kept waiting for the others.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from jaxrl_tab.core.errors import InputError, check_choice, shown
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.stats.along import Datasets, Interval
 from jaxrl_tab.stats.bootstrap import iqm_interval
+from jaxrl_tab.stats.column import Column, text
 from jaxrl_tab.stats.comparisons import Difference
 from jaxrl_tab.stats.intervals import mean_interval, median_interval, tolerance_interval
 from jaxrl_tab.stats.measures import (
@@ -32,13 +33,6 @@ from jaxrl_tab.stats.measures import (
     unfinished,
 )
 from jaxrl_tab.stats.settings import Settings, at_edge, differences
-
-Text = str | tuple[str, str]  # the same for control and for prediction, or one for each
-
-
-def text(of: Text, prediction: bool) -> str:
-    """The text for control, or that for prediction."""
-    return of if isinstance(of, str) else of[prediction]
 
 
 class Method(Settings):
@@ -121,44 +115,16 @@ class Method(Settings):
         within = "num_steps" in self.ds.attrs
         return sound_runs(self.ds.episodes.sum("row"), self.ds).mean("seed") if within else None
 
+    @property
+    def arriving(self) -> xr.DataArray | None:
+        """The share of sound runs whose greedy policy is worth more than -inf at the end."""
+        if (worth := self.at_the_end("greedy_value")) is None:
+            return None
+        return xr.where(worth.isnull(), np.nan, np.isfinite(worth)).mean("seed")
+
     def at_the_end(self, name: str) -> xr.DataArray | None:
         """What was recorded in the last row, NaN for runs that diverged; None where it was not recorded."""
         return sound_runs(self.ds[name].isel(row=-1), self.ds) if name in self.ds else None
-
-
-@dataclass(frozen=True)
-class Column:
-    """A statistic of every setting of a method: its one entry.
-
-    Attributes:
-        name: its name in a `Row`.
-        value: works it out, [*hyperparameters] or less; an `Interval` where it has one; None where the method
-            has no such number.
-        in_summary: its name in `summary.csv`, by default `name`; "" if it is not there. An interval has two
-            columns more, which end in `_low` and `_high`.
-        screen, report: its heading on the screen, and in the tables of the report; "" if it is not there.
-        tables: which tables of the report have it: of the chosen settings, of all settings, or both.
-        written: how people read it: with as many decimals as the score has, of an interval also without its
-            middle ("range"); with six significant digits ("exact"); as a count; or with one decimal.
-        scale: the screen shows so many times the number.
-        help: what it means, for the readers of the report; a sentence that follows the heading.
-    """
-
-    name: str
-    value: "Callable[[Method], Interval | xr.DataArray | float | None]"
-    _: KW_ONLY
-    in_summary: Text | None = None
-    screen: Text = ""
-    report: Text = ""
-    tables: Literal["chosen", "all", "both"] = "both"
-    written: Literal["score", "range", "exact", "count", "tenths"] = "score"
-    scale: float = 1
-    help: str = ""
-
-    def tells(self, rows: "Sequence[Row]") -> bool:
-        """Whether it has anything to tell of these rows: a number, or a count that is not 0."""
-        numbers = [row[self.name] for row in rows if row.has(self.name)]
-        return any(numbers) if self.written == "count" else bool(numbers)
 
 
 # In the order in which people see them.
@@ -227,6 +193,23 @@ COLUMNS = [
         screen="million\nsteps/s",
         written="tenths",
         scale=1e-6,
+    ),
+    Column(
+        "policy_value",
+        lambda own: None if (x := own.at_the_end("policy_value")) is None else x.median("seed"),
+        screen="worth of the\nacting policy",
+        report="worth of the acting policy",
+        written="exact",
+        help="what the policy that acts, exploring and all, earns in the long run, exact, as it acts at the end of a "
+        "run, without the time limit; median over seeds.",
+    ),
+    Column(
+        "greedy_arrives",
+        lambda own: own.arriving,
+        screen="greedy policy\narrives",
+        report="greedy policy arrives",
+        written="share",
+        help="the share of seeds whose greedy policy at the end does not go round for ever.",
     ),
     Column(
         "greedy_value",

@@ -276,23 +276,33 @@ def median_and_bounds(values: np.ndarray, confidence: float) -> tuple[np.ndarray
     """Median and its bounds, [c] each, of values [c, n]."""
     n = values.shape[-1]
     values = np.sort(values)
-    median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
-    # The k-th from either end bound the median with probability 1 - 2 P(Binomial(n, 1/2) < k).
+    k, inner = _ranks_about_the_median(n, confidence)
+    with np.errstate(invalid="ignore"):  # between infinities
+        median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
+        if k == 0:
+            return median, np.full(len(values), np.nan), np.full(len(values), np.nan)
+        low = _between(values[:, k - 1], values[:, k], inner)
+        return median, low, _between(values[:, n - k], values[:, n - k - 1], inner)
+
+
+@functools.lru_cache(maxsize=4096)
+def _ranks_about_the_median(n: int, confidence: float) -> tuple[int, float]:
+    """Which value from either end of n bounds the median, and how far the bound lies from it towards the next.
+
+    The k-th from either end bound the median with probability 1 - 2 P(Binomial(n, 1/2) < k); 0: there are too few.
+    """
     below = special.bdtr(np.arange(n + 1), n, 0.5)
     k = int(np.searchsorted(below, (1 - confidence) / 2))
     if k == 0:
-        return median, np.full(len(values), np.nan), np.full(len(values), np.nan)
+        return 0, 0.0
     missed = 2 * below[[k - 1, k]]
     inner = (1 - confidence - missed[0]) / (missed[1] - missed[0])
-    inner = (n - k) * inner / (k + (n - 2 * k) * inner)
-    low = _between(values[:, k - 1], values[:, k], inner)
-    return median, low, _between(values[:, n - k], values[:, n - k - 1], inner)
+    return k, (n - k) * inner / (k + (n - 2 * k) * inner)
 
 
 def _between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
-    """a + share (b - a), also where both are the same infinity."""
-    with np.errstate(invalid="ignore"):
-        return np.where(a == b, a, a * (1 - share) + b * share)
+    """a + share (b - a), also where both are the same infinity, which NumPy finds invalid."""
+    return np.where(a == b, a, a * (1 - share) + b * share)
 
 
 # --- single runs -------------------------------------------------------------------------------------
@@ -320,7 +330,8 @@ def tolerance_interval(
     def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
         n = values.shape[-1]
         values = np.sort(values)
-        median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
+        with np.errstate(invalid="ignore"):
+            median = _between(values[:, (n - 1) // 2], values[:, n // 2], 0.5)
         ranks = np.arange(1, (n + 1) // 2)  # what lies between the r-th and the (n + 1 - r)-th is Beta
         ranks = ranks[special.betainc(2 * ranks, n + 1 - 2 * ranks, 1 - content) >= confidence]
         if ranks.size:

@@ -255,7 +255,7 @@ function curvesCard(c) {
   }
 
   const says = () =>
-    `${chosen().title}: ${cursor.marks.map(({ s, at, of }) => `${s.name} ${short(of(at.at)[s.m.pointAt(c.time())])}`).join(", ")}.`;
+    `${sentence(chosen().title)}: ${cursor.marks.map(({ s, at, of }) => `${s.name} ${short(of(at.at)[s.m.pointAt(c.time())])}`).join(", ")}.`;
 
   function scrub(hit, f, times) {
     const moment = (event) => {

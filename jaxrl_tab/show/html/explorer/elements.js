@@ -86,6 +86,8 @@ function asCards(table, kind) {
       });
 }
 
+const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
+
 // What a screen reader says once things stand still: `says` gives the sentence.
 function announcer(parent, says) {
   const box = el("p", { class: "unseen", role: "status" }, parent);

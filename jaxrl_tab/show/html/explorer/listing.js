@@ -22,7 +22,7 @@ function listing(c, section) {
   let open = false;
   const order = sorting(table, show);
   const [tomlHead] = c.methods.some((m) => m.data.toml)
-    ? [el("th", { scope: "col" }, table.tHead.rows[0], "as TOML")]
+    ? [el("th", { scope: "col", class: "tool" }, table.tHead.rows[0], "as TOML")]
     : [];
   for (const row of rows) {
     const [m, setting] = row.dataset.setting.split("-").map(Number);
@@ -32,7 +32,7 @@ function listing(c, section) {
     pick.addEventListener("click", () => (c.pick(m, setting), c.root.scrollIntoView({ block: "start" })));
     if (!tomlHead) continue;
     const name = `TOML of ${[c.methods[m].data.title, c.methods[m].inWords(setting)].filter(Boolean).join(", ")}`;
-    const open = el("button", { type: "button", "aria-label": name }, el("td", {}, row), "TOML");
+    const open = el("button", { type: "button", "aria-label": name }, el("td", { class: "tool" }, row), "TOML");
     open.addEventListener("click", () => dialog("This setting as an experiment", toml(c.methods[m], setting)));
   }
   asCards(table, "many");

@@ -27,6 +27,7 @@ function sceneCard(c) {
     beside.show(shown.length > 1 ? state.beside : -1);
     body.replaceChildren();
     body.classList.toggle("two", shown.length > 1);
+    body.classList.toggle("broad", !inPanels && c.scene.actions.length > 3);
     stages = shown.map((m, i) =>
       (inPanels ? panelStage : listStage)(c, el("div", { class: "stage" }, body), m, tables[i]),
     );
@@ -256,7 +257,7 @@ function panelStage(c, box, m, tables) {
       const acts = q.length > 1 && !untouched ? `, ${best.map((a) => scene.actions[a]).join(" or ")}` : "";
       cell.g.setAttribute(
         "aria-label",
-        over ? "an episode ends here" : `${nameOf(c, s)}: ${fixed(v, c.decimals)}${acts}`,
+        over ? "an episode ends here" : `${nameOf(c, s)}: ${fixed(v, tables.decimals)}${acts}`,
       );
     }
     const way =
@@ -291,7 +292,7 @@ function panelStage(c, box, m, tables) {
     cellTable(c, about, tables, view, moment);
   }
 
-  const says = () => cells.find((one) => one.s === state.cell)?.g.getAttribute("aria-label");
+  const says = () => sentence(cells.find((one) => one.s === state.cell)?.g.getAttribute("aria-label") ?? "");
   return { move, cell, says };
 }
 

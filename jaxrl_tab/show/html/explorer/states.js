@@ -158,8 +158,7 @@ function cellTable(c, box, tables, view, moment) {
     "h6",
     {},
     box,
-    name[0].toUpperCase() +
-      name.slice(1) +
+    sentence(name) +
       (scene.terminal.includes(s)
         ? ": an episode ends here"
         : scene.unreachable.includes(s)
