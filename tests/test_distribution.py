@@ -13,10 +13,7 @@ DOORS = rl.make("two-doors")
 
 
 def test_a_greedy_agent_is_locked_in_as_the_formula_says():
-    """While both averages are 0 it opens the right door, which has a prize, with 1/2, or the left one for nothing.
-
-    Broken once: each way as probable as any other -> fails.
-    """
+    """While both averages are 0 it opens the right door, which has a prize, with 1/2, or the left one for nothing."""
     greedy = rl.QLearning(alpha=rl.schedules.sample_average(), epsilon=0.0)
     for plays in (1, 3):
         found = control_distribution(DOORS, greedy, num_episodes=plays)
@@ -49,7 +46,8 @@ TINY = rl.FiniteMDP(
 def test_the_simulator_has_this_distribution(method):
     """Of each table that is likely enough, how many of 20 000 seeds have it; two episodes with a time limit of 3 steps.
 
-    Broken once: a time limit that does not end the episode -> fails; the first action taken once more -> fails.
+    Broken once: a time limit that does not end the episode -> fails; each way as probable as any other
+    -> fails.
     """
     found = control_distribution(TINY, method, num_episodes=2)
     fields = {name: getattr(method, name) for name in ("alpha", "epsilon", "n") if hasattr(method, name)}
