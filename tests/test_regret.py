@@ -189,11 +189,11 @@ def test_what_is_lost_by_waiting_for_nothing_is_lost_where_one_waits():
 
 def test_a_chain_that_hardly_ever_goes_on_keeps_its_digits():
     """Broken once: 1 - p(s | s) taken as a difference -> off by 1e-4."""
-    tiny = 2.0**-40
+    tiny = 3e-13
     p = np.zeros((2, 1, 2))
     p[0, 0], p[1, 0] = [1 - tiny, tiny], [0, 1]
     env = rl.FiniteMDP(p, np.ones((2, 1)), terminal=[1])
-    assert planning.occupancy(env, np.ones((2, 1)))[0] == pytest.approx(2.0**40, rel=1e-12)
+    assert planning.occupancy(env, np.ones((2, 1)))[0] == pytest.approx(1 / 3e-13, rel=1e-12)
 
 
 # --- in the long run ---------------------------------------------------------------------------------

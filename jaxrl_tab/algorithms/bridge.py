@@ -8,26 +8,23 @@ backup** of dynamic programming (Silver, lecture 5, "Relationship between DP and
     q_next = bridge.expected_backup(rl.QLearning(gamma=0.9), env, q)     # = planning.optimality_backup(...)
 """
 
-import contextlib
 import dataclasses
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
-import jax.extend as jex
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
+from jaxrl_tab.algorithms.every_draw import no_words, over_draws
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError, shown
-from jaxrl_tab.core.policies import choose
 from jaxrl_tab.core.types import Environment, Transition, available_actions, init_learner, restricted
 from jaxrl_tab.exact import planning
 from jaxrl_tab.exact.model import Model
@@ -140,7 +137,7 @@ def _expected_moves(method: Any, model: Model, of_states: bool) -> Float[Array, 
     """How far an update with alpha = 1 moves each entry, on average."""
     num_states, num_actions, _ = model.prob.shape
     start = method.init(num_states, num_actions)
-    key = _no_words()
+    key = no_words()
 
     def move(s, a):
         k = policies.sample(key, model.prob[s, a])
@@ -181,60 +178,7 @@ def _check_one_step(name: str, state: Any, shape: tuple[int, ...]) -> None:
             )
 
 
-# --- every draw, instead of one ----------------------------------------------------------------------
-
-
 def _mean_over_draws(draw: Callable[[], Float[Array, ""]]) -> Float[Array, ""]:
-    """The mean of `draw()`, over all that `policies.sample` and `policies.coin` may give in it."""
-    sizes: list[int] = []
-
-    def note(weights: Array) -> Array:
-        sizes.append(len(weights))
-        return jnp.int32(0)
-
-    def follow(path: Int[Array, " draws"]) -> Float[Array, ""]:
-        chosen, chance = iter(path), jnp.ones(())
-
-        def take(weights: Array) -> Array:
-            nonlocal chance
-            i = next(chosen)
-            chance *= weights[i] / weights.sum()
-            return i
-
-        with _choosing(take):
-            x = draw()
-        return jnp.where(chance > 0, chance * x, 0)  # what cannot happen may be no number
-
-    with _choosing(note):
-        jax.eval_shape(draw)
-    paths = jnp.indices(sizes, dtype=jnp.int32).reshape(len(sizes), math.prod(sizes)).T
-    return jax.vmap(follow)(paths).sum()
-
-
-@contextlib.contextmanager
-def _choosing(by: Callable[[Array], Array]) -> Iterator[None]:
-    token = choose.set(by)
-    try:
-        yield
-    finally:
-        choose.reset(token)
-
-
-def _refuse(*_: Any) -> Array:
-    raise InputError("this method draws in another way than by policies.sample and policies.coin")
-
-
-_SILENT = jex.random.define_prng_impl(
-    key_shape=(1,),
-    seed=_refuse,
-    split=lambda key, shape: jnp.zeros((*shape, 1), jnp.uint32),
-    random_bits=_refuse,
-    fold_in=lambda key, data: key,
-    name="jaxrl_tab_silent",
-    tag="silent",
-)
-
-
-def _no_words() -> Array:
-    """A key from which nothing can be drawn: with a random number in it the result would not be a mean."""
-    return jax.random.wrap_key_data(jnp.zeros(1, jnp.uint32), impl=_SILENT)
+    """The mean of `draw()`, over all that may be drawn in it."""
+    chance, x = over_draws(draw)
+    return jnp.where(chance > 0, chance * x, 0).sum()  # what cannot happen may be no number

@@ -13,6 +13,8 @@ chain goes forward, and a place in it is a state with the n - 1 before it. Monte
 off-line TD(lambda) learn from returns: the chain is gone through from its end, and the return is one number more.
 **On-line TD(lambda) has no such recursion** for lambda above 0: its traces are numbers of the whole episode so far, by
 which the table is multiplied.
+
+In control nothing is linear; for tiny tasks there is `control_distribution`.
 """
 
 import itertools
@@ -23,6 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxrl_tab.algorithms.distribution import Distribution, control_distribution
 from jaxrl_tab.algorithms.prediction import TD, MonteCarloPrediction, NStepTD, OffPolicyPrediction, TDLambda
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.errors import InputError, shown, whole
@@ -32,6 +35,8 @@ from jaxrl_tab.exact.affine import NEGLIGIBLE, Arrow, Recursion
 
 if TYPE_CHECKING:
     import xarray as xr
+
+__all__ = ["Best", "Distribution", "LearningCurve", "best_alpha", "control_distribution", "learning_curve"]
 
 CUT = 1e-12  # the probability of an episode up to the time limit that may be left out
 SWEPT = ("alpha", "lam", "n")
