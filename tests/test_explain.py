@@ -272,3 +272,11 @@ def test_a_folder_that_is_not_finished_is_refused(folder, capsys):
         assert re.search(r"1 of \d+ shards are missing in .*: resume it first", capsys.readouterr().err)
     finally:
         shard.write_bytes(content)
+
+
+def test_an_interval_of_what_is_lost_leaves_out_what_cannot_be():
+    """Broken once: the interval of the mean as it is, from -1.9 on -> fails."""
+    by_action = np.zeros((7, 2))
+    by_action[0, 0] = 1
+    told = explained_of(None, made_up(by_action, [0, 0, 0, 4])).to_dict()["greedy"]
+    assert (told["lost"], told["low"]) == (1, 0)

@@ -304,7 +304,11 @@ def _interval(x: np.ndarray) -> tuple[float, float, float]:
     if not len(x):
         return np.nan, np.nan, np.nan
     mean, low, high, _ = mean_interval(xr.DataArray(x, dims="seed"))
-    return float(mean), float(low), float(high)
+    return (
+        float(mean),
+        max(float(low), 0.0) if low == low else np.nan,
+        float(high),
+    )  # nobody earns more than the best
 
 
 def _or_none(x: float) -> float | None:
