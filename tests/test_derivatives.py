@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
+from marks import slow_but
 
 import jaxrl_tab as rl
 from jaxrl_tab.core import tables
@@ -46,7 +47,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", slow_but(["td", "expected-sarsa", "monte-carlo"], CASES))
 def test_they_are_what_small_changes_make(name):
     """Also of the exact error. With `jacfwd` derivatives have lanes, and the numbers have none.
 

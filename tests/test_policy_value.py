@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from marks import slow_but
 
 import jaxrl_tab as rl
 from jaxrl_tab import stats
@@ -45,7 +46,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", slow_but(["sarsa", "monte-carlo", "double-q-learning"], CASES))
 def test_it_is_what_a_linear_system_gives(name):
     """Broken once: the greedy policy in its place -> fails; the clock of the beginning -> fails for GLIE."""
     options, policy = CASES[name]
@@ -59,6 +60,7 @@ def test_it_is_what_a_linear_system_gives(name):
     assert len(set(np.asarray(log.policy_value))) > 1
 
 
+@pytest.mark.slow
 def test_the_best_policy_that_explores_is_worth_what_planning_says():
     """-17.048 on the windy gridworld, of which the optimum is -15."""
     probs, v, _ = rl.planning.epsilon_soft(WINDY, 0.1)
@@ -68,6 +70,7 @@ def test_the_best_policy_that_explores_is_worth_what_planning_says():
     assert log.policy_value[0] == pytest.approx(-17.0483, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_returns_of_a_policy_that_stays_scatter_about_it():
     """Blackjack, 64 seeds of 100 games, with a step size that changes nothing."""
     q0 = np.random.default_rng(0).normal(size=(CARDS.num_states, 2)).astype(np.float32)

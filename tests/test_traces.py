@@ -329,6 +329,7 @@ def test_watkins_cuts_where_the_next_action_is_not_greedy_and_only_there(trace):
     np.testing.assert_array_equal(after, [0.75, 0.75, 0.5, 0.5])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cls", [rl.SarsaLambda, rl.QLambda])
 def test_actions_that_are_tied_at_a_bump_are_equally_likely(cls):
     """A' is drawn before the update, so A, tried for the first time, is still tied with those that were not.
