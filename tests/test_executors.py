@@ -2,6 +2,7 @@
 
 import functools
 import platform
+from contextvars import ContextVar
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import shards
 
 from jaxrl_tab import executors
 from jaxrl_tab.core.errors import InputError, RunError
-from jaxrl_tab.engine import provenance
+from jaxrl_tab.engine import backend, provenance
 from jaxrl_tab.experiment.executors import base
 
 
@@ -47,6 +48,12 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, name, package, o
     monkeypatch.setattr(base.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(InputError, match=rf"{package} is not installed: pip install 'jaxrl-tab\[{name}\]'"):
         executors.get(name, **options)
+
+
+@pytest.fixture(autouse=True)
+def preferred_as_before(monkeypatch):
+    """A job prefers the backend of those who sent it for good: no other test is to have it."""
+    monkeypatch.setattr(backend, "_preferred", ContextVar("preferred backend", default=None))
 
 
 def test_a_job_does_the_work_and_returns_its_errors(tmp_path):
