@@ -268,6 +268,7 @@ def test_waiting_for_nothing_is_done_by_what_is_there():
     assert pi[0].tolist() == [1, 0, 0] and v[0] == 0
 
 
+@pytest.mark.slow
 def test_exact_values_beside_a_run():
     """Broken once: |Q - Q*| of what is not there -> fails."""
     method = rl.QLearning(alpha=schedules.sample_average(), epsilon=1.0, gamma=GAMMA)

@@ -62,6 +62,7 @@ def test_they_are_what_small_changes_make(name):
     assert abs(found[0]).max() > 0.05
 
 
+@pytest.mark.slow
 def test_of_a_grid_at_once():
     run, x = learned(rl.PREDICTION["td-lambda"], WALK, alpha=0.1, lam=0.5)
     grid = jnp.outer(jnp.array([1.0, 0.5, 2.0]), x)

@@ -98,6 +98,7 @@ def test_an_error_ends_both(start, tmp_path):
     assert (tmp_path / "0.npz").exists()
 
 
+@pytest.mark.slow
 def test_other_sources_in_the_second_process_are_refused(start, tmp_path):
     """One line is another one, and the version is the same. Broken once: sources not compared -> it goes on."""
     copy = tmp_path / "changed" / "jaxrl_tab"

@@ -50,6 +50,7 @@ def lines(tmp_path_factory):
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow
 def test_all_else_works_without_them(lines):
     """Broken once: gymnasium imported at the top of envs/blackjack.py -> fails."""
     text = "\n".join(lines)

@@ -96,6 +96,7 @@ def test_it_is_not_there_where_a_method_does_not_say_how_it_acts():
     assert log.policy_value is None and log.greedy_value.shape == (1,)
 
 
+@pytest.mark.slow
 def test_what_goes_round_for_ever_is_worth_nothing_finite_and_what_is_no_policy_nan():
     """Broken once: NaN not asked for -> a number."""
     _, worth = rl.planning.measurers(WINDY, 1.0)
@@ -105,6 +106,7 @@ def test_what_goes_round_for_ever_is_worth_nothing_finite_and_what_is_no_policy_
     assert jax.jit(worth)(3 * west + 1e-3) == jax.jit(worth)(west + 1e-3 / 3)  # weights, not probabilities
 
 
+@pytest.mark.slow
 def test_both_backends_record_it():
     def swept(name):
         return rl.sweep(DOORS, "sarsa", num_seeds=9, num_steps=30, log_every=10, exact=True, backend=name).log

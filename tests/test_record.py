@@ -97,7 +97,7 @@ def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
     assert not np.isin(other.rewards, log.rewards).any()
 
 
-@pytest.mark.parametrize("backend", ["lanes", "xla"])
+@pytest.mark.parametrize("backend", slow_but_first(["lanes", "xla"]))
 @pytest.mark.parametrize(
     "length",
     slow_but_first([{"num_steps": 120}, {"num_episodes": 7}, {"num_steps": 125}, {"num_episodes": 12}], 2),

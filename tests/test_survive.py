@@ -483,7 +483,8 @@ def little_memory(monkeypatch):
         yield most, asked
 
 
-@pytest.mark.parametrize("exact", slow_but_first([False, True]))
+@pytest.mark.slow
+@pytest.mark.parametrize("exact", [False, True])
 def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog, exact):
     """First blocks of a call, then lanes; the same to the last bit. Broken once: down to 2 lanes -> fails."""
     most, asked = little_memory
@@ -584,7 +585,7 @@ with interruptible():
 """
 
 
-@pytest.mark.parametrize("program", [STUBBORN, DEAF])
+@pytest.mark.parametrize("program", slow_but_first([STUBBORN, DEAF]))
 def test_a_second_ctrl_c_and_compiled_code_that_does_not_hear_end_at_once(program):
     """One at the second signal, the other soon after the first. Broken once: nobody watches -> hangs."""
     with subprocess.Popen(

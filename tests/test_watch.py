@@ -278,7 +278,7 @@ def test_learning_over_time_is_written_as_an_animation(tmp_path):
 @pytest.mark.parametrize(
     ("env", "method"),
     [
-        (rl.make("easy21"), rl.MonteCarlo()),
+        pytest.param(rl.make("easy21"), rl.MonteCarlo(), marks=pytest.mark.slow),
         (rl.make("trace-gridworld", max_steps=40), rl.prediction.TD()),
         (rl.make("two-doors"), rl.prediction.TD()),
     ],
