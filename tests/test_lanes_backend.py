@@ -276,6 +276,7 @@ def test_a_record_that_calls_python_does_as_with_xla(used, caplog):
     assert "a call of Python from within is not compiled" in caplog.messages[0]
 
 
+@pytest.mark.usefixtures("programs_folder")  # which is empty: the program is compiled
 def test_what_llvm_refuses_xla_does(used, monkeypatch, caplog):
     """Broken once: its error goes through -> RuntimeError, and no run."""
     with monkeypatch.context() as patched:
