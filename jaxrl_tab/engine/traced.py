@@ -147,16 +147,12 @@ def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[
     """
     if of_method(algorithm).learns is Learns.STATES:
         return algorithm.measurer(env)
-    of_table, of_policy = planning.measurers(env, algorithm.gamma)
+    of_table, fields = planning.measurer(env, algorithm.gamma), exact_fields(acting)
     states = np.arange(env.num_states, dtype=np.int32)
 
     def measure(learner: Any) -> dict[str, Any]:
-        greedy_value, q_error = of_table(learner.q)
-        measured = {"greedy_value": greedy_value, "q_error": q_error}
-        if "policy_value" in exact_fields(acting):
-            probs = jax.vmap(acting.probs, (None, 0))(learner, states)
-            measured["policy_value"] = of_policy(probs.astype(learner.q.dtype))
-        return measured
+        policies = [jax.vmap(acting.probs, (None, 0))(learner, states)] if "policy_value" in fields else []
+        return dict(zip(fields, of_table(learner.q, *policies), strict=True))
 
     return measure
 
@@ -166,4 +162,4 @@ def exact_fields(algorithm: Any) -> tuple[str, ...]:
     if of_method(algorithm).learns is Learns.STATES:
         return ("v_error",)
     acts = ("policy_value",) if hasattr(algorithm, "probs") else ()
-    return ("greedy_value", *acts, "q_error")
+    return ("greedy_value", "q_error", *acts)

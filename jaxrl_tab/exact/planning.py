@@ -28,7 +28,7 @@ from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.given import checked_policy, checked_table, checked_values
-from jaxrl_tab.exact.measure import Measure, measurer, measurers, value_measurer
+from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (
     Model,
     backup,
@@ -80,7 +80,6 @@ __all__ = [
     "has_double",
     "largest_return",
     "measurer",
-    "measurers",
     "occupancy",
     "optimality_backup",
     "policy_iteration",
