@@ -168,7 +168,8 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
     # As many steps take as long as they took before; nobody knows how long episodes are.
     is_quick = budget.num_steps is not None and of_one.seconds < ASK_SECONDS / 2
     outputs = of_one(*inputs) if is_quick else _called(of_one, *inputs)
-    (_, log), learner = jax.tree.unflatten(structure, _as_jax(*(x[0] for x in outputs)))
+    # The table comes first, and is the learner's as well, or made of what the learner has.
+    (_, log), learner = jax.tree.unflatten(structure, [None, *_as_jax(*(x[0] for x in outputs[1:]))])
     return learner, log
 
 
@@ -209,14 +210,30 @@ class Shared:
     def __init__(self, env: Any, program: Signature):
         leaves = jax.tree.leaves(env)
         self.leaves = _plain(leaves, program.avals[len(program.avals) - len(leaves) :])
-        parts = [f"{x.dtype} {x.shape} ".encode() + x.tobytes() for x in self.leaves]
-        self.digest = hashlib.sha256(b"".join(parts)).hexdigest()
+        self._hash = hash(tuple((x.dtype.str, x.shape, x.tobytes()) for x in self.leaves))
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """A name of them, the same in every process."""
+        parts = (f"{x.dtype} {x.shape} ".encode() + x.tobytes() for x in self.leaves)
+        return hashlib.sha256(b"".join(parts)).hexdigest()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Shared) and self.digest == other.digest
+        if (
+            not isinstance(other, Shared)
+            or self._hash != other._hash
+            or len(self.leaves) != len(other.leaves)
+        ):
+            return False
+        return all(x is y or _are_same(x, y) for x, y in zip(self.leaves, other.leaves, strict=True))
 
     def __hash__(self) -> int:
-        return hash(self.digest)
+        return self._hash
+
+
+def _are_same(x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether two arrays have the same bits."""
+    return x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes()
 
 
 def _of_run(arguments: tuple, program: Signature) -> list[np.ndarray]:
