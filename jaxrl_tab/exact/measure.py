@@ -15,7 +15,7 @@ from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.model import Model, check_finite, ending_at, enumerate_model, reachable, terminal_states
 from jaxrl_tab.exact.values import doubled, from_start, greedy_to, iterate_policies, policy_values
 
-Measure = Callable[..., tuple[Float[Array, ""], ...]]
+Measure = Callable[[Float[Array, "S A"]], tuple[Float[Array, ""], Float[Array, ""]]]
 
 
 def _traced_model(env: Any) -> Model:
@@ -32,13 +32,10 @@ def _traced_model(env: Any) -> Model:
 def measurer(env: Environment, gamma: Any) -> Measure:
     """A function from Q [S, A] to (greedy_value [], q_error []), for use under `jit` and `vmap`.
 
-    It takes policies [S, A] besides, and then also gives the value of each: (greedy_value, q_error, value, ...).
-
     greedy_value is the exact value, from the start distribution, of the policy that is greedy to Q with ties
     split; -inf where gamma is 1 and that policy may be caught for ever while rewards go on. q_error is the
     largest |Q - Q*| over the states that can be reached from the start and are not terminal, never visited
-    ones included; NaN where Q* is not finite in one of them. Both are NaN where Q holds a NaN. The value of a policy
-    is from the start distribution as well; its probabilities are made to add up to 1, and it is NaN where one is.
+    ones included; NaN where Q* is not finite in one of them. Both are NaN where Q holds a NaN.
 
     Everything is computed in float64, also where the program around it is in float32, and comes back in the
     precision of Q. So both have the relative error of a float32, 6e-8, and in addition that of float64, 1e-16
@@ -61,12 +58,7 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         is_solved = ~(best.caught.any() | best.better.any())
         matters = ~terminal_states(model)
 
-    def worth(policy: Float[Array, "S A"]) -> Float[Array, ""]:
-        with doubled():
-            value = from_start(model, policy_values(model, policy, gamma).v)
-            return jnp.where(jnp.isnan(policy).any(), jnp.nan, value)
-
-    def measure(q: Float[Array, "S A"], *others: Float[Array, "S A"]) -> tuple[Float[Array, ""], ...]:
+    def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         if q.shape != model.prob.shape[:2]:
             raise InputError(f"exact values are those of one table [S, A]; this method has {list(q.shape)}")
         counts = matters[:, None] & (q > policies.UNAVAILABLE)
@@ -74,14 +66,11 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         sound = ~jnp.isnan(q).any()
         with doubled():
             exact_q = q.astype(model.prob.dtype)
-            # A policy that depends on what is the largest jumps: it has no derivative.
-            greedy, *acting = (lax.stop_gradient(x.astype(exact_q.dtype)) for x in (exact_q, *others))
-            each = [greedy_to(greedy), *(x / x.sum(1, keepdims=True) for x in acting)]
-            # One after another, so that there is one linear system at a time, and one to compile.
-            worths = lax.map(worth, jnp.stack(each)).astype(q.dtype)
+            # The greedy policy jumps: it has no derivative.
+            v = policy_values(model, greedy_to(lax.stop_gradient(exact_q)), gamma).v
             error = _largest(jnp.where(counts, abs(exact_q - best.q), 0)).astype(q.dtype)
-        value, *values = worths
-        return jnp.where(sound, value, jnp.nan), jnp.where(sound & is_solved, error, jnp.nan), *values
+            value = from_start(model, v).astype(q.dtype)
+        return jnp.where(sound, value, jnp.nan), jnp.where(sound & is_solved, error, jnp.nan)
 
     return measure
 
