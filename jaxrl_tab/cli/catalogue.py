@@ -25,9 +25,11 @@ SOURCES = ("core", "envs", "algorithms", "figures", "experiment/executors", "cli
 # Command -> the module, the class that describes it, and its groups: title in the help -> which it is, and where the
 # names of its entries are typed: a place of the command, or an option.
 _ENVIRONMENT, _EXECUTOR = ("environments", "env"), ("executors", "--executor")
+_ONE = {"hyperparameters": ("one method", "method"), "environment": _ENVIRONMENT}
 COMMANDS = {
+    "bridge": ("bridge", "Bridge", _ONE),
     "solve": ("solve", "Solve", {"environment": _ENVIRONMENT}),
-    "watch": ("watch", "Watch", {"hyperparameters": ("one method", "method"), "environment": _ENVIRONMENT}),
+    "watch": ("watch", "Watch", _ONE),
     "sweep": (
         "sweep",
         "Sweep",

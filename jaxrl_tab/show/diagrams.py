@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, Rectangle
 
+from jaxrl_tab.algorithms.bridge import TABLE, Row
 from jaxrl_tab.core.backups import ACTION, DOTS, END, MAX, STATE, Backup, Tree, labels, tree
 from jaxrl_tab.show.style import CELL, CHARACTER, GREY, INK, SMALL, WIDTH, canvas, literal, width_of
 
@@ -27,7 +28,7 @@ class Piece(NamedTuple):
     """A diagram and the room that it takes, inches.
 
     Attributes:
-        title: its lines.
+        title: its lines, as Matplotlib takes them.
         columns: of each its weight, its tree or None where it is left out, and the place of its root from the left.
         notes: what stands beside its levels; none where there are several columns.
         notes_at: where they begin, from the left.
@@ -52,15 +53,52 @@ def backups(drawn: Mapping[str, Backup], *, width: float = WIDTH) -> Figure:
 
     Args:
         drawn: the title over each diagram, which may have several lines, and the diagram.
-        width: of the figure, inches.
+        width: of the figure at most, inches.
     """
     rows: list[list[Piece]] = [[]]
     for piece in (_piece(title, backup) for title, backup in drawn.items()):
         if rows[-1] and sum(other.width + APART for other in rows[-1]) + piece.width > width - 2 * EDGE:
             rows.append([])
         rows[-1].append(piece)
+    return _figure(rows)
+
+
+def bridge() -> Figure:
+    """The lecture's table of dynamic programming beside temporal differences: a row for each Bellman equation."""
+    pieces = [_sides(row) for row in TABLE]
+    widths = [max(piece.width for piece in side) for side in zip(*pieces, strict=True)]
+    return _figure(
+        [[piece._replace(width=w) for piece, w in zip(row, widths, strict=True)] for row in pieces]
+    )
+
+
+def _sides(row: Row) -> list[Piece]:
+    """The full backup and the sample backup of a row."""
+    full = _piece(f"{row.equation}\n{row.full}, a full backup\n{row.full_update}", row.full_diagram)
+    sample = _piece(f" \n{row.sample}, a sample backup\n{row.sample_update}", row.sample_diagram)
+    return [piece._replace(title=list(map(_formula, piece.title))) for piece in (full, sample)]
+
+
+def _formula(text: str) -> str:
+    """A formula of the table as the lecture sets it."""
+    symbols = {
+        "<-alpha-": r"$\overset{\alpha}{\leftarrow}$",
+        "<-": "←",
+        "gamma": "γ",
+        "_pi": r"$_\pi$",
+        "_a'": "$_{a'}$",
+        "q*": "q$_*$",
+    }
+    for typed, symbol in symbols.items():
+        text = text.replace(typed, symbol)
+    return text
+
+
+def _figure(rows: list[list[Piece]]) -> Figure:
+    """The diagrams in rows, in a figure that is as large as they are."""
     heights = [max(piece.height for piece in row) for row in rows]
     height = sum(heights) + APART * (len(rows) - 1) + 2 * EDGE
+    width = max(sum(piece.width + APART for piece in row) for row in rows) - APART + 2 * EDGE
     figure = canvas(width, height)
     figure.set_layout_engine("none")
     ax = figure.add_axes((0, 0, 1, 1))
@@ -93,7 +131,7 @@ def _piece(title: str, backup: Backup) -> Piece:
     words = textwrap.wrap(backup.words, int(72 * width / (CHARACTER * CELL) * 1.08), break_on_hyphens=False)
     above = LINE * (len(lines) + (not notes)) + GAP
     height = above + LEVEL * deepest + 2 * RADIUS + (GAP + BELOW * len(words) if words else 0)
-    return Piece(lines, columns, notes, at + GAP, words, width, height)
+    return Piece(list(map(literal, lines)), columns, notes, at + GAP, words, width, height)
 
 
 def _draw(ax: Axes, piece: Piece, x: float, y: float) -> None:
@@ -102,7 +140,7 @@ def _draw(ax: Axes, piece: Piece, x: float, y: float) -> None:
         ax.text(x, bottom - BELOW * number, _words(line), fontsize=CELL, color=GREY, va="bottom")
     for number, line in enumerate(piece.title):
         weight = "bold" if number == 0 else "normal"
-        ax.text(x, y + LINE / 2, literal(line), fontsize=SMALL, weight=weight, color=INK, va="center")
+        ax.text(x, y + 0.75 * LINE, line, fontsize=SMALL, weight=weight, color=INK)
         y += LINE
     if len(piece.columns) > 1:
         for weight, _, at in piece.columns:

@@ -34,7 +34,7 @@ from jaxrl_tab.show.curves import (
     mean_curve,
     sensitivity,
 )
-from jaxrl_tab.show.diagrams import backups
+from jaxrl_tab.show.diagrams import backups, bridge
 from jaxrl_tab.show.grids import (
     changes,
     greedy_path,
@@ -98,6 +98,7 @@ __all__ = [
     "WIDTH",
     "action_values",
     "backups",
+    "bridge",
     "canvas",
     "changes",
     "color_bar",
