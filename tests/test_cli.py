@@ -363,8 +363,18 @@ REFUSALS = {
     "explain nowhere": "there is no folder nowhere",
     "explain nowhere --jsn": "did you mean '--json'?",
     "swep": "did you mean 'sweep'?",
-    "nonsense": "choose one of list, solve, watch, sweep, resume, explain, figure",
+    "nonsense": "choose one of list, bridge, solve, watch, sweep, resume, explain, figure",
     "list --jsn": "did you mean '--json'?",
+    "list sara": "'sara' is not an environment, a method or a figure; did you mean 'sarsa'?",
+    "list mine.py:Mine": "there is no file",
+    "list --out x": "--out goes with --backups",
+    "list --backups two-doors": "two-doors is no method, and only methods have a backup diagram",
+    "bridge --alpha 0.1": "name an environment: windy-gridworld",
+    "bridge windy-gridworld": "name a method: sarsa",
+    "bridge windy-gridworld sara": "did you mean 'sarsa'?",
+    "bridge windy-gridworld sarsa --alpha 0": "alpha must be greater than 0, not 0.0",
+    "bridge windy-gridworld sarsa --steps 0": "bridge: steps must be a whole number of at least 1, not 0",
+    "bridge windy-gridworld n-step-sarsa": "NStepSarsa is on no row of the table, whose methods are td, off-policy-td,",
     "solve": "name an environment: windy-gridworld",
     "solve windy-gridwrld": "did you mean 'windy-gridworld'?",
     "solve windy-gridworld more": "unexpected argument 'more'",
@@ -452,7 +462,14 @@ def test_wrong_input_is_refused_in_one_line_before_anything_is_computed(command,
 
 
 @pytest.mark.parametrize(
-    "command", ["solve windy-gridworld", "sweep windy-gridworld sarsa", "figure windy-gridworld"]
+    "command",
+    [
+        "solve windy-gridworld",
+        "sweep windy-gridworld sarsa",
+        "figure windy-gridworld",
+        "list --backups",
+        "bridge",
+    ],
 )
 def test_a_folder_that_cannot_be_made_is_refused(command, idle, tmp_path, capsys):
     (tmp_path / "folder").mkdir()

@@ -190,7 +190,11 @@ def _data(row: bridge.Row) -> dict[str, Any]:
 
 
 def _numbers(compared: Compared, options: Bridge) -> dict[str, Any]:
-    listed = lambda x: np.where(compared.there, x, None).tolist()
+    def listed(x: np.ndarray) -> list[Any]:
+        x = x.astype(object)
+        x[~compared.there] = None
+        return x.tolist()
+
     return {
         "environment": options.env,
         "method": options.method,
