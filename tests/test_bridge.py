@@ -327,15 +327,16 @@ def test_the_command_shows_both_sides_of_each_equation(capsys):
 
 def test_the_command_compares_what_a_method_has_learned(capsys, tmp_path):
     """Of two actions one is not there in A; the full backup by hand. Broken once: `there` is all -> fails."""
-    command = "bridge maximization-bias expected-sarsa --actions 2 --epsilon 0.5 --gamma 0.5 --steps 50"
+    command = "bridge maximization-bias expected-sarsa --actions 3 --epsilon 0.5 --gamma 0.5 --steps 50"
     assert main([*command.split(), "--json", "--out", str(tmp_path / "bridge")]) == 0
     numbers = json.loads(capsys.readouterr().out)["compared"]
     q, mean, full = (numbers[name] for name in ("values", "mean_of_samples", "full_backup"))
-    np.testing.assert_allclose(np.array(mean[:2], float), np.array(full[:2], float), atol=1e-12)
-    b = np.array(q[1], float)
-    left = 0.5 * (0.5 * b.mean() + 0.5 * b.max())  # A has 0 reward on the way to B, where all actions are
-    assert min(abs(x - left) for x in full[0] if x is not None) < 1e-9
-    np.testing.assert_allclose(full[1], [-0.1, -0.1], atol=1e-9)
+    assert q[0][2] is mean[0][2] is full[0][2] is None
+    b = np.array(q[1])
+    left = 0.5 * (0.5 * b.mean() + 0.5 * b.max())  # from A to B, for nothing
+    np.testing.assert_allclose(sorted(full[0][:2]), sorted([left, 0]), atol=1e-9)
+    np.testing.assert_allclose([mean[0][:2], mean[1][:2]], [full[0][:2], full[1][:2]], atol=1e-12)
+    np.testing.assert_allclose(full[1], [-0.1] * 3, atol=1e-9)
     assert numbers["largest_difference"] < 1e-12
     assert {file.name for file in (tmp_path / "bridge").iterdir()} == {"bridge.png", "bridge.svg"}
     assert main(command.split()) == 0

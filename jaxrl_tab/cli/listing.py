@@ -9,10 +9,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.cli.catalogue import Catalogue, everything, of_own
-from jaxrl_tab.cli.options import Command, Entry, Option, Place, checked_name, parse
+from jaxrl_tab.cli.options import Command, Entry, Option, Place, parse
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.core.backups import Backup
-from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.errors import InputError, nearest, shown
 
 HEADINGS = {
     "environments": "environments",
@@ -98,8 +98,9 @@ def _of(names: Sequence[str]) -> Catalogue:
     for name in names:
         if ":" in name or name.endswith((".py", ".npz")):
             own.append(of_own(name))
-        else:
-            checked_name("an environment, a method or a figure", name, sorted(known))
+        elif name not in known:
+            hint = nearest(name, sorted(known), otherwise="`jaxrl-tab list` shows what there is")
+            raise InputError(f"{shown(name)} is not an environment, a method or a figure; {hint}")
     listed: dict[str, dict[str, Entry]] = {}
     facts: dict[str, dict] = {}
     for part in [all_there_is, *own]:
