@@ -19,7 +19,7 @@ LEAF, LEVEL, RADIUS = 0.2, 0.32, 0.055  # between two leaves, between two levels
 LINE, APART = 0.15, 0.3  # of text, from one to the next; between diagrams
 EDGE, GAP = 0.1, 0.1  # around everything; between a diagram and what is over, under or beside it
 BOLD = 1.12  # times as wide as other type
-WORDS, BELOW = 2.1, 0.125  # how wide words below a diagram are at least; from one line of them to the next
+WORDS, BELOW = 1.5, 0.125  # how wide words below a diagram are at least; from one line of them to the next
 ARC = 0.55  # of the way from a node to its children: where the arc is that says that the largest one counts
 FILLS = {STATE: "white", ACTION: INK, END: "#bbbbbb"}
 
@@ -128,7 +128,7 @@ def _piece(title: str, backup: Backup) -> Piece:
     lines = title.split("\n")
     width = max(at + GAP + beside, BOLD * _width(lines[0]), *map(_width, lines))
     width = max(width, WORDS if backup.words else 0)
-    words = textwrap.wrap(backup.words, int(72 * width / (CHARACTER * CELL) * 1.08), break_on_hyphens=False)
+    words = textwrap.wrap(backup.words, int(1.2 * 72 * width / (CHARACTER * CELL)), break_on_hyphens=False)
     above = LINE * (len(lines) + (not notes)) + GAP
     height = above + LEVEL * deepest + 2 * RADIUS + (GAP + BELOW * len(words) if words else 0)
     return Piece(list(map(literal, lines)), columns, notes, at + GAP, words, width, height)
