@@ -99,22 +99,21 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
         lines = [line.split("│") for line in printed.out.splitlines() if f"│ {method} " in line]
         assert [float(line[2]) for line in lines] == [0.5, 1.0]
         np.testing.assert_allclose([float(line[3]) for line in lines], rows.episodes, atol=0.05)
-        bounds = [line[5].replace("–", "nan to nan").strip(" !").split(" to ") for line in lines]
-        means = [line[4].replace("–", "nan") for line in lines]
+        bounds = [line[7].replace("–", "nan to nan").strip(" !").split(" to ") for line in lines]
+        means = [line[6].replace("–", "nan") for line in lines]
         shown = [[float(mean), *map(float, ends)] for mean, ends in zip(means, bounds, strict=True)]
         columns = rows[["last_tenth_return", "last_tenth_low", "last_tenth_high"]]
         np.testing.assert_allclose(shown, columns, atol=0.005)
-        assert all(float(line[-2]) == -15 for line in lines)
         starred = [row for row, line in enumerate(lines) if "*" in line[1]]
         assert starred == [rows.last_tenth_return.to_numpy().argmax()]
-    assert "epsilon 0.1, gamma 1, q0 0, 3 seeds, 1000 steps each" in printed.out
+    assert "epsilon 0.1, gamma 1, q0 0, exact optimum -15, 3 seeds, 1000 steps each" in printed.out
     assert printed.err == ""  # no bar where stderr is no terminal
 
     assert main([*argv, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["folder"] is None
     frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second").replace({None: np.nan})
-    expected = summary.drop(columns="steps_per_second")
+    expected = summary.drop(columns="steps_per_second").replace({np.inf: np.nan})  # JSON has no infinity
     pd.testing.assert_frame_equal(frame, expected, check_dtype=False)
 
     assert main([*argv, "--quiet"]) == 0
@@ -216,13 +215,16 @@ def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_
     command = "sweep random-walk td-lambda --states 5 --left-reward 0 --lam 0 1 --alpha 0.1 --episodes 30"
     assert call(command, "--seeds", "3", "--out", str(out)) == 0
     text = capsys.readouterr().out
-    assert "random-walk, alpha 0.1, gamma 1, v0 0, trace accumulating, offline off, 3 seeds" in text
+    assert (
+        "random-walk, alpha 0.1, gamma 1, v0 0, trace accumulating, offline off, value of the policy 0.5, 3 seeds"
+        in text
+    )
     ds = xr.open_datatree(out / "results.nc")["td-lambda"].to_dataset()
     lines = [line.split("│") for line in text.splitlines() if "│ td-lambda " in line]
     error = ds.v_error.mean(("row", "seed")).values
-    shown = np.array([[float(line[4]), float(line[6])] for line in lines])
-    np.testing.assert_allclose(shown, np.c_[error, ds.v_error[..., -1].mean("seed")], atol=5.1e-4)
-    assert [float(line[-2]) for line in lines] == [0.5, 0.5]
+    shown = np.array([[float(line[3]), float(line[4]), float(line[6])] for line in lines])
+    early, late = (ds.v_error[..., rows].mean(("row", "seed")) for rows in (slice(3), slice(-1, None)))
+    np.testing.assert_allclose(shown, np.c_[early, error, late], atol=5.1e-4)
     assert ["*" in line[1] for line in lines] == [i == error.argmin() for i in range(2)]
     assert ds.attrs["optimal_value"] == pytest.approx(0.5)
     names = {file.name for file in out.iterdir()}

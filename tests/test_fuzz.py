@@ -545,9 +545,11 @@ def called():
     yield "run", lambda x: rl.run(x, "out")
     yield "run in", lambda x: rl.run(Experiment(**whole), x, memory=1)
     yield "resume", rl.resume
-    for name in ("value_iteration", "policy_iteration"):
+    for name in ("value_iteration", "policy_iteration", "generalized_policy_iteration"):
         yield name, getattr(planning, name)
         yield f"{name} gamma", lambda x, name=name: getattr(planning, name)(WALK, x)
+    for name in ("sweeps", "epsilon", "policy", "improvements", "tol"):
+        yield f"iterates {name}", lambda x, k=name: planning.generalized_policy_iteration(WALK, **{k: x})
     yield "evaluate", lambda x: planning.evaluate(WINDY, x)
     yield "evaluate env", lambda x: planning.evaluate(x, POLICY)
     yield "evaluate gamma", lambda x: planning.evaluate(WINDY, POLICY, x)
