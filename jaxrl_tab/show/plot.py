@@ -50,6 +50,7 @@ from jaxrl_tab.show.panels import (
     panels_canvas,
     state_values,
 )
+from jaxrl_tab.show.rate_curves import schedules
 from jaxrl_tab.show.style import (
     ALARM,
     CELL,
@@ -117,6 +118,7 @@ __all__ = [
     "pictures",
     "save",
     "save_all",
+    "schedules",
     "score_map",
     "sensitivity",
     "solutions",
