@@ -150,7 +150,6 @@ def test_whatever_is_typed_the_front_says_what_the_command_says(first, idle):  #
         ("list --json", 0),
         ("list q-learning", 0),
         ("list --backups", 0),
-        ("list --backups sarsa --json", 0),
         ("bridge --help", 0),
         ("schedule --help", 0),
         ("sweep --help", 0),

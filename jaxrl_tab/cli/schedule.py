@@ -47,8 +47,8 @@ def schedule_command(argv: list[str]) -> int:
         raise InputError(f"name a schedule: {schedules.forms()}")
     if len(options.schedules) > len(MARKS):
         raise InputError(f"at most {len(MARKS)} schedules stand side by side, not {len(options.schedules)}")
+    start_jax()  # a schedule of optax is tried when it is read
     rates = [schedules.read(text) for text in options.schedules]
-    start_jax()
     studies = list({one.name: one for one in map(study, rates)}.values())
     with new_folder(options.out) as folder:
         if folder:

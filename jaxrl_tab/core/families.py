@@ -38,6 +38,10 @@ class Family:
 
     clock: ClockName
 
+    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
+        """Its value for the count n."""
+        raise NotImplementedError
+
     def tail(self) -> Tail:
         """Raises InputError where its numbers are not plain ones: a batch, or traced."""
         raise NotImplementedError

@@ -1,6 +1,7 @@
 """What a step size or an exploration rate comes to: its values and their sums, what the conditions say, a curve."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.families import SHORT, Family
-from jaxrl_tab.core.schedules import Verdict, is_glie, is_robbins_monro, read, typed
+from jaxrl_tab.core.schedules import is_glie, is_robbins_monro, read, typed
 
 LONGEST = 10**6  # how far it is followed
 COUNTS = tuple(10**k for k in range(7))  # the n at which people see its values
@@ -96,17 +97,23 @@ def study(rate: Any) -> Study:
     rate = read(rate) if isinstance(rate, str) else rate
     values, name = _values(rate), typed(rate) or str(rate)
     clock = getattr(rate, "clock", None)
-    if isinstance(rate, Family) or clock is None:
-        order = rate.tail().order if isinstance(rate, Family) else 0.0 if values[0] > 0 else np.inf
-        formula = rate.formula() if isinstance(rate, Family) else "the same for all n"
-        infinite = bool(order <= 1), bool(order <= 0.5)
-        glie, robbins_monro = _told(is_glie, rate), _told(is_robbins_monro, rate)
+    if is_function := clock is not None and not isinstance(rate, Family):
+        formula, infinite, robbins_monro = "a function of n", (None, None), Told(None, "it is a function")
     else:
-        formula, infinite = "a function of n", (None, None)
-        glie = robbins_monro = Told(None, "it is a function")
-    if values.max() > 1 + 1e-12:
+        order, formula = _known(rate)
+        infinite, robbins_monro = (order <= 1, order <= 0.5), Told(*is_robbins_monro(rate))
+    if values.max() > 1:
         glie = Told(None, f"it is no exploration rate, for its largest value is {values.max():g}")
+    else:
+        glie = robbins_monro if is_function else Told(*is_glie(rate))
     return Study(name, formula, clock, values, *infinite, glie, robbins_monro)
+
+
+def _known(rate: Any) -> tuple[float, str]:
+    """The power of 1/n that a number or a schedule of a named family falls with, as `Tail.order`, and its formula."""
+    if isinstance(rate, Family):
+        return float(rate.tail().order), rate.formula()
+    return (0.0 if rate > 0 else math.inf), "the same for all n"
 
 
 def _values(rate: Any) -> np.ndarray:
@@ -126,28 +133,21 @@ def _values(rate: Any) -> np.ndarray:
     return values
 
 
-def _told(condition: Callable[[Any], Verdict], rate: Any) -> Told:
-    try:
-        return Told(*condition(rate))
-    except InputError as error:
-        return Told(None, str(error))
-
-
 def curve(studies: Sequence[Study]) -> list[str]:
     """The values against n as lines of text, both axes logarithmic; values near 0 are left out."""
-    largest = max(float(study.values.max()) for study in studies)
+    largest = max(float(one.values.max()) for one in studies)
     if largest <= 0:
         return []
     at = np.unique(np.round(10 ** (np.arange(COLUMNS) / DECADE)).astype(int))
     columns = np.round(DECADE * np.log10(at)).astype(int)
-    drawn = np.concatenate([study.values[at - 1] for study in studies])
+    drawn = np.concatenate([one.values[at - 1] for one in studies])
     smallest = float(drawn[drawn >= LEAST * largest].min())
     top, bottom = int(np.ceil(np.log10(largest) - 1e-9)), int(np.floor(np.log10(smallest) + 1e-9))
     bottom = min(bottom, top - 1)
     rows = 4 if top - bottom <= 2 else 2  # to a power of ten
     marks = [[" "] * COLUMNS for _ in range(rows * (top - bottom) + 1)]
-    for study, mark in zip(studies, MARKS, strict=False):
-        for column, value in zip(columns, study.values[at - 1], strict=True):
+    for one, mark in zip(studies, MARKS, strict=False):
+        for column, value in zip(columns, one.values[at - 1], strict=True):
             if value >= LEAST * largest:
                 row = round(rows * (top - np.log10(value)))
                 if marks[row][column] == " ":
