@@ -92,6 +92,7 @@ class Figure:
         small: such arguments for a quick trial run, whose numbers come from too little to mean anything.
         numbers: what it must show.
         draw: makes the picture from the datasets.
+        shows: what there is to see in it, in a sentence or two.
     """
 
     title: str
@@ -100,6 +101,7 @@ class Figure:
     numbers: tuple[Number, ...]
     draw: "Callable[[Datasets], matplotlib.figure.Figure]"
     small: Mapping[str, Any] = field(default_factory=dict)
+    shows: str = ""
 
 
 def swept(env: Environment, method: type[Algorithm] | str, grid: Mapping[str, Any], **budget: Any) -> "Run":

@@ -35,6 +35,7 @@ from jaxrl_tab.show.curves import (
     sensitivity,
 )
 from jaxrl_tab.show.grids import (
+    amounts,
     changes,
     greedy_path,
     median_path,
@@ -96,6 +97,7 @@ __all__ = [
     "TYPE",
     "WIDTH",
     "action_values",
+    "amounts",
     "canvas",
     "changes",
     "color_bar",
