@@ -79,9 +79,7 @@ def _draw(datasets):
         for ax, lam in zip(row, LAMBDAS, strict=True):
             change = _changes(datasets, lam)[episode - 1]
             ax.plot(columns, rows, color=plot.GREY, lw=0.8, zorder=2.5)
-            plot.amounts(
-                ax, ENV, change, ALPHA, f"λ = {lam:g}, episode {episode}\nchanges: {change.sum():.2f}"
-            )
+            plot.amounts(ax, ENV, change, ALPHA, f"episode {episode}\nλ = {lam:g}: {change.sum():.2f}")
     plot.head(
         canvas,
         f"Sarsa(λ), α = {ALPHA}: what an episode along the grey way changes\n"
