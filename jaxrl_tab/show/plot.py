@@ -34,6 +34,7 @@ from jaxrl_tab.show.curves import (
     mean_curve,
     sensitivity,
 )
+from jaxrl_tab.show.diagrams import backups, bridge
 from jaxrl_tab.show.grids import (
     amounts,
     changes,
@@ -98,6 +99,8 @@ __all__ = [
     "WIDTH",
     "action_values",
     "amounts",
+    "backups",
+    "bridge",
     "canvas",
     "changes",
     "color_bar",
