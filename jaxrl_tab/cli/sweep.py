@@ -118,8 +118,8 @@ class Sweep(Where):
             by default.
         seed: Which sequence of seeds.
         select: Run the best setting of each method again, on as many fresh seeds; show both numbers.
-        exact: Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the
-            log. (The error of methods of prediction is always recorded.)
+        exact: Also record the exact values of the greedy policy and of the one that acts, and the largest
+            |Q - Q*|, at every row of the log. (The error of methods of prediction is always recorded.)
         record: Also record at every row what a function of your own says of the learner, such as
             mine.py:q_of_start.
         backend: What compiles it: lanes, which is for CPUs and fast, or xla. By default lanes, where it can.

@@ -112,7 +112,7 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
             with planning.doubled():
                 exact_algorithm, exact_env = _restored(full, (algorithm, env))
                 exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
-            measures.append(_exact_measurer(exact_algorithm, exact_env))
+            measures.append(_exact_measurer(exact_algorithm, exact_env, algorithm))
         if record is not None:
             of_learner = partial(recorded, record, algorithm)
             measures.append(lambda learner: {"recorded": of_learner(learner)})
@@ -140,14 +140,27 @@ def rows_at_once(algorithm: Any, learner: Any, exact: bool) -> int:
     return 1 if solves else max(1, WAITING // max(1, memory.size(learner)))
 
 
-def _exact_measurer(algorithm: Any, env: Environment) -> Callable[[Any], dict[str, Any]]:
-    """The exact numbers beside a method: in prediction those of its own `measurer`."""
+def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[Any], dict[str, Any]]:
+    """The exact numbers beside a method: in prediction those of its own `measurer`.
+
+    `acting` is the method with its numbers in the precision of the program, in which it acts.
+    """
     if of_method(algorithm).learns is Learns.STATES:
         return algorithm.measurer(env)
-    measure, fields = planning.measurer(env, algorithm.gamma), exact_fields(algorithm)
-    return lambda learner: dict(zip(fields, measure(learner.q), strict=True))
+    of_table, fields = planning.measurer(env, algorithm.gamma), exact_fields(acting)
+    states = np.arange(env.num_states, dtype=np.int32)
+
+    @planning.in_turn
+    def measure(learner: Any) -> dict[str, Any]:
+        policies = [jax.vmap(acting.probs, (None, 0))(learner, states)] if "policy_value" in fields else []
+        return dict(zip(fields, of_table(learner.q, *policies), strict=True))
+
+    return measure
 
 
 def exact_fields(algorithm: Any) -> tuple[str, ...]:
     """The fields of the Log that exact values of a method are recorded in."""
-    return ("v_error",) if of_method(algorithm).learns is Learns.STATES else ("greedy_value", "q_error")
+    if of_method(algorithm).learns is Learns.STATES:
+        return ("v_error",)
+    acts = ("policy_value",) if hasattr(algorithm, "probs") else ()
+    return ("greedy_value", "q_error", *acts)

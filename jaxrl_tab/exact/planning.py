@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.exact.double import doubled, has_double, in_turn
 from jaxrl_tab.exact.given import checked_policy, checked_table, checked_values
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (
@@ -48,10 +49,8 @@ from jaxrl_tab.exact.values import (
     MAX_ROUNDS,
     ROUNDING,
     Round,
-    doubled,
     from_start,
     greedy_to,
-    has_double,
     iterate_policies,
     largest,
     policy_values,
@@ -78,6 +77,7 @@ __all__ = [
     "from_state_to_state",
     "greedy_policy",
     "has_double",
+    "in_turn",
     "largest_return",
     "measurer",
     "occupancy",
