@@ -59,7 +59,7 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
         measured |= dict.fromkeys(exact_fields(algorithm), jnp.zeros((), q.dtype))
     if budget.record is not None:
         measured["recorded"] = recorded(budget.record, algorithm, learner)
-    rows = max((_rows_at_once(what, algorithm, learner) for what in _measured(algorithm, budget)), default=1)
+    rows = max((rows_at_once(what, algorithm, learner) for what in _measured(algorithm, budget)), default=1)
     if rows > 1:
         waiting = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), learner)
     return (q, loop.empty_log(q.dtype, budget, measured)), others, waiting
@@ -140,7 +140,7 @@ def _make_measure(what: _Measured, algorithm: Algorithm, env: Environment, full:
     like = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
     if record is not None and _is_free(what, algorithm, like):
         return Measure(lambda learner: {"recorded": recorded(record, algorithm, learner)}, most=1)
-    at_once = _rows_at_once(what, algorithm, like)
+    at_once = rows_at_once(what, algorithm, like)
     return Measure(prepared(make, algorithm, env, full, like=like), at_once, what.every)
 
 
@@ -152,7 +152,7 @@ def _is_free(what: _Measured, algorithm: Any, learner: Any) -> bool:
     return not jax.make_jaxpr(partial(recorded, what.record, algorithm))(like).eqns
 
 
-def _rows_at_once(what: _Measured, algorithm: Any, learner: Any) -> int:
+def rows_at_once(what: _Measured, algorithm: Any, learner: Any) -> int:
     """Of how many rows it is measured at once: of as many as may wait in `WAITING` bytes.
 
     Of one, where that solves a linear system, or takes nothing at all.
