@@ -159,8 +159,8 @@ def test_one_very_bad_state_spoils_no_answer(big):
 
 def test_sweeps_go_on_until_every_state_is_exact(monkeypatch):
     """From a start that is 1 off. Broken once -> fails: rounding judged by the largest value anywhere."""
-    model, found, out = planning._solved(ring(1e15), 0.0, 0.99)
-    monkeypatch.setattr(planning, "_solved", lambda *_: (model, found._replace(v=found.v - 1), out))
+    model, found, out = planning.solved(ring(1e15), 0.0, 0.99)
+    monkeypatch.setattr(planning, "solved", lambda *_: (model, found._replace(v=found.v - 1), out))
     v, _ = planning.value_iteration(ring(1e15), 0.99)
     np.testing.assert_allclose(v[:4], AROUND, rtol=0, atol=1e-10)
 

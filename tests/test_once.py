@@ -10,7 +10,7 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning
 from jaxrl_tab.core.pytree import pytree
-from jaxrl_tab.exact import model
+from jaxrl_tab.exact import model, optimum
 from jaxrl_tab.experiment import resolve, shards, spec
 from jaxrl_tab.stats import measures, settings
 
@@ -38,7 +38,7 @@ def counts(monkeypatch):
     monkeypatch.setattr(model, "keep_with", lambda keeper: None)
     shards.forget_parts()
     count(model, "_check_model")
-    count(planning, "iterate_policies")
+    count(optimum, "iterate_policies")
     count(spec.Experiment, "__post_init__", "Experiment")
     count(spec, "prepare")
     for module in (resolve, sys.modules["jaxrl_tab.engine.sweep"]):
@@ -140,7 +140,7 @@ def test_exact_values_are_kept_for_a_later_process(programs_folder, monkeypatch)
     model._kept.clear()
     with monkeypatch.context() as patched:
         for name in ("_check_model", "iterate_policies"):
-            module = model if name == "_check_model" else planning
+            module = model if name == "_check_model" else optimum
             patched.setattr(module, name, lambda *_: pytest.fail("it was worked out again"))
         again = solve(env)
     for x, y in zip(first, again, strict=True):

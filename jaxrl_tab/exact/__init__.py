@@ -8,6 +8,8 @@ Its modules, from the ground up:
     given       values and policies as they are given, checked
     visits      how often a policy comes to each state
     measure     what a table is worth, worked out inside a compiled program while it is learned
+    optimum     the best policy of an environment, worked out once
+    iterates    evaluation and improvement, one after the other: what policy and value iteration do on their way
     planning    the public side of these: values and policies of an environment that states its dynamics
     losses      what the policies of many runs lose against the best one
     affine      vectors that change while a Markov chain goes its way: their exact mean and covariance

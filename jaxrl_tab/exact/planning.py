@@ -20,8 +20,10 @@ nothing is earned or paid ever again (a terminal state; a loop without rewards):
 values are finite.
 """
 
+from typing import Literal, overload
+
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from jaxrl_tab.core.checks import RATE, check_within, first
@@ -29,12 +31,12 @@ from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.double import doubled, has_double, in_turn
 from jaxrl_tab.exact.given import checked_policy, checked_table, checked_values
+from jaxrl_tab.exact.iterates import Iterates, generalized_policy_iteration
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (
     Model,
     backup,
     check_finite,
-    ending_at,
     enumerate_model,
     exact_model,
     from_state_to_state,
@@ -45,13 +47,11 @@ from jaxrl_tab.exact.model import (
     terminal_states,
     with_sizes,
 )
+from jaxrl_tab.exact.optimum import solved, unless
 from jaxrl_tab.exact.values import (
-    MAX_ROUNDS,
     ROUNDING,
-    Round,
     from_start,
     greedy_to,
-    iterate_policies,
     largest,
     policy_values,
     sparse_solver,
@@ -59,6 +59,7 @@ from jaxrl_tab.exact.values import (
 from jaxrl_tab.exact.visits import entered, occupancy, regret, stationary_distribution
 
 __all__ = [
+    "Iterates",
     "Measure",
     "Model",
     "action_regret_map",
@@ -75,6 +76,7 @@ __all__ = [
     "exact_model",
     "expectation_backup",
     "from_state_to_state",
+    "generalized_policy_iteration",
     "greedy_policy",
     "has_double",
     "in_turn",
@@ -211,9 +213,27 @@ def policy_value(env: Environment, policy_probs: ArrayLike, gamma: float = 1.0) 
     return float(from_start(model, policy_values(model, checked_policy(model, policy_probs), gamma).v))
 
 
+@overload
 def value_iteration(
-    env: Environment, gamma: float = 1.0, tol: float = 1e-10, max_sweeps: int = 100_000
-) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S A"]]:
+    env: Environment,
+    gamma: float = ...,
+    tol: float = ...,
+    max_sweeps: int = ...,
+    *,
+    history: Literal[False] = ...,
+) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S A"]]: ...
+@overload
+def value_iteration(
+    env: Environment, gamma: float = ..., tol: float = ..., max_sweeps: int = ..., *, history: Literal[True]
+) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S A"], Iterates]: ...
+def value_iteration(
+    env: Environment,
+    gamma: float = 1.0,
+    tol: float = 1e-10,
+    max_sweeps: int = 100_000,
+    *,
+    history: bool = False,
+) -> tuple:
     """The optimal values v* and q* (book, section 4.4), float64 [S] and [S, A]; 0 at terminal states.
 
     At gamma = 1 values need not be finite. Where that is so only of states that cannot be reached from the
@@ -221,7 +241,7 @@ def value_iteration(
 
     It starts from the values that policy iteration finds, for from 0 a corridor of S states would need S
     sweeps, and at gamma = 1 waiting for nothing may look better than it is. Sweeps then show how far these
-    are from v*.
+    are from v*. The sweeps from 0 on, as in the book, are the history.
 
     Args:
         env: an environment with `outcomes`.
@@ -232,6 +252,8 @@ def value_iteration(
             good as rounding makes it: a sweep changes it by less than a few units in the last place of the
             numbers that are added up for it.
         max_sweeps: how many sweeps to make at most.
+        history: whether to give the sweeps from 0 on as well, one by one: v, q, and the `Iterates` of
+            `generalized_policy_iteration(env, gamma, sweeps=1)`.
 
     Raises:
         InputError: gamma is 1 and from some state that can be reached no policy ever ends while rewards go
@@ -239,7 +261,7 @@ def value_iteration(
     """
     check_within("gamma", gamma, RATE)
     check_within("tol", tol, {"greater_than": 0})
-    model, last, out = _solved(env, 0.0, gamma)
+    model, last, out = solved(env, 0.0, gamma)
     v, terms = last.v, (last.probs * backup(with_sizes(model), abs(last.v), gamma)).sum(1)
     rounding = ROUNDING * np.finfo(v.dtype).eps * terms
     old, ratio = np.inf, 1.0
@@ -251,16 +273,23 @@ def value_iteration(
         v = new_v
         if change * rate <= tol * (1 - rate):
             q = backup(model, v, gamma)
-            return _unless(out, largest(q)), _unless(out, q)
+            found = unless(out, largest(q)), unless(out, q)
+            return (*found, generalized_policy_iteration(env, gamma, sweeps=1)) if history else found
         old, ratio = change, change / old
     raise InputError(
         f"{name_of(env)}: value iteration did not converge in {max_sweeps} sweeps; raise max_sweeps"
     )
 
 
+@overload
 def policy_iteration(
-    env: Environment, gamma: float = 1.0
-) -> tuple[Float[np.ndarray, "S A"], Float[np.ndarray, " S"], Float[np.ndarray, "S A"]]:
+    env: Environment, gamma: float = ..., *, history: Literal[False] = ...
+) -> tuple[Float[np.ndarray, "S A"], Float[np.ndarray, " S"], Float[np.ndarray, "S A"]]: ...
+@overload
+def policy_iteration(
+    env: Environment, gamma: float = ..., *, history: Literal[True]
+) -> tuple[Float[np.ndarray, "S A"], Float[np.ndarray, " S"], Float[np.ndarray, "S A"], Iterates]: ...
+def policy_iteration(env: Environment, gamma: float = 1.0, *, history: bool = False) -> tuple:
     """An optimal policy [S, A], v* [S] and q* [S, A], float64 (book, section 4.3).
 
     In no state is another action better by more than rounding, judged by the numbers that the values of the
@@ -268,10 +297,17 @@ def policy_iteration(
     any mixture, but at gamma = 1 one that ends where it must to be optimal. (To take the first of several
     best actions may be to go round for ever.)
 
+    Args:
+        env: an environment with `outcomes`.
+        gamma: discount rate, in [0, 1].
+        history: whether to give every policy on the way as well: policy, v*, q*, and the `Iterates` of
+            `generalized_policy_iteration(env, gamma)`.
+
     Raises:
         InputError: as `value_iteration`.
     """
-    return epsilon_soft(env, 0.0, gamma)
+    found = epsilon_soft(env, 0.0, gamma)
+    return (*found, generalized_policy_iteration(env, gamma)) if history else found
 
 
 def epsilon_soft(
@@ -281,15 +317,15 @@ def epsilon_soft(
 
     Returns:
         The policy [S, A], its values [S] and its action values [S, A], float64; as good as those of
-        `policy_iteration`.
+        `policy_iteration`. (`generalized_policy_iteration` shows the way to it.)
 
     Raises:
         InputError: epsilon is not in [0, 1], or as `value_iteration`.
     """
     check_within("epsilon", epsilon, RATE)
     check_within("gamma", gamma, RATE)
-    _, last, out = _solved(env, epsilon, gamma)
-    return last.probs.copy(), _unless(out, last.v), _unless(out, last.q)
+    _, last, out = solved(env, epsilon, gamma)
+    return last.probs.copy(), unless(out, last.v), unless(out, last.q)
 
 
 def largest_return(env: Environment, gamma: float, steps: int, anywhere: bool = False) -> float:
@@ -365,41 +401,3 @@ def action_regret_map(
             "gamma = 1 its regret is infinite; take gamma below 1"
         )
     return found.by_action
-
-
-@once_for_an_environment(
-    like=(Model(*[None] * len(Model._fields)), Round(*[None] * len(Round._fields)), None)
-)
-def _solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, "Round", Bool[np.ndarray, " S"]]:
-    """The model, the last round of policy iteration in it, and which states were left out of both.
-
-    Left out is what cannot be reached, where nothing else has no finite value. Raises InputError where there
-    is no finite answer.
-    """
-    model = exact_model(env)
-    last, out = iterate_policies(model, epsilon, gamma), np.zeros(len(model.start), bool)
-    if last.caught.any() and not (last.caught & (is_reachable := reachable(model))).any():
-        out = ~is_reachable
-        model = ending_at(model, out)
-        last = iterate_policies(model, epsilon, gamma)
-    if last.caught.any():
-        where, who = (
-            f"{name_of(env)}: from state {first(last.caught)[0]}",
-            "epsilon-soft " if epsilon else "",
-        )
-        why = (
-            "a round trip earns more than it costs"
-            if last.n
-            else f"no {who}policy ever ends and rewards go on"
-        )
-        raise InputError(
-            f"{where} {why}, so at gamma = 1 the optimal value is not finite; take gamma below 1"
-        )
-    if last.better.any():
-        raise InputError(f"{name_of(env)}: policy iteration did not settle in {MAX_ROUNDS} rounds")
-    return model, last, out
-
-
-def _unless(out: Bool[np.ndarray, " S"], values: Float[np.ndarray, "S *A"]) -> Float[np.ndarray, "S *A"]:
-    """`values`, and NaN for the states that were left out."""
-    return np.where(out.reshape(-1, *[1] * (values.ndim - 1)), np.nan, values)

@@ -249,7 +249,7 @@ def iterate_policies(model: Model, epsilon: float, gamma: Any) -> Round:
         return (last.n < 0) | last.better.any() & ~last.caught.any() & (last.n < MAX_ROUNDS)
 
     # A made-up round comes first, whose improvement is to take any action: so a program has `judged` only once.
-    anything = _any_action(model)
+    anything = any_action(model)
     nothing, no = 0 * anything, anything[:, 0] < 0
     begin = np.int32(ANYTHING if epsilon else ANYTHING - 1)
     return while_loop(
@@ -257,11 +257,20 @@ def iterate_policies(model: Model, epsilon: float, gamma: Any) -> Round:
     )
 
 
-def _any_action(model: Model) -> Float[Any, "S A"]:
+def any_action(model: Model) -> Float[Any, "S A"]:
     """The policy [S, A] that takes all available actions equally often."""
     namespace = array_module(model)
     is_available = namespace.ones(model.prob.shape[:2], bool) if model.available is None else model.available
     return is_available / is_available.sum(-1, keepdims=True).astype(model.prob.dtype)
+
+
+def first_policy(model: Model, epsilon: float, gamma: Any) -> Float[Any, "S A"]:
+    """The policy [S, A] that policy iteration begins with: any action, equally likely, but for `_first_policy`."""
+    anything = any_action(model)
+    if epsilon:
+        return anything
+    v, _, caught = policy_values(model, anything, gamma)
+    return _first_policy(model, v, caught)
 
 
 def _first_policy(model: Model, v: Float[Any, " S"], caught: Bool[Any, " S"]) -> Float[Any, "S A"]:
@@ -274,7 +283,7 @@ def _first_policy(model: Model, v: Float[Any, " S"], caught: Bool[Any, " S"]) ->
     Args:
         v, caught: of the policy that takes any action.
     """
-    where, anything = array_module(model).where, _any_action(model)
+    where, anything = array_module(model).where, any_action(model)
     free = ((model.prob == 0) | (model.reward == 0)).all(-1)
     home = _home(model, free)
     staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]

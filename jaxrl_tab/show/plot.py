@@ -34,6 +34,7 @@ from jaxrl_tab.show.curves import (
     mean_curve,
     sensitivity,
 )
+from jaxrl_tab.show.diagrams import backups, bridge
 from jaxrl_tab.show.grids import (
     changes,
     greedy_path,
@@ -96,6 +97,8 @@ __all__ = [
     "TYPE",
     "WIDTH",
     "action_values",
+    "backups",
+    "bridge",
     "canvas",
     "changes",
     "color_bar",
