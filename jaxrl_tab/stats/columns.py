@@ -202,6 +202,15 @@ COLUMNS = [
         written="tenths",
     ),
     Column(
+        "policy_value",
+        lambda own: None if (x := own.at_the_end("policy_value")) is None else x.median("seed"),
+        screen="worth of the\nacting policy",
+        report="worth of the acting policy",
+        written="exact",
+        help="what the policy that acts, exploring and all, earns in the long run, exact, as it acts at the end of a "
+        "run, without the time limit; median over seeds.",
+    ),
+    Column(
         "greedy_arrives",
         lambda own: own.arriving,
         screen="greedy policy\narrives",
