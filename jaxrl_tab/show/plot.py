@@ -37,6 +37,7 @@ from jaxrl_tab.show.curves import (
 from jaxrl_tab.show.diagrams import backups, bridge
 from jaxrl_tab.show.exact_curves import exact_curves
 from jaxrl_tab.show.grids import (
+    amounts,
     changes,
     greedy_path,
     median_path,
@@ -98,6 +99,7 @@ __all__ = [
     "TYPE",
     "WIDTH",
     "action_values",
+    "amounts",
     "backups",
     "bridge",
     "canvas",
