@@ -17,6 +17,7 @@ Its modules, from the ground up:
     rates     what a step size or an exploration rate comes to
     rate_curves pictures of that
     diagrams  pictures of backup diagrams
+    exact_curves pictures of exact learning curves
     learning  learning over time as an animation: GIF, or a page with a slider
     plot      the public side of these, and all pictures of a sweep; `rl.plot`
     explorer  the data of the report, in which its readers look around

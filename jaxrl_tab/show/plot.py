@@ -35,7 +35,9 @@ from jaxrl_tab.show.curves import (
     sensitivity,
 )
 from jaxrl_tab.show.diagrams import backups, bridge
+from jaxrl_tab.show.exact_curves import exact_curves
 from jaxrl_tab.show.grids import (
+    amounts,
     changes,
     greedy_path,
     median_path,
@@ -98,12 +100,14 @@ __all__ = [
     "TYPE",
     "WIDTH",
     "action_values",
+    "amounts",
     "backups",
     "bridge",
     "canvas",
     "changes",
     "color_bar",
     "episodes_against_steps",
+    "exact_curves",
     "exact_line",
     "greedy_path",
     "head",
