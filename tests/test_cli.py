@@ -377,7 +377,6 @@ REFUSALS = {
     "schedule glie power:0.5": "not of the form power[:POWER[:SCALE]]:CLOCK",
     "schedule -0.1": "a step size or an exploration rate is a number of at least 0, not -0.1",
     "schedule nan": "a step size or an exploration rate is a number of at least 0, not nan",
-    "schedule optax:cosine_decay(1,2)": "optax has no schedule 'cosine_decay'",
     "schedule 1 2 3 4 5 6 7 8 9": "at most 8 schedules stand side by side, not 9",
     "schedule glie --jsn": "did you mean '--json'?",
     "bridge --alpha 0.1": "name an environment: windy-gridworld",

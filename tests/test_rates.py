@@ -100,6 +100,7 @@ def test_what_is_above_one_is_no_exploration_rate():
     [
         (jnp.ones(2), "a step size or an exploration rate is a number of at least 0, not"),
         (None, "is a number of at least 0, not None"),
+        ("optax:cosine_decay(1,2)", "optax has no schedule 'cosine_decay'; did you mean"),
         (-1, "is a number of at least 0, not -1"),
         (schedules.Optax(lambda count: 1 / (count - 4.0)), "is no number at n = 5, but inf"),
     ],
