@@ -6,6 +6,7 @@ from jaxrl_tab.figures import (
     blackjack_regret,
     cliff_alpha,
     cliff_walking,
+    gpi,
     importance_sampling,
     k_armed_testbed,
     maximization_bias,
@@ -16,6 +17,7 @@ from jaxrl_tab.figures import (
 from jaxrl_tab.figures.figure import Check, Figure, Number, swept
 
 FIGURES = {
+    "gpi": gpi.FIGURE,
     "k-armed-testbed": k_armed_testbed.FIGURE,
     "two-doors": two_doors.FIGURE,
     "windy-gridworld": windy_gridworld.FIGURE,
