@@ -17,6 +17,10 @@ class QSigma(TDControl):  # has alpha, epsilon, gamma, q0, behaviour, and all bu
 
     sigma: float = 0.5
 
+    backup = rl.backups.Backup(
+        {"σ": "action, state, action", "1 − σ": "action, state, each action"}
+    )  # its diagram
+
     def update(self, key, state, t):
         state = self.begin(state, t)  # counts the step
         a_next = self.policy(key, state, t.s_next)

@@ -23,7 +23,7 @@ from jaxrl_tab.algorithms import (
     prediction,
 )
 from jaxrl_tab.algorithms.prediction import PREDICTION
-from jaxrl_tab.core import policies, schedules, tables
+from jaxrl_tab.core import backups, policies, schedules, tables
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.names import register
@@ -122,6 +122,7 @@ __all__ = [
     "Watched",
     "WindyGridworld",
     "algorithms",
+    "backups",
     "batch",
     "bridge",
     "collect",

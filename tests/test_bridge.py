@@ -1,5 +1,7 @@
 """The mean of the sample backup of a one-step method is the full backup, for every registered one."""
 
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +13,7 @@ from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.prediction import PREDICTION, TD
 from jaxrl_tab.algorithms.td import TDControl
+from jaxrl_tab.cli import main
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.policies import EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.core.pytree import pytree
@@ -283,3 +286,74 @@ def test_drawing_is_as_before_afterwards():
     with pytest.raises(rl.InputError):
         bridge.expected_backup(OwnDice(), CLIFF, some_q(CLIFF))
     assert policies.choose.get() is None
+
+
+# --- the full backup by itself, and the command ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(("row", "name"), ONE_STEP)
+def test_the_full_backup_of_a_method_is_that_of_its_row(row, name):
+    """Broken once: the policy that acts, where the method has a target -> fails."""
+    more = {"target": Softmax(0.5)} if issubclass(ALGORITHMS[name], OffPolicyControl) else {}
+    method, q = ALGORITHMS[name](epsilon=EPSILON, gamma=GAMMA, **more), some_q(CLIFF)
+    assert bridge.row_of(method) is row
+    np.testing.assert_allclose(
+        bridge.full_backup(method, CLIFF, q), full_backup(row, method, CLIFF, q), atol=1e-12
+    )
+
+
+def test_the_command_shows_both_sides_of_each_equation(capsys):
+    assert main(["bridge"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "\n".join(lines) == bridge.table()
+    at = lines.index("Bellman optimality equation for q*")
+    assert lines[at + 2 : at + 11] == [
+        "  full backup (DP): q-value iteration                sample backup (TD): Q-learning",
+        "  q(s, a) <- E[R + gamma max_a' q(S', a') | s, a]    Q(S, A) <-alpha- R + gamma max_a' Q(S', a')",
+        "",
+        "            ●             s, a                           ●       S, A",
+        "      ┌─────┴─────┐                                      │",
+        "      ○           ○       mean over r, s', by p          ○       R, S'",
+        "    ╱ │ ╲       ╱ │ ╲                                  ╱ │ ╲",
+        "   ╱╰─┼─╯╲     ╱╰─┼─╯╲                                ╱╰─┼─╯╲",
+        "  ●   ●   ●   ●   ●   ●   max over a'                ●   ●   ●   max over a'",
+    ]
+    assert main(["bridge", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["compared"] is None
+    assert [row["sample"]["method"] for row in found["rows"]] == ["TD(0)", "Sarsa", "Q-learning"]
+    assert [row["methods"] for row in found["rows"]] == [list(row.methods) for row in bridge.TABLE]
+
+
+def test_the_command_compares_what_a_method_has_learned(capsys, tmp_path):
+    """Of two actions one is not there in A; the full backup by hand. Broken once: `there` is all -> fails."""
+    command = "bridge maximization-bias expected-sarsa --actions 3 --epsilon 0.5 --gamma 0.5 --steps 50"
+    assert main([*command.split(), "--json", "--out", str(tmp_path / "bridge")]) == 0
+    numbers = json.loads(capsys.readouterr().out)["compared"]
+    q, mean, full = (numbers[name] for name in ("values", "mean_of_samples", "full_backup"))
+    assert q[0][2] is mean[0][2] is full[0][2] is None
+    b = np.array(q[1])
+    left = 0.5 * (0.5 * b.mean() + 0.5 * b.max())  # from A to B, for nothing
+    np.testing.assert_allclose(sorted(full[0][:2]), sorted([left, 0]), atol=1e-9)
+    np.testing.assert_allclose([mean[0][:2], mean[1][:2]], [full[0][:2], full[1][:2]], atol=1e-12)
+    np.testing.assert_allclose(full[1], [-0.1] * 3, atol=1e-9)
+    assert numbers["largest_difference"] < 1e-12
+    assert {file.name for file in (tmp_path / "bridge").iterdir()} == {"bridge.png", "bridge.svg"}
+    assert main(command.split()) == 0
+    text = capsys.readouterr().out
+    assert "The mean of what is sampled is the full backup" in text
+    assert "π is the policy that acts, or the target where there is one." in text
+
+
+def test_the_command_says_where_an_update_is_another_one(capsys, tmp_path):
+    own = tmp_path / "mine.py"
+    own.write_text(
+        "import jaxrl_tab as rl\n\n@rl.pytree\nclass Greedy(rl.Sarsa):\n"
+        '    """Learns half of the reward."""\n'
+        "    def update(self, key, state, t):\n        return super().update(key, state, t._replace(r=t.r / 2))\n"
+    )
+    assert main(["bridge", "random-walk", f"{own}:Greedy", "--states", "3", "--steps", "5"]) == 0
+    assert (
+        "The mean of what is sampled is not the full backup: the largest difference over all 5 pairs of state and "
+        "action is 0.25." in capsys.readouterr().out
+    )

@@ -99,22 +99,21 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
         lines = [line.split("│") for line in printed.out.splitlines() if f"│ {method} " in line]
         assert [float(line[2]) for line in lines] == [0.5, 1.0]
         np.testing.assert_allclose([float(line[3]) for line in lines], rows.episodes, atol=0.05)
-        bounds = [line[5].replace("–", "nan to nan").strip(" !").split(" to ") for line in lines]
-        means = [line[4].replace("–", "nan") for line in lines]
+        bounds = [line[7].replace("–", "nan to nan").strip(" !").split(" to ") for line in lines]
+        means = [line[6].replace("–", "nan") for line in lines]
         shown = [[float(mean), *map(float, ends)] for mean, ends in zip(means, bounds, strict=True)]
         columns = rows[["last_tenth_return", "last_tenth_low", "last_tenth_high"]]
         np.testing.assert_allclose(shown, columns, atol=0.005)
-        assert all(float(line[-2]) == -15 for line in lines)
         starred = [row for row, line in enumerate(lines) if "*" in line[1]]
         assert starred == [rows.last_tenth_return.to_numpy().argmax()]
-    assert "epsilon 0.1, gamma 1, q0 0, 3 seeds, 1000 steps each" in printed.out
+    assert "epsilon 0.1, gamma 1, q0 0, exact optimum -15, 3 seeds, 1000 steps each" in printed.out
     assert printed.err == ""  # no bar where stderr is no terminal
 
     assert main([*argv, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["folder"] is None
     frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second").replace({None: np.nan})
-    expected = summary.drop(columns="steps_per_second")
+    expected = summary.drop(columns="steps_per_second").replace({np.inf: np.nan})  # JSON has no infinity
     pd.testing.assert_frame_equal(frame, expected, check_dtype=False)
 
     assert main([*argv, "--quiet"]) == 0
@@ -216,13 +215,16 @@ def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_
     command = "sweep random-walk td-lambda --states 5 --left-reward 0 --lam 0 1 --alpha 0.1 --episodes 30"
     assert call(command, "--seeds", "3", "--out", str(out)) == 0
     text = capsys.readouterr().out
-    assert "random-walk, alpha 0.1, gamma 1, v0 0, trace accumulating, offline off, 3 seeds" in text
+    assert (
+        "random-walk, alpha 0.1, gamma 1, v0 0, trace accumulating, offline off, value of the policy 0.5, 3 seeds"
+        in text
+    )
     ds = xr.open_datatree(out / "results.nc")["td-lambda"].to_dataset()
     lines = [line.split("│") for line in text.splitlines() if "│ td-lambda " in line]
     error = ds.v_error.mean(("row", "seed")).values
-    shown = np.array([[float(line[4]), float(line[6])] for line in lines])
-    np.testing.assert_allclose(shown, np.c_[error, ds.v_error[..., -1].mean("seed")], atol=5.1e-4)
-    assert [float(line[-2]) for line in lines] == [0.5, 0.5]
+    shown = np.array([[float(line[3]), float(line[4]), float(line[6])] for line in lines])
+    early, late = (ds.v_error[..., rows].mean(("row", "seed")) for rows in (slice(3), slice(-1, None)))
+    np.testing.assert_allclose(shown, np.c_[early, error, late], atol=5.1e-4)
     assert ["*" in line[1] for line in lines] == [i == error.argmin() for i in range(2)]
     assert ds.attrs["optimal_value"] == pytest.approx(0.5)
     names = {file.name for file in out.iterdir()}
@@ -363,8 +365,18 @@ REFUSALS = {
     "explain nowhere": "there is no folder nowhere",
     "explain nowhere --jsn": "did you mean '--json'?",
     "swep": "did you mean 'sweep'?",
-    "nonsense": "choose one of list, solve, watch, sweep, resume, explain, figure",
+    "nonsense": "choose one of list, bridge, solve, watch, sweep, resume, explain, figure",
     "list --jsn": "did you mean '--json'?",
+    "list sara": "'sara' is not an environment, a method or a figure; did you mean 'sarsa'?",
+    "list mine.py:Mine": "there is no file",
+    "list --out x": "--out goes with --backups",
+    "list --backups two-doors": "two-doors is no method, and only methods have a backup diagram",
+    "bridge --alpha 0.1": "name an environment: windy-gridworld",
+    "bridge windy-gridworld": "name a method: sarsa",
+    "bridge windy-gridworld sara": "did you mean 'sarsa'?",
+    "bridge windy-gridworld sarsa --alpha 0": "alpha must be greater than 0, not 0.0",
+    "bridge windy-gridworld sarsa --steps 0": "bridge: steps must be a whole number of at least 1, not 0",
+    "bridge windy-gridworld n-step-sarsa": "NStepSarsa is on no row of the table, whose methods are td, off-policy-td,",
     "solve": "name an environment: windy-gridworld",
     "solve windy-gridwrld": "did you mean 'windy-gridworld'?",
     "solve windy-gridworld more": "unexpected argument 'more'",
@@ -452,7 +464,14 @@ def test_wrong_input_is_refused_in_one_line_before_anything_is_computed(command,
 
 
 @pytest.mark.parametrize(
-    "command", ["solve windy-gridworld", "sweep windy-gridworld sarsa", "figure windy-gridworld"]
+    "command",
+    [
+        "solve windy-gridworld",
+        "sweep windy-gridworld sarsa",
+        "figure windy-gridworld",
+        "list --backups",
+        "bridge",
+    ],
 )
 def test_a_folder_that_cannot_be_made_is_refused(command, idle, tmp_path, capsys):
     (tmp_path / "folder").mkdir()

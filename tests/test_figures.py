@@ -79,10 +79,20 @@ IN_FULL = {
     "cliff-walking": {"num_seeds": 200},
     "k-armed-testbed": {"num_problems": 1000},
     "maximization-bias": {"num_seeds": 1000},
+    "lambda-arrows": {},
 }
 # These need many programs, or many games, to be drawn at all, which takes minutes. What they are made of and
-# show is tested in test_figure_experiments, test_n_step and test_importance; `figure --all` checks all of it.
-BY_HAND = ("bias-variance", "importance-sampling", "blackjack", "blackjack-regret")
+# show is tested in test_figure_experiments, test_figures_lecture, test_n_step and test_importance; `figure --all`
+# checks all of it.
+BY_HAND = (
+    "bias-variance",
+    "importance-sampling",
+    "blackjack",
+    "blackjack-regret",
+    "time-step",
+    "how-often",
+    "initial-q",
+)
 
 
 def run(figure):

@@ -72,6 +72,11 @@ LATER = (
         "sweep windy-gridworld sarsa --executor slurm",
         "list --jsn",
         "list --json=1",
+        "list sara",
+        "list --out x",
+        "list --backups two-doors",
+        "bridge --alpha 0.1",
+        "bridge windy-gridworld n-step-sarsa",
     ),
     *(
         "memory",
@@ -111,6 +116,9 @@ def test_refusals_are_in_the_same_words(command, first, idle, capsys):  # noqa: 
         "sweep blackjack monte-carlo --seeds 2147483647 --log_every=1 --alpha sample-average",
         "sweep random-walk td --left-reward -1 --states 5",
         "resume nowhere --executor ray --num-cpus 1",
+        "bridge",
+        "bridge --steps 10 --json",
+        "bridge random-walk td --alpha 0.5",
     ],
 )
 def test_what_is_right_goes_on(command, first):
@@ -136,6 +144,10 @@ def test_whatever_is_typed_the_front_says_what_the_command_says(first, idle):  #
         ("--version", 0),
         ("list", 0),
         ("list --json", 0),
+        ("list q-learning", 0),
+        ("list --backups", 0),
+        ("list --backups sarsa --json", 0),
+        ("bridge --help", 0),
         ("sweep --help", 0),
         ("swep", 2),
         ("sweep windy-gridwrld sarsa", 2),
@@ -143,6 +155,8 @@ def test_whatever_is_typed_the_front_says_what_the_command_says(first, idle):  #
         ("sweep windy-gridworld sarsa --alpha 0", 2),
         ("solve windy-gridworld --gamma 1.5", 2),
         ("figure windy", 2),
+        ("list sara", 2),
+        ("bridge windy-gridworld sara", 2),
     ],
 )
 def test_nothing_slow_is_imported_for_it(words, code):

@@ -29,7 +29,8 @@ import xarray as xr
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning, policies, schedules, stats
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.cli import figure, sweep, watch
+from jaxrl_tab.cli import bridge, figure, listing, sweep, watch
+from jaxrl_tab.cli.bridge import Bridge
 from jaxrl_tab.cli.figure import Figure
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Resume, Sweep
@@ -159,14 +160,15 @@ WORDS = [
 def options_of(command):
     """The options of a command as they are spelled."""
     if command is None:
-        return ["--json"]
+        return ["--json", "--backups", "--out"]
     own = ["--" + field.name.replace("_", "-") for field in dataclasses.fields(command)]
-    classes = [*ENVS.values(), *METHODS.values()] if command in (Sweep, Solve, Watch) else []
+    classes = [*ENVS.values(), *METHODS.values()] if command in (Sweep, Solve, Watch, Bridge) else []
     return [*own, *("--" + p.name.replace("_", "-") for cls in classes for p in describe.parameters(cls))]
 
 
 COMMANDS = {
     "list": None,
+    "bridge": Bridge,
     "solve": Solve,
     "watch": Watch,
     "sweep": Sweep,
@@ -175,6 +177,8 @@ COMMANDS = {
 }
 OPTIONS = {name: options_of(command) for name, command in COMMANDS.items()}
 NAMES = {
+    "list": [*ENVS, *METHODS],
+    "bridge": list(ENVS),
     "solve": list(ENVS),
     "watch": list(ENVS),
     "figure": list(FIGURES),
@@ -189,7 +193,7 @@ def some_words(draw):
     words = [name]
     if names := NAMES.get(name, []):
         words.append(draw.choice(names))
-    if name in ("sweep", "watch"):
+    if name in ("sweep", "watch", "bridge"):
         words += draw.choices(list(METHODS), k=draw.randint(1, 2 if name == "sweep" else 1))
     for _ in range(draw.randint(0, 3)):
         words.append(draw.choice(OPTIONS.get(name, WORDS)))
@@ -240,6 +244,9 @@ def make_idle(put):
 
     put(sweep, "_conduct", stop)
     put(watch, "watch", stop)
+    put(bridge, "_compare", stop)
+    put(bridge, "_draw", stop)
+    put(listing, "_draw", stop)
     put(figure, "make_runs", stop)
     get = rl.executors.get
 

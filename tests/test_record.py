@@ -111,7 +111,7 @@ def test_how_many_rows_are_measured_at_once_changes_nothing(backend, length, mon
     options = length | {"log_every": 10 if "num_steps" in length else 1, "backend": backend, "num_seeds": 3}
 
     def swept(rows):
-        monkeypatch.setattr(traced, "rows_at_once", lambda algorithm, learner, exact: rows)
+        monkeypatch.setattr(traced, "rows_at_once", lambda what, algorithm, learner: rows)
         forget()
         traced.unchecked.clear_cache()
         record = lambda state: {"q_all": state.q, "first": state.q[0, 0]}

@@ -136,8 +136,10 @@ def test_the_table_of_methods_has_both_numbers_of_what_was_chosen(made, windy_se
 
 
 def test_all_settings_stand_with_the_best_first(made, windy_sets):
-    head, *rows = read(made).tables[1]
-    assert head == ["method", "α", "mean return", "95% interval", "9 of 10 runs", "seeds", "episodes"]
+    head, *rows = read(made).tables[2]
+    early = ["steps an episode, first tenth", "steps an episode, last tenth"]
+    assert head[:6] == ["method", "α", "mean return", "95% interval", "episodes", early[0]]
+    assert head[6:] == [early[1], "9 of 10 runs", "seeds"]
     table = stats.summary(windy_sets).sort_values("last_tenth_return", ascending=False)
     names = [words.title_of(name.removeprefix("windy/")) for name in table.method]
     assert [row[0].rstrip(" ★≈") for row in rows] == names
@@ -171,9 +173,9 @@ def test_many_settings_are_folded_away(windy, windy_sets, tmp_path, monkeypatch)
     many["returns"] = many.returns * (1 + many.epsilon)
     file = report.write(tmp_path, {"windy/sarsa": many}, {"windy": windy}, {})
     page = read(file)
-    assert [len(table) - 1 for table in page.tables[1:3]] == [12, 38]
+    assert [len(table) - 1 for table in page.tables[2:4]] == [12, 38]
     assert "38 more settings, of 51; all are in summary.csv" in page.text
-    assert page.tables[1][1][:3] == ["Sarsa ★", "0", "0.9"]
+    assert page.tables[2][1][:3] == ["Sarsa ★", "0", "0.9"]
 
 
 def test_diverged_runs_are_counted_and_score_as_the_worst(windy, windy_sets, tmp_path):
@@ -187,7 +189,7 @@ def test_diverged_runs_are_counted_and_score_as_the_worst(windy, windy_sets, tmp
     assert "6 runs diverged" in page.text
     assert "Sarsa, α = 0.9: 1 of 5" in page.text
     assert "Sarsa, α = 0.2: 5 of 5" in page.text
-    head, *rows = page.tables[1]
+    head, *rows = page.tables[2]
     by_alpha = {row[1]: row for row in rows}
     at = head.index("diverged")
     assert {alpha: row[at] for alpha, row in by_alpha.items()} == {"0.05": "0", "0.2": "5", "0.9": "1"}
@@ -227,7 +229,7 @@ def test_draws_are_known_by_what_was_drawn(windy, windy_sets, tmp_path):
     file = report.write(tmp_path, {"windy/sarsa": ds}, {"windy": windy}, {})
     page = read(file)
     assert page.tables[0][1][:2] == ["Sarsa", "α = 0.9, q0 = −2"]
-    assert [row[:3] for row in page.tables[1]] == [
+    assert [row[:3] for row in page.tables[2]] == [
         ["method", "α", "q0"],
         ["Sarsa ★", "0.9", "−2"],
         ["Sarsa ≈", "0.2", "−1"],  # five seeds tell nothing apart
@@ -272,10 +274,10 @@ def test_prediction_and_an_environment_without_exact_values(windy_sets, tmp_path
     assert page.tables[0][0][-1] == "exact optimum"
     assert page.tables[0][1][-1] == "–"
     ends = ["error at the end", "exact value"]
-    assert page.tables[2][0][2:] == ["mean error (95% interval)", "9 of 10 runs", "seeds", *ends]
+    assert page.tables[3][0][2:] == ["mean error (95% interval)", "9 of 10 runs", "seeds", *ends]
     best = float(stats.mean_interval(stats.score(predicted))[0].min())
-    assert numbers(page.tables[2][1][2])[0] == pytest.approx(best, abs=6e-4)
-    means = [number(row[2]) for row in page.tables[3][1:]]
+    assert numbers(page.tables[3][1][2])[0] == pytest.approx(best, abs=6e-4)
+    means = [number(row[2]) for row in page.tables[5][1:]]
     assert means == sorted(means)  # of errors the lowest is the best
     assert "The lower the better." in page.text
 

@@ -206,7 +206,18 @@ def test_summary(ds, tmp_path):
     table = stats.summary({"sarsa": xr.load_dataset(tmp_path / "sweep.nc"), "sarsa-lambda": alone})
     of = lambda kind: [f"last_tenth_{kind}{end}" for end in ("", "_low", "_high")]
     assert table.columns.tolist() == [
-        *["method", "alpha", "epsilon", "gamma", "lam", "episodes"],
+        *[
+            "method",
+            "alpha",
+            "epsilon",
+            "gamma",
+            "lam",
+            "episodes",
+            "first_episode_steps",
+            "first_tenth_steps",
+        ],
+        *["last_tenth_steps", "first_tenth_unfinished", "first_tenth_return", "first_tenth_low"],
+        *["first_tenth_high", "interim_return", "interim_low", "interim_high"],
         *["last_tenth_return", "last_tenth_low", "last_tenth_high", *of("median"), *of("iqm")],
         *["seeds", "unfinished", "diverged", "seeds_wanted", "best", "tied"],
         *["difference", "difference_low", "difference_high", "p", "steps_per_second", "optimum"],

@@ -26,7 +26,7 @@ def control(scores, optimum=np.nan, **attrs):
     x = np.asarray(scores, float)[..., None]
     axes = ("alpha", "seed", "row")
     fields = {"returns": x, "rewards": np.full(x.shape, -800.0), "steps": np.full(x.shape, 800)}
-    fields["episodes"] = np.ones(x.shape, int)
+    fields |= {"lengths": fields["steps"], "episodes": np.ones(x.shape, int)}
     coords = {"alpha": np.arange(1, 1 + len(x)) / 10, "seed": np.arange(x.shape[1])}
     budget = {"num_steps": 800, "log_every": 800, "optimal_value": optimum}
     return xr.Dataset({name: (axes, field) for name, field in fields.items()}, coords, budget | attrs)

@@ -213,7 +213,8 @@ def dataset(returns, alphas=(0.1, 0.5), first_seed=0, diverged=None, root_seed=0
     """One episode in the only row of each run: [alphas, seeds]."""
     returns = np.asarray(returns, float)
     axes = ("alpha", "seed")
-    log = {"returns": returns, "episodes": np.ones(returns.shape, int)}
+    steps = np.full(returns.shape, 10)
+    log = {"returns": returns, "episodes": np.ones(returns.shape, int), "steps": steps, "lengths": steps}
     ds = xr.Dataset({name: ((*axes, "row"), x[..., None]) for name, x in log.items()})
     ds["diverged"] = axes, np.zeros(returns.shape, bool) if diverged is None else np.asarray(diverged)
     seeds = first_seed + np.arange(returns.shape[1])

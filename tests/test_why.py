@@ -17,7 +17,14 @@ def blocks(language):
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
 
 
-@pytest.mark.parametrize(("name", "block", "rel"), [("why", 0, 0.1), ("exact_curves", 1, 0.01)])
+SCRIPTS = [
+    ("why", 0, 0.1),
+    pytest.param("luck_free", 1, 0.1, marks=pytest.mark.slow),
+    ("exact_curves", 2, 0.01),
+]
+
+
+@pytest.mark.parametrize(("name", "block", "rel"), SCRIPTS)
 def test_the_page_shows_what_the_scripts_print(name, block, rel, capsys):
     """Words are the same; numbers of runs may differ a little on another processor, and counts of seeds by a few.
 

@@ -6,9 +6,11 @@ backup** of dynamic programming (Silver, lecture 5, "Relationship between DP and
 
     print(bridge.table())
     q_next = bridge.expected_backup(rl.QLearning(gamma=0.9), env, q)     # = planning.optimality_backup(...)
+    bridge.full_backup(rl.QLearning(gamma=0.9), env, q)                  # the same, by dynamic programming
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,9 +22,10 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.every_draw import no_words, over_draws
-from jaxrl_tab.algorithms.prediction import Prediction, ValueState
+from jaxrl_tab.algorithms.prediction import METHODS, Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.types import Environment, Transition, available_actions, init_learner, restricted
@@ -35,7 +38,7 @@ class Row(NamedTuple):
 
     Attributes:
         equation: the Bellman equation.
-        full, full_update: the method of dynamic programming, and its update.
+        full, full_update, full_diagram: the method of dynamic programming, its update, and what that looks ahead to.
         backup: the function of `planning` that is one sweep of it.
         sample, sample_update: the method of temporal differences, and its update.
         methods: the names of all registered methods that sample it, in ALGORITHMS and PREDICTION; those with
@@ -45,10 +48,18 @@ class Row(NamedTuple):
     equation: str
     full: str
     full_update: str
+    full_diagram: Backup
     backup: Callable[..., np.ndarray]
     sample: str
     sample_update: str
     methods: tuple[str, ...]
+
+    @property
+    def sample_diagram(self) -> Backup:
+        """What the update of the method of temporal differences looks ahead to, as that declares it."""
+        diagram = of_method(METHODS[self.methods[0]]).backup
+        assert diagram
+        return diagram._replace(words="")
 
 
 TABLE = (
@@ -56,6 +67,7 @@ TABLE = (
         "Bellman expectation equation for v_pi",
         "iterative policy evaluation",
         "v(s) <- E[R + gamma v(S') | s]",
+        Backup("state, each action, each state"),
         planning.evaluation_backup,
         "TD(0)",
         "V(S) <-alpha- R + gamma V(S')",
@@ -65,6 +77,7 @@ TABLE = (
         "Bellman expectation equation for q_pi",
         "q-policy iteration",
         "q(s, a) <- E[R + gamma q(S', A') | s, a]",
+        Backup("action, each state, each action"),
         planning.expectation_backup,
         "Sarsa",
         "Q(S, A) <-alpha- R + gamma Q(S', A')",
@@ -74,23 +87,71 @@ TABLE = (
         "Bellman optimality equation for q*",
         "q-value iteration",
         "q(s, a) <- E[R + gamma max_a' q(S', a') | s, a]",
+        Backup("action, each state, max action"),
         planning.optimality_backup,
         "Q-learning",
         "Q(S, A) <-alpha- R + gamma max_a' Q(S', a')",
         ("q-learning", "double-q-learning"),
     ),
 )
-"""x <-alpha- y stands for x <- x + alpha (y - x)."""
+WIDEST = max((row.full_update for row in TABLE), key=len)
+NOTE = "x <-alpha- y stands for x <- x + alpha (y - x)"
 
 
 def table() -> str:
-    """The lecture's table, to print."""
-    cells = [("Bellman equation", "full backup (DP)", "sample backup (TD)")]
+    """The lecture's table, to print: each Bellman equation, and below it both of its backups with their diagrams."""
+    lines = [line for row in TABLE for line in [row.equation, "", *beside(row), "", ""]]
+    return "\n".join([*lines, NOTE])
+
+
+def beside(row: Row, method: str = "", diagram: Backup | None = None) -> list[str]:
+    """Both backups of a row side by side, in lines; or of another method that samples it, with the diagram it has."""
+    update = row.sample_update if method in ("", row.methods[0]) else ""
+    drawn = diagram if method else row.sample_diagram
+    full = [f"full backup (DP): {row.full}", row.full_update, "", *row.full_diagram.diagram()]
+    sample = [f"sample backup (TD): {method or row.sample}", update, "", *(drawn.diagram() if drawn else [])]
+    width = max(len(line) for line in [WIDEST, *full])
+    return [f"  {x:{width}}    {y}".rstrip() for x, y in itertools.zip_longest(full, sample, fillvalue="")]
+
+
+def row_of(method: TDControl | Prediction) -> Row:
+    """The row of the table of a one-step method, or of a class of somebody's own that is made from one.
+
+    Raises:
+        InputError: it is on none of them.
+    """
     for row in TABLE:
-        cells += [(row.equation, row.full, row.sample), ("", row.full_update, row.sample_update)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in cells]
-    return "\n".join([*lines, "", "x <-alpha- y stands for x <- x + alpha (y - x)"])
+        if isinstance(method, tuple(METHODS[name] for name in row.methods)):
+            return row
+    names = ", ".join(name for row in TABLE for name in row.methods)
+    raise InputError(f"{type(method).__name__} is on no row of the table, whose methods are {names}")
+
+
+def full_backup(
+    method: TDControl | Prediction, env: Environment, values: Float[np.ndarray, "S *A"]
+) -> Float[np.ndarray, "S *A"]:
+    """The full backup that `method` samples: one sweep of its row of the table, float64, [S, A] of Q or [S] of V.
+
+    That is for the policy that the method learns about: its target, or else the one that acts, as it is in the first
+    step. `planning` sums over the outcomes of `env`, and runs no update. Args: as `expected_backup`.
+
+    Raises:
+        InputError: as `expected_backup`; or the method is on no row.
+    """
+    row = row_of(method)
+    if row.backup is planning.optimality_backup:
+        return planning.optimality_backup(env, values, method.gamma)
+    available = available_actions(env)
+    if isinstance(method, Prediction):
+        probs = restricted(method, available).probabilities(env)
+        return planning.evaluation_backup(env, values, probs, method.gamma)
+    values = planning.checked_values(planning.exact_model(env), "q", values)
+    with jax.enable_x64():
+        learner: Any = restricted(dataclasses.replace(method, q0=values), available)
+        state, states = init_learner(learner, env), jnp.arange(env.num_states, dtype=jnp.int32)
+        target = getattr(learner, "target_probs", learner.probs)
+        probs = np.asarray(jax.vmap(lambda s: target(state, s))(states))
+    return planning.expectation_backup(env, values, probs, method.gamma)
 
 
 def expected_backup(

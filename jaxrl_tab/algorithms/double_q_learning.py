@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Clock, begin_step, end_step, step_size
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.pytree import pytree
@@ -46,6 +47,11 @@ class DoubleQLearning(TDControl):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
+    backup: ClassVar[Backup] = Backup(
+        "action, state, max action",
+        "One table chooses the action, the other gives its value: Q2(S', argmax Q1(S', a')) where Q1 learns, "
+        "Q1(S', argmax Q2(S', a')) where Q2 does. A coin says which.",
+    )
 
     def init(self, num_states: int, num_actions: int) -> DoubleState:
         q, clock = super().init(num_states, num_actions)

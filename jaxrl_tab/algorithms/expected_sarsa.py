@@ -5,6 +5,7 @@ from typing import ClassVar
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import tables
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Policy
 from jaxrl_tab.core.pytree import pytree
@@ -23,6 +24,9 @@ class ExpectedSarsa(OffPolicyControl):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
+    backup: ClassVar[Backup] = Backup(
+        "action, state, each action", "π is the policy that acts, or the target where there is one."
+    )
 
     @property
     def pi(self) -> Policy:

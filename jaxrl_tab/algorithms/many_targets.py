@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import coverage, policies, tables
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.checks import as_array, first, is_distribution
 from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.declared import LearnsFrom
@@ -63,6 +64,10 @@ class ManyTargets(Shown):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
+    backup: ClassVar[Backup] = Backup(
+        "action, state, each action",
+        "Each target policy π has a table of its own, and all learn from each step.",
+    )
 
     def __post_init__(self):
         if not isinstance(self.behaviour, Table | None):

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.whole_returns import FIRST_VISIT, MonteCarloState, WholeReturns
 from jaxrl_tab.core import tables
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
@@ -43,6 +44,9 @@ class MonteCarlo(WholeReturns):
     )
 
     acts_after_update: ClassVar[bool] = True
+    backup: ClassVar[Backup] = Backup(
+        "action, state, action, ..., end", "The whole return of the episode: no value is looked up."
+    )
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> MonteCarloState:
         state = super().init(num_states, num_actions, max_steps)

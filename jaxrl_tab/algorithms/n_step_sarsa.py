@@ -1,7 +1,7 @@
 """n-step Sarsa: between Sarsa and Monte Carlo (book, section 7.2; Silver, lecture 5)."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import tables
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Clock, end_step, step_size
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
@@ -69,6 +70,11 @@ class NStepSarsa(TDControl):
     """
 
     n: int = static(default=4, at_least=1, help="How many rewards it looks ahead.")
+
+    backup: ClassVar[Backup] = Backup(
+        "action, state, action, ..., state, action",
+        "Where the episode ends within n steps, the rewards up to its end, and no value.",
+    )
 
     def init(self, num_states: int, num_actions: int) -> NStepState:
         q, clock = super().init(num_states, num_actions)

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.whole_returns import FIRST_VISIT, MonteCarloState, WholeReturns
 from jaxrl_tab.core import tables
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.declared import LearnsFrom
@@ -49,6 +50,11 @@ class OffPolicyMonteCarlo(OffPolicyControl, WholeReturns):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
+    backup: ClassVar[Backup] = Backup(
+        "action, state, action, ..., end",
+        "Another policy b acts. The return counts by the product of π(A | S) / b(A | S) over the actions after A_t, so "
+        "that with the greedy π nothing is learned from what comes before an action that is not greedy.",
+    )
 
     def __post_init__(self):
         super().__post_init__()

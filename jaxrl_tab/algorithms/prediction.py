@@ -24,6 +24,7 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
 from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
 from jaxrl_tab.core import names, policies, tables
+from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.declared import Learns, LearnsFrom, of_method
@@ -142,6 +143,7 @@ class TD(Prediction):
     """TD(0): V(S) <- V(S) + alpha [R + gamma V(S') - V(S)] (book, equation 6.2)."""
 
     method: ClassVar[type] = Sarsa
+    backup: ClassVar[Backup] = Backup("state, action, state")
 
 
 @pytree
@@ -151,6 +153,7 @@ class NStepTD(Prediction):
     n: int = static(default=4, at_least=1, help="How many rewards it looks ahead.")
 
     method: ClassVar[type] = NStepSarsa
+    backup: ClassVar[Backup] = Backup("state, action, state, ..., action, state", NStepSarsa.backup.words)
 
 
 @pytree
@@ -169,6 +172,9 @@ class TDLambda(Prediction):
     )
 
     method: ClassVar[type] = SarsaLambda
+    backup: ClassVar[Backup] = Backup(
+        lambda_return("state", "action, state"), SarsaLambda.backup.words.replace("pairs", "states")
+    )
 
 
 @pytree
@@ -181,6 +187,7 @@ class MonteCarloPrediction(Prediction):
     first_visit: bool = static(default=False, help=_FIRST_VISIT)
 
     method: ClassVar[type] = MonteCarlo
+    backup: ClassVar[Backup] = Backup("state, action, state, ..., end", MonteCarlo.backup.words)
 
 
 # --- off-policy --------------------------------------------------------------------------------------
@@ -224,6 +231,10 @@ class OffPolicyTD(OffPolicyPrediction, TD):
     multiplies_returns: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS_OF_B
+    backup: ClassVar[Backup] = Backup(
+        "state, action, state",
+        "Another policy b acts: R + gamma V(S') is multiplied by the ratio π(A | S) / b(A | S).",
+    )
 
     def update(self, key, state: ValueState, t: Transition):
         assert state.target is not None
@@ -272,6 +283,10 @@ class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
     method: ClassVar[type] = _OfStates
+    backup: ClassVar[Backup] = Backup(
+        "state, action, state, ..., end",
+        "Another policy b acts: the return counts by the product of π(A | S) / b(A | S) over the actions from A_t on.",
+    )
 
     @property
     def multiplies_returns(self) -> bool:

@@ -1,7 +1,10 @@
 """Watkins's Q(lambda): Q-learning with eligibility traces (book, section 12.10; Watkins 1989)."""
 
+from typing import ClassVar
+
 from jaxrl_tab.algorithms.traces import TraceControl, TraceState
 from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -18,6 +21,13 @@ class QLambda(TraceControl):
     drawn from the behaviour policy before the update, and it is by the Q of that moment that it is greedy or
     not; a tie with the greedy action is greedy.
     """
+
+    backup: ClassVar[Backup] = Backup(
+        lambda_return("action", "state, action", last="state, max action")
+        | {"or λ^(n−1)": "action, state, action, ..., state, max action"},
+        "The last column is that of the end of the episode, or of the first action A_t+n that is not greedy, "
+        "whichever comes first.",
+    )
 
     def update(self, key, state: TraceState, t: Transition):
         state = self.begin(state, t)

@@ -4,6 +4,7 @@ from typing import ClassVar
 
 from jaxrl_tab.algorithms.td import TDControl, TDState
 from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
@@ -20,6 +21,7 @@ class QLearning(TDControl):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
+    backup: ClassVar[Backup] = Backup("action, state, max action")
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)

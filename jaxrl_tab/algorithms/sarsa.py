@@ -1,7 +1,10 @@
 """Sarsa: on-policy one-step control (book, section 6.4; Silver, lecture 5)."""
 
+from typing import ClassVar
+
 from jaxrl_tab.algorithms.td import TDControl, TDState
 from jaxrl_tab.core import tables
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -14,6 +17,8 @@ class Sarsa(TDControl):
 
     A' is drawn from the behaviour policy before the update, and is the action that is then taken.
     """
+
+    backup: ClassVar[Backup] = Backup("action, state, action", "A' is the action that is then taken.")
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)

@@ -1,12 +1,13 @@
 """Sarsa(lambda), the backward view: eligibility traces (book, section 12.7; Silver, lecture 5)."""
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.core import clock, tables
+from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.clock import Clock
 from jaxrl_tab.core.credited import Credited
 from jaxrl_tab.core.errors import InputError
@@ -68,6 +69,12 @@ class SarsaLambda(TraceControl):
         default=False,
         help="Act and learn by the Q of the start of the episode, and add the sum of all increments at its end "
         "(Silver, lecture 4). It goes with accumulating traces.",
+    )
+
+    backup: ClassVar[Backup] = Backup(
+        lambda_return("action", "state, action"),
+        "Traces carry each error back to earlier pairs, which adds up to this: exactly, where it learns off-line; "
+        "as far as the episode has come, with dutch traces; nearly, else.",
     )
 
     def __post_init__(self):

@@ -1,12 +1,13 @@
 """Sarsa(lambda), the forward view: lambda-returns, off-line (Silver, lecture 5)."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import episode, tables
+from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.clock import Clock, end_step, step_size
 from jaxrl_tab.core.episode import Episode
 from jaxrl_tab.core.pytree import field, pytree
@@ -54,6 +55,10 @@ class SarsaLambdaForward(TDControl):
     """
 
     lam: float = field(default=0.9, at_least=0, at_most=1, help="lambda.")
+
+    backup: ClassVar[Backup] = Backup(
+        lambda_return("action", "state, action"), "At the end of the episode, all by the Q of its start."
+    )
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ForwardState:
         q, clock = super().init(num_states, num_actions)

@@ -7,6 +7,7 @@ import jax
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Greedy, Policy
 from jaxrl_tab.core.pytree import pytree
@@ -25,6 +26,10 @@ class TargetQLearning(OffPolicyControl):
 
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
+    backup: ClassVar[Backup] = Backup(
+        "action, state, action",
+        "A' is drawn from the target policy π, and only looked at: another action is taken.",
+    )
 
     @property
     def pi(self) -> Policy:

@@ -1,4 +1,4 @@
-"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: list, solve, watch, sweep, resume, explain, figure.
+"""The command line, `jaxrl-tab` or `python -m jaxrl_tab`: the commands of `MODULES`.
 
 Options for environments and methods are made from the registries: a new entry's parameters are options with
 no edit here. All that a person can get wrong is refused before anything is compiled, with exit code 2 and
@@ -24,6 +24,7 @@ from jaxrl_tab.experiment import painter
 # Command -> the module that it is in, imported when it is asked for: they take a second.
 MODULES = {
     "list": "listing",
+    "bridge": "bridge",
     "solve": "solve",
     "watch": "watch",
     "sweep": "sweep",
@@ -40,7 +41,9 @@ How tabular control methods really behave: over many seeds, over a grid of hyper
 optimum.
 
 commands:
-  list      the environments and the methods, with their parameters
+  list      the environments and the methods, with their parameters and their backup diagrams
+  bridge    dynamic programming beside temporal differences
+  schedule  what a step size or an exploration rate comes to, and whether it meets the conditions
   solve     the exact values and an optimal policy of an environment
   watch     an episode of a method, step by step, while it learns
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
@@ -50,6 +53,9 @@ commands:
 
 examples:
   {PROG} list
+  {PROG} list --backups q-learning sarsa-lambda
+  {PROG} bridge
+  {PROG} schedule glie harmonic:100:visit 0.1
   {PROG} solve windy-gridworld --moves king
   {PROG} watch windy-gridworld sarsa --alpha 0.5
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy

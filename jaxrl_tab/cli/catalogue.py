@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxrl_tab.cli.options import Command, Entry, Group, Option, Place
+from jaxrl_tab.core.errors import InputError
 
 PACKAGE = Path(__file__).parent.parent
 FILE = Path(__file__).with_name("catalogue.json")
@@ -24,9 +25,11 @@ SOURCES = ("core", "envs", "algorithms", "figures", "experiment/executors", "cli
 # Command -> the module, the class that describes it, and its groups: title in the help -> which it is, and where the
 # names of its entries are typed: a place of the command, or an option.
 _ENVIRONMENT, _EXECUTOR = ("environments", "env"), ("executors", "--executor")
+_ONE = {"hyperparameters": ("one method", "method"), "environment": _ENVIRONMENT}
 COMMANDS = {
+    "bridge": ("bridge", "Bridge", _ONE),
     "solve": ("solve", "Solve", {"environment": _ENVIRONMENT}),
-    "watch": ("watch", "Watch", {"hyperparameters": ("one method", "method"), "environment": _ENVIRONMENT}),
+    "watch": ("watch", "Watch", _ONE),
     "sweep": (
         "sweep",
         "Sweep",
@@ -46,7 +49,8 @@ class Catalogue(NamedTuple):
         groups: "environments", "methods", "one method" (of which each option has one value) and "executors".
         listed: for `list`: "environments", "methods" (of control) and "prediction" -> name -> entry, with the
             defaults of the classes.
-        facts: the same as JSON: name -> summary and parameters, those included that cannot be typed.
+        facts: the same as JSON: name -> summary, parameters, those included that cannot be typed, and of methods the
+            backup diagram, as what `Backup` is made of.
         figures: name -> title and source.
         elsewhere: names by which people look for an environment of another library.
         unavailable: a line for each entry point of another package that cannot be loaded.
@@ -92,15 +96,9 @@ def live() -> Catalogue:
     from jaxrl_tab.algorithms.prediction import PREDICTION
     from jaxrl_tab.cli.common import ENVIRONMENT, EXECUTOR, HYPERPARAMETERS, OF_ONE_METHOD
     from jaxrl_tab.cli.typed import Classes, command_of
-    from jaxrl_tab.core import describe, names
-    from jaxrl_tab.engine.results import label
+    from jaxrl_tab.core import names
     from jaxrl_tab.envs import ENVS, GYMNASIUM
     from jaxrl_tab.figures import FIGURES
-
-    def facts(cls: type) -> dict[str, Any]:
-        default = lambda p: None if p.default is describe.MISSING else label(p.default)
-        parameters = {p.name: {"default": default(p), "help": p.help} for p in describe.parameters(cls)}
-        return {"summary": describe.summary(cls), "parameters": parameters}
 
     unavailable = [line for kind in names.KINDS for line in names.add_entry_points(kind)]
     registries = {"environments": ENVS, "methods": ALGORITHMS, "prediction": PREDICTION}
@@ -117,11 +115,48 @@ def live() -> Catalogue:
             "executors": EXECUTOR.group,
         },
         {kind: dict(Classes(registry, "").group.entries) for kind, registry in registries.items()},
-        {kind: {name: facts(cls) for name, cls in r.items()} for kind, r in registries.items()},
+        {kind: {name: _facts(cls) for name, cls in r.items()} for kind, r in registries.items()},
         {name: f"{figure.title} ({figure.source})" for name, figure in FIGURES.items()},
         tuple(GYMNASIUM),
         tuple(unavailable),
     )
+
+
+def of_own(name: str) -> Catalogue:
+    """What there is to know of a method or an environment of somebody's own, "mine.py:Mine", as `live` has it of all.
+
+    Raises:
+        InputError: the name stands for neither.
+    """
+    from jaxrl_tab.algorithms.prediction import METHOD
+    from jaxrl_tab.cli.typed import Classes
+    from jaxrl_tab.core import names
+    from jaxrl_tab.core.declared import Learns, of_method
+    from jaxrl_tab.envs import ENVIRONMENT
+
+    try:
+        cls, kind = names.find(METHOD, name).cls, "methods"
+        kind = "prediction" if of_method(cls).learns is Learns.STATES else kind
+    except InputError as error:
+        try:
+            cls, kind = names.find(ENVIRONMENT, name).cls, "environments"
+        except InputError:
+            raise error from None
+    listed = {kind: dict(Classes({name: cls}, "").group.entries)}
+    return Catalogue({}, {}, listed, {kind: {name: _facts(cls)}}, {}, ())
+
+
+def _facts(cls: type) -> dict[str, Any]:
+    """What `list --json` says of a class."""
+    from jaxrl_tab.core import describe
+    from jaxrl_tab.core.declared import of_method
+    from jaxrl_tab.engine.results import label
+
+    default = lambda p: None if p.default is describe.MISSING else label(p.default)
+    parameters = {p.name: {"default": default(p), "help": p.help} for p in describe.parameters(cls)}
+    backup = of_method(cls).backup if hasattr(cls, "update") else None
+    drawn = {} if backup is None else {"backup": to_data(backup)}
+    return {"summary": describe.summary(cls), "parameters": parameters, **drawn}
 
 
 def checksum() -> str:

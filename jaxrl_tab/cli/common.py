@@ -3,16 +3,19 @@
 import contextlib
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 
 from jaxrl_tab import envs, interop  # noqa: F401  interop adds the libraries that it imports from
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHOD, METHODS, PREDICTION
-from jaxrl_tab.cli.typed import Classes
+from jaxrl_tab.cli.options import Typed
+from jaxrl_tab.cli.typed import Classes, values_of
 from jaxrl_tab.core import names
+from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.engine import by_xla, programs
 from jaxrl_tab.envs import ENVS
@@ -79,6 +82,14 @@ def find(group: Classes, name: str) -> type:
     if not name:
         raise InputError(f"name {group.kind.noun}: {', '.join(group.registry)}")
     return group.registry[name] if name in group.registry else names.find(group.kind, name).cls
+
+
+def build_named(groups: Mapping[str, Classes], typed: Mapping[str, Typed], **names: str) -> list[Any]:
+    """For each group an instance of the class that a word names, with the options that were typed."""
+    return [
+        build(find(groups[title], name), name, values_of(name, typed[title], groups[title]))
+        for title, name in names.items()
+    ]
 
 
 def new_folder(path: Path | None) -> contextlib.AbstractContextManager[Path | None]:

@@ -95,7 +95,7 @@ def figure_command(argv: list[str]) -> int:
                 if folder:
                     _draw_figure(figure, datasets, folder / name)
             if not options.json:
-                console().print(_check_table(*checked[name]))
+                console().print(_check_table(*checked[name]), escape(figure.shows), "", sep="\n")
         if folder and options.all:
             (folder / "index.html").write_text(page(checked, __version__), encoding="utf-8")
 

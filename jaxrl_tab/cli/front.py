@@ -29,6 +29,8 @@ def answer(command: str, argv: Sequence[str]) -> None:
     described = catalogue.commands[command]
     places, typed = parse(described, argv, {title: group for title, (group, _) in groups.items()})
     _check(command, Entry("", described.options), typed["options"])
+    if not any(places.values()) and all(place.metavar.startswith("[") for place in described.places):
+        return  # what stands in its place may be left out, as all of it is
     if "--write-template" in typed["options"] or "--memory" in typed["options"]:
         return
     if command == "figure" and (name := places.get("name")):

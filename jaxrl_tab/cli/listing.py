@@ -1,20 +1,25 @@
-"""`jaxrl-tab list`: the environments and the methods, with their parameters."""
+"""`jaxrl-tab list`: the environments and the methods, with their parameters and their backup diagrams."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
+from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from jaxrl_tab.cli.catalogue import everything
-from jaxrl_tab.cli.options import Command, Entry, Option, parse
+from jaxrl_tab.cli.catalogue import Catalogue, everything, of_own
+from jaxrl_tab.cli.options import Command, Entry, Option, Place, parse
 from jaxrl_tab.cli.streams import console, print_json
+from jaxrl_tab.core.backups import Backup
+from jaxrl_tab.core.errors import InputError, nearest, shown
 
 HEADINGS = {
     "environments": "environments",
     "methods": "methods of control",
     "prediction": "methods of prediction, of the policy in which all actions are equally likely",
 }
+METHODS = ("methods", "prediction")
 
 
 LIST = Command(
@@ -22,18 +27,42 @@ LIST = Command(
     """\
 The environments and the methods, with their parameters, defaults, and one line each; the figures.
 
+Of those that are named, also the backup diagram of a method: what its update looks ahead to. Open circles are states,
+solid ones are actions, a square is the end of an episode; an arc is a maximum.
+
 Examples:
   jaxrl-tab list
+  jaxrl-tab list q-learning
+  jaxrl-tab list --backups
+  jaxrl-tab list --backups sarsa n-step-sarsa mine.py:MyMethod --out runs/backups
   jaxrl-tab list --json""",
-    places=(),
-    options=(Option("--json", "json", "Print JSON.", metavar=""),),
+    places=(
+        Place(
+            "names",
+            "[NAME ...]",
+            "Those to tell of, one's own included: mine.py:MyMethod. All, if none.",
+            True,
+        ),
+    ),
+    options=(
+        Option("--backups", "backups", "The backup diagrams of the methods, and no more.", metavar=""),
+        Option(
+            "--out", "out", "With --backups: new folder for them as a picture (PNG and SVG).", metavar="DIR"
+        ),
+        Option("--json", "json", "Print JSON.", metavar=""),
+    ),
 )
 
 
 def list_command(argv: list[str]) -> int:
-    _, typed = parse(LIST, argv, {})
-    catalogue = everything()
-    if "--json" in typed["options"]:
+    places, typed = parse(LIST, argv, {})
+    names, options = places.get("names", ()), typed["options"]
+    if "--out" in options and "--backups" not in options:
+        raise InputError("--out goes with --backups: it is for their picture")
+    catalogue = _of(names) if names else everything()
+    if "--backups" in options:
+        return _backups(catalogue, names, options)
+    if "--json" in options:
         print_json(
             catalogue.facts | {"figures": {name: {"summary": x} for name, x in catalogue.figures.items()}}
         )
@@ -41,21 +70,102 @@ def list_command(argv: list[str]) -> int:
     out = console()
     for kind, entries in catalogue.listed.items():
         out.print(f"[bold]{HEADINGS[kind]}[/]")
-        if shared := _shared(entries):
+        if shared := _shared(entries) if len(entries) > 1 else []:
             out.print("\n  unless said otherwise, all have")
             out.print(_table(shared))
         for name, entry in entries.items():
-            out.print(f"\n  [bold cyan]{name}[/]  {escape(entry.summary)}")
+            out.print(f"\n  [bold cyan]{escape(name)}[/]  {escape(entry.summary)}")
+            if names and (backup := _backup(catalogue.facts[kind][name])):
+                _print_backup(out, backup, "    ")
             if own := [option for option in entry.options if _key(option) not in map(_key, shared)]:
                 out.print(_table(own))
         out.print()
-    out.print(escape(catalogue.groups["methods"].help), "\n", soft_wrap=True)
-    out.print("[bold]figures[/]\n")
+    if not names:
+        out.print(escape(catalogue.groups["methods"].help), "\n", soft_wrap=True)
+    if catalogue.figures:
+        out.print("[bold]figures[/]\n")
     for name, title in catalogue.figures.items():
         out.print(f"  [bold cyan]{name}[/]  {escape(title)}")
     for complaint in catalogue.unavailable:
         out.print(escape(f"\nnot available: {complaint}"), soft_wrap=True)
     return 0
+
+
+def _of(names: Sequence[str]) -> Catalogue:
+    """What there is to know of these names alone. Raises InputError where one stands for nothing."""
+    all_there_is, own = everything(), []
+    known = {*all_there_is.figures, *(name for of_kind in all_there_is.listed.values() for name in of_kind)}
+    for name in names:
+        if ":" in name or name.endswith((".py", ".npz")):
+            own.append(of_own(name))
+        elif name not in known:
+            hint = nearest(name, sorted(known), otherwise="`jaxrl-tab list` shows what there is")
+            raise InputError(f"{shown(name)} is not an environment, a method or a figure; {hint}")
+    listed: dict[str, dict[str, Entry]] = {}
+    facts: dict[str, dict] = {}
+    for part in [all_there_is, *own]:
+        for kind, entries in part.listed.items():
+            for name in entries.keys() & set(names):
+                listed.setdefault(kind, {})[name] = entries[name]
+                facts.setdefault(kind, {})[name] = part.facts[kind][name]
+    in_order = lambda entries: {name: entries[name] for name in dict.fromkeys(names) if name in entries}
+    return all_there_is._replace(
+        listed={kind: in_order(listed[kind]) for kind in HEADINGS if kind in listed},
+        facts={kind: in_order(facts[kind]) for kind in HEADINGS if kind in facts},
+        figures=in_order(all_there_is.figures),
+        unavailable=(),
+    )
+
+
+# --- backup diagrams -----------------------------------------------------------------------------------
+def _backups(catalogue: Catalogue, names: Sequence[str], options: Mapping[str, tuple[str, ...]]) -> int:
+    """Shows the diagrams of the methods in the catalogue."""
+    facts = {name: x for kind in METHODS for name, x in catalogue.facts.get(kind, {}).items()}
+    for name in names:
+        if name not in facts:
+            raise InputError(f"{name} is no method, and only methods have a backup diagram")
+    drawn = {name: backup for name, x in facts.items() if (backup := _backup(x))}
+    if "--out" in options:
+        _draw(drawn, Path(options["--out"][0]))
+    if "--json" in options:
+        print_json(
+            {
+                name: x["backup"] | {"diagram": drawn[name].diagram()}
+                for name, x in facts.items()
+                if name in drawn
+            }
+        )
+        return 0
+    out = console()
+    for name, of_one in facts.items():
+        out.print(f"[bold cyan]{escape(name)}[/]  {escape(of_one['summary'])}")
+        if name in drawn:
+            _print_backup(out, drawn[name], "  ")
+        else:
+            out.print("  It declares no backup diagram.\n")
+    return 0
+
+
+def _backup(facts: Mapping) -> Backup | None:
+    return Backup(**facts["backup"]) if "backup" in facts else None
+
+
+def _print_backup(out: Console, backup: Backup, indent: str) -> None:
+    lines = ["", *str(backup).splitlines(), ""]
+    out.print("\n".join(indent + line if line else "" for line in lines), markup=False, soft_wrap=True)
+
+
+def _draw(drawn: Mapping[str, Backup], folder: Path) -> None:
+    """The diagrams as a picture, in two formats, in a new folder."""
+    from jaxrl_tab.cli.common import new_folder
+    from jaxrl_tab.show import plot
+    from jaxrl_tab.show.words import title_of
+
+    with new_folder(folder) as new:
+        assert new
+        figure = plot.backups({title_of(name): backup for name, backup in drawn.items()})
+        for ending in ("png", "svg"):
+            plot.save(figure, new / f"backups.{ending}")
 
 
 def _shared(entries: Mapping[str, Entry]) -> list[Option]:
@@ -74,7 +184,7 @@ def _key(option: Option) -> tuple[str, str, str]:
     return option.flag, option.default, option.help
 
 
-def _table(shown: Sequence[Option]) -> Table:
+def _table(shown: Iterable[Option]) -> Table:
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     for option in shown:
         table.add_row(f"    [green]{option.flag}[/]", escape(option.default), escape(option.help))

@@ -3,7 +3,7 @@
 import contextlib
 import json as jsonlib
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +15,41 @@ from rich.table import Table
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import words
 from jaxrl_tab.experiment import files, storage
-from jaxrl_tab.show.words import cell, decimals_for, edge_warning, six_digits, symbol, title_of
+from jaxrl_tab.show.rows import early_in_words
+from jaxrl_tab.show.words import (
+    cell,
+    decimals_for,
+    edge_warning,
+    six_digits,
+    steps_in_words,
+    symbol,
+    title_of,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from jaxrl_tab.stats.column import Column
     from jaxrl_tab.stats.columns import Methods, Row
+
 PATIENCE = 2.0  # seconds of silence, at most
+# Where a window is too narrow, these columns go, one after another, until the others fit.
+FIRST_TO_GO = (
+    "episodes_within_steps",
+    "unfinished",
+    "late_steps",
+    "greedy_arrives",
+    "early_score",
+    "final_v_error",
+    "optimum",
+)
+WRITTEN: dict[str, Any] = {
+    "exact": six_digits,
+    "count": str,
+    "steps": steps_in_words,
+    "share": "{:.0%}".format,
+    "tenths": "{:.1f}".format,
+}
 
 
 def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> None:
@@ -78,45 +105,77 @@ def _work_out(methods: "Methods") -> None:
     """What `print_summary` shows, now; it is kept. What only files tell is left for later."""
     from jaxrl_tab.stats.columns import COLUMNS
 
-    shown = [column.name for column in COLUMNS if column.screen]
+    shown = [column.name for column in COLUMNS if column.on_screen(methods)]
     for own in methods.settings.values():
         for name in (*shown, "best", "tied", "seeds", "seeds_wanted"):
             own.numbers(name)
+    _ = methods.early
 
 
 def print_summary(environment: str, methods: "Methods") -> None:
     """The summary for people: what all rows share stands above the table, what the marks mean below it."""
-    from jaxrl_tab import stats
     from jaxrl_tab.stats.column import text
-    from jaxrl_tab.stats.columns import COLUMNS
 
-    rows, prediction, ds = methods.rows, methods.prediction, next(iter(methods.values()))
-    setting_of = lambda row: row.setting | row.place
+    rows, ds = methods.rows, next(iter(methods.values()))
     tried = {
-        name: dict.fromkeys(words(setting_of(row)[name]) for row in rows if name in setting_of(row))
+        name: dict.fromkeys(words(_setting_of(row)[name]) for row in rows if name in _setting_of(row))
         for name in methods.hyperparameters
     }
     shared = [f"{name} {next(iter(values))}" for name, values in tried.items() if len(values) == 1]
     varied = [name for name, values in tried.items() if len(values) > 1]
     unit = "steps" if "num_steps" in ds.attrs else "episodes"
     length = f"{ds.attrs[f'num_{unit}']} {unit}"
-    columns = {column.name: column for column in COLUMNS if column.screen and column.tells(rows)}
+    columns, digits, out = _columns(methods), _digits(methods), console()
+    optima = {cell(row["optimum"], six_digits) for row in rows}
+    if len(optima) == 1 and "optimum" in columns:
+        heading = text(columns.pop("optimum").screen, methods.prediction).replace("\n", " ")
+        shared.append(f"{heading} {optima.pop()}")
+    out.print(", ".join([f"[bold]{environment}[/]", *shared, f"{ds.sizes['seed']} seeds, {length} each"]))
+    view, left_out = _table(methods, varied, columns, digits), []
+    for name in FIRST_TO_GO:
+        if name in columns and view.__rich_measure__(out, out.options).maximum > out.width:
+            left_out.append(text(columns.pop(name).screen, methods.prediction).replace("\n", " "))
+            view = _table(methods, varied, columns, digits)
+    out.print(view)
+    if left_out:
+        out.print(f"In a wider window the table has: {'; '.join(left_out)}.", markup=False)
+    for line in _notes(methods, bool(varied), digits):
+        out.print(line, markup=False)
+
+
+def _setting_of(row: "Row") -> dict[str, Any]:
+    return row.setting | row.place
+
+
+def _columns(methods: "Methods") -> "dict[str, Column]":
+    """What the screen shows, by the names of the columns."""
+    from jaxrl_tab.stats.columns import COLUMNS
+
+    return {x.name: x for x in COLUMNS if x.on_screen(methods) and x.tells(methods.rows)}
+
+
+def _digits(methods: "Methods") -> Any:
+    """How scores are written: two digits of the narrowest interval; of errors also three of the smallest."""
+    scores, low, high = np.array([row["score"] for row in methods.rows]).T
+    decimals = decimals_for((high - low) / 2, 2)
+    if methods.prediction:
+        decimals = max(decimals, decimals_for(scores, 3))
+    return f"{{:.{decimals}f}}".format
+
+
+def _table(methods: "Methods", varied: Sequence[str], columns: "Mapping[str, Column]", digits: Any) -> Table:
+    """A row for each setting: what varies, and these columns."""
+    from jaxrl_tab.stats.column import text
+
     view = Table("method", *varied)
     for name, column in columns.items():
-        view.add_column(text(column.screen, prediction))
-        if isinstance(rows[0][name], tuple):
-            view.add_column("95% interval\nof the mean" if name == "score" else "95% interval")
+        view.add_column(text(column.screen, methods.prediction))
+        if name == "score":
+            view.add_column("95% interval\nof the mean")
     for column in view.columns[1:]:
         column.justify = "right"
-    # Two digits of the narrowest interval; of errors also three of the smallest.
-    scores, low, high = np.array([row["score"] for row in rows]).T
-    decimals = decimals_for((high - low) / 2, 2)
-    if prediction:
-        decimals = max(decimals, decimals_for(scores, 3))
-    digits = f"{{:.{decimals}f}}".format
-    notes, edges = [], []
-    for method, own in methods.settings.items():
-        own_rows = [row for row in rows if row.method == method]
+    for method in methods:
+        own_rows = [row for row in methods.rows if row.method == method]
         choice = _several(own_rows)
         for row in own_rows:
             star = choice and row["best"]
@@ -124,53 +183,68 @@ def print_summary(environment: str, methods: "Methods") -> None:
             cells["score"][1] += " !" if row.doubtful else ""
             view.add_row(
                 f"{method}{' *' if star else ' ~' if choice and row['tied'] else ''}",
-                *(cell(setting_of(row).get(name, np.nan), words) for name in varied),
+                *(cell(_setting_of(row).get(name, np.nan), words) for name in varied),
                 *(part for parts in cells.values() for part in parts),
                 style="bold" if star else None,
             )
-            if row.doubtful and row["best"]:
-                ends = [
-                    f"the {kind} is {cell(x[0], digits)} ({_interval(x[1], x[2], digits)})"
-                    for kind, x in (("median", row["median"]), ("interquartile mean", row["iqm"]))
-                ]
-                needed = f"{row['seeds_wanted']} seeds would be needed to trust the mean"
-                notes.append(f"! {title_of(method)}: {', '.join(ends)}; {needed}.")
         view.add_section()
-        edges += [edge_warning(name, method, end) for name, end in own.edges.items() if choice]
-    out = console()
-    out.print(", ".join([f"[bold]{environment}[/]", *shared, f"{ds.sizes['seed']} seeds, {length} each"]))
-    out.print(view)
-    say = lambda line: out.print(line, markup=False)
-    if prediction:
-        say("The RMS error is that of V, over the states: its mean over the rows of the log, and at the end.")
-    if varied and _several(rows):
-        say(
+    return view
+
+
+def _notes(methods: "Methods", choice: bool, digits: Any) -> Iterator[str]:
+    """What a reader of the table must know, in sentences; `choice`: whether there is more than one setting."""
+    from jaxrl_tab import stats
+
+    rows = methods.rows
+    tells = lambda name: any(row.has(name) and row[name] > 0 for row in rows)
+    if methods.prediction:
+        yield (
+            "The RMS error is that of V, over the states: its mean over the first tenth of the rows of the log, over "
+            "all of them, and at the end."
+        )
+    elif methods.by_length:
+        yield "Steps an episode: all steps that the runs took there, over all episodes that ended there."
+    if choice and _several(rows):
+        yield (
             "* This setting is the best of its method on these seeds. It was chosen for its mean, which flatters it."
         )
         if any(row["tied"] and not row["best"] for row in rows):
-            say(
+            yield (
                 "~ This setting is not told apart from the best: these seeds do not say which of the two is better."
             )
-    if "unfinished" in columns:
-        say(
+    if methods.early:
+        yield early_in_words(methods, digits)
+    if tells("unfinished"):
+        yield (
             "The unfinished runs end no episode in the last tenth: they score the rewards that they collected there, "
             "as if cut off."
         )
     if any(row.doubtful for row in rows):
-        seeds = ds.sizes["seed"]
-        say(
+        seeds = next(iter(methods.values())).sizes["seed"]
+        yield (
             "! This mean rests on few bad runs, and may be worse than it looks: "
             f"{stats.unseen(seeds)} stuck, which {seeds} seeds need not show."
         )
-    for line in [*notes, *edges]:
-        say(line)
+    for row in rows:
+        if row.doubtful and row["best"]:
+            ends = [
+                f"the {kind} is {cell(x[0], digits)} ({_interval(x[1], x[2], digits)})"
+                for kind, x in (("median", row["median"]), ("interquartile mean", row["iqm"]))
+            ]
+            needed = f"{row['seeds_wanted']} seeds would be needed to trust the mean"
+            yield f"! {title_of(row.method)}: {', '.join(ends)}; {needed}."
+    for method, own in methods.settings.items():
+        if _several([row for row in rows if row.method == method]):
+            yield from (edge_warning(name, method, end) for name, end in own.edges.items())
     for name, value in _soft_optima(methods).items():
-        say(f"With {name}, no policy that goes on exploring is worth more than {six_digits(value)}.")
-    if "greedy_value" in columns:
-        say(
+        yield f"With {name}, no policy that goes on exploring is worth more than {six_digits(value)}."
+    if any(row.has("greedy_value") for row in rows):
+        yield (
             "The worth of a policy is its exact value at the end, without luck and without a time limit, the median "
             "over seeds; -inf: it goes round for ever."
         )
+    speeds = [(name, ds.attrs.get("steps_per_second", np.nan) / 1e6) for name, ds in methods.items()]
+    yield f"Speed in million steps/s: {', '.join(f'{name} {speed:.1f}' for name, speed in speeds)}."
 
 
 def _several(rows: "Sequence[Row]") -> bool:
@@ -181,11 +255,10 @@ def _several(rows: "Sequence[Row]") -> bool:
 def _cells(column: "Column", x: Any, digits: Any) -> list[str]:
     """A number as it stands on the screen; of an interval the estimate, and the bounds."""
     if isinstance(x, tuple):
-        return [cell(x[0], digits), _interval(x[1], x[2], digits)]
-    write = {"exact": six_digits, "count": str, "share": "{:.0%}".format, "tenths": "{:.1f}".format}.get(
-        column.written, digits
-    )
-    return [cell(x * column.scale, write)]
+        ends = [] if column.written == "middle" else [_interval(x[1], x[2], digits)]
+        return [cell(x[0], digits), *ends]
+    write = WRITTEN.get(column.written, digits)
+    return [cell(x, write)]
 
 
 def _soft_optima(methods: "Methods") -> dict[str, float]:

@@ -46,7 +46,13 @@ LOOKALIKES |= {
     "δ": "delta",
     "…": "...",
     "●": "@",
+    "○": "o",
+    "□": "#",
+    "⋮": ":",
+    "π": "pi",
+    "²": "^2",
 }
+LOOKALIKES |= {"│": "|", "─": "-", "╱": "/", "╲": "\\"} | dict.fromkeys("┌┐┴╰╯┼", "+")
 
 
 def _lookalikes(error: UnicodeError) -> tuple[str, int]:

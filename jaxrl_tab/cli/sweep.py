@@ -118,8 +118,9 @@ class Sweep(Where):
             by default.
         seed: Which sequence of seeds.
         select: Run the best setting of each method again, on as many fresh seeds; show both numbers.
-        exact: Also record the exact value of the greedy policy, and the largest |Q - Q*|, at every row of the
-            log. (The error of methods of prediction is always recorded.)
+        exact: Also record the exact values of the greedy policy and of the one that acts, and the largest
+            |Q - Q*|, at every row of the log. (The error of methods of prediction is always recorded.)
+        exact_every: The same at one of so many rows only, and at the last: each takes time for many steps.
         record: Also record at every row what a function of your own says of the learner, such as
             mine.py:q_of_start.
         backend: What compiles it: lanes, which is for CPUs and fast, or xla. By default lanes, where it can.
@@ -138,6 +139,7 @@ class Sweep(Where):
     seed: int = field(default=0, at_least=0)
     select: bool = False
     exact: bool = False
+    exact_every: int | None = field(default=None, at_least=1)
     record: str | None = None
     backend: Backend = field(default="auto", static=True)
     out: Path | None = None
@@ -153,6 +155,7 @@ OF_EXPERIMENT = (
     "--seed",
     "--select",
     "--exact",
+    "--exact-every",
     "--record",
     "--backend",
 )
@@ -229,6 +232,7 @@ def _experiment(
         log_every=options.log_every,
         seed=options.seed,
         exact=options.exact,
+        exact_every=options.exact_every,
         record=options.record,
         backend=options.backend,
         select={} if options.select else None,

@@ -13,12 +13,19 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from jaxrl_tab.cli.common import ENVIRONMENT, OF_ONE_METHOD, find, named_in, prepare, start_jax, with_own
+from jaxrl_tab.cli.common import (
+    ENVIRONMENT,
+    OF_ONE_METHOD,
+    build_named,
+    named_in,
+    prepare,
+    start_jax,
+    with_own,
+)
 from jaxrl_tab.cli.screen import busy
 from jaxrl_tab.cli.streams import console
 from jaxrl_tab.cli.tables import position, tables
-from jaxrl_tab.cli.typed import FILE, parse, values_of, word
-from jaxrl_tab.core.checks import build
+from jaxrl_tab.cli.typed import FILE, parse, word
 from jaxrl_tab.core.declared import Learns, of_environment
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import checked_dataclass, field
@@ -78,11 +85,7 @@ def watch_command(argv: list[str]) -> int:
         "environment": with_own(ENVIRONMENT, for_environment),
     }
     options, typed = parse(Watch, argv, **groups)
-    made = []
-    for title, name in (("environment", options.env), ("hyperparameters", options.method)):
-        cls = find(groups[title], name)
-        made.append(build(cls, name, values_of(name, typed[title], groups[title])))
-    env, method = made
+    env, method = build_named(groups, typed, environment=options.env, hyperparameters=options.method)
     files = _files(options, env)
     start_jax()
     with busy("learning"):

@@ -12,6 +12,7 @@ Its modules, from the ground up:
     describe    the parameters of a class and what they are, for help and lists
     modules     files of somebody's own, loaded by their checksum, with the files that they import
     names       what the name of an environment or a method stands for, somebody's own included
+    backups     backup diagrams, as data and as text
     declared    what methods and environments declare about themselves
     types       the vocabulary: what an environment answers, what a method learns from
     rng         random numbers for the loop, one word a decision

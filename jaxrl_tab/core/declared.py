@@ -4,10 +4,13 @@ A declaration is an attribute of the class, such as `learns = "states"`; nobody 
 code asks `of_method` and `of_environment`, so that what can be declared, and its default, stands here alone.
 """
 
+import itertools
 from collections.abc import Callable
 from enum import StrEnum
 from typing import Any, NamedTuple
 
+from jaxrl_tab.core import backups
+from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.errors import check_choice
 
 
@@ -60,6 +63,8 @@ class OfMethod(NamedTuple):
             then be greater than any return, and is no sign that the method diverges.
         exploring_starts: whether episodes start in any state with any action.
         behaviour: the policy that acts, where the method was given one.
+        backup: the diagram of what `update` looks ahead to, a `Backup` or its levels as text; None where nobody has
+            drawn it. The class that defines `update` declares it, or a subclass without an `update` of its own.
     """
 
     learns: Learns = Learns.ACTIONS
@@ -68,6 +73,7 @@ class OfMethod(NamedTuple):
     multiplies_returns: bool = False
     exploring_starts: bool = False
     behaviour: Any = None
+    backup: Backup | None = None
 
 
 class OfEnvironment(NamedTuple):
@@ -94,13 +100,17 @@ def of_method(method: Any) -> OfMethod:
     """What a method declares, or its class, which has no value yet of a property like `multiplies_returns`.
 
     Raises:
-        InputError: what it learns, or learns from, is none of the texts that there are for it.
+        InputError: what it learns, or learns from, is none of the texts that there are for it; or its diagram is not
+            written as one.
     """
     cls, values = method if isinstance(method, type) else type(method), _declared(OfMethod, method)
     # A subclass with an `update` of its own inherits nothing that was said of another one.
     by_update = vars(next(c for c in cls.__mro__ if "update" in vars(c)))
     for name in ("learns_from", "acts_after_update"):
         values[name] = by_update.get(name, OfMethod._field_defaults[name])
+    if any("update" in vars(c) for c in _above(cls, "backup")):
+        values["backup"] = None
+    values["backup"] = backups.checked(cls.__name__, values["backup"])
     for name, kind in (("learns", Learns), ("learns_from", LearnsFrom)):
         check_choice(cls.__name__, name, values[name], [*kind])
         values[name] = kind(values[name])
@@ -112,6 +122,11 @@ def of_environment(env: Any) -> OfEnvironment:
     values = _declared(OfEnvironment, env)
     values["action_names"] = values["action_names"] or tuple(map(str, range(env.num_actions)))
     return OfEnvironment(**values)
+
+
+def _above(cls: type, name: str) -> list[type]:
+    """The classes that come before the one in which `cls` finds the attribute `name`: itself and its nearer bases."""
+    return list(itertools.takewhile(lambda c: name not in vars(c), cls.__mro__))
 
 
 def _declared(kind: Any, obj: Any) -> dict[str, Any]:

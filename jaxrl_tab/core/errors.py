@@ -103,12 +103,15 @@ def reason(error: BaseException) -> str:
     return one_line(getattr(error, "strerror", None) or str(error)) or type(error).__name__
 
 
-def nearest(name: Any, names: Iterable[str]) -> str:
-    """Returns "did you mean 'x'?" for the name most like `name`, or one that begins so; else all `names`."""
+def nearest(name: Any, names: Iterable[str], otherwise: str = "") -> str:
+    """Returns "did you mean 'x'?" for the name most like `name`, or one that begins so.
+
+    Where there is none it is `otherwise`, by default all `names` to choose from.
+    """
     names, name = list(names), (name if isinstance(name, str) else "").lower().replace("_", "-")
     begins = [x for x in names if name and x.startswith(name)]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5) or begins
-    return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(names)}"
+    return f"did you mean '{close[0]}'?" if close else otherwise or f"choose one of {', '.join(names)}"
 
 
 def check_choice(name: str | None, what: str, value: Any, choices: Iterable[str]) -> None:

@@ -82,23 +82,23 @@ def lane_by_lane(body: Callable[..., T], tables: T, *inputs: Any) -> T:
         return [x[0] for x in changed(jnp.int32(0), arrays[:size], arrays[size:])]
 
     def lanes(*arrays):
-        if not _lane_by_lane():
+        if not lanes_in_turn():
             return jax.vmap(one)(*arrays)
         tables, inputs = list(arrays[:size]), arrays[size:]
         count = jnp.int32(tables[0].shape[0])
         return lax.fori_loop(jnp.int32(0), count, lambda lane, tables: changed(lane, tables, inputs), tables)
 
     def one_rule(axis_size, batched, *args):
-        return _with_lanes(lanes, lanes_rule)(*_broadcast(axis_size, batched, args)), [True] * size
+        return with_lanes(lanes, lanes_rule)(*_broadcast(axis_size, batched, args)), [True] * size
 
     def lanes_rule(axis_size, batched, *args):
         """A second `vmap` only makes more lanes."""
         args = _broadcast(axis_size, batched, args)
-        merged = _with_lanes(lanes, lanes_rule)(*(x.reshape(-1, *x.shape[2:]) for x in args))
+        merged = with_lanes(lanes, lanes_rule)(*(x.reshape(-1, *x.shape[2:]) for x in args))
         split = [x.reshape(like.shape) for x, like in zip(merged, args[:size], strict=True)]
         return split, [True] * size
 
-    return jax.tree.unflatten(jax.tree.structure(tables), _with_lanes(one, one_rule)(*leaves))
+    return jax.tree.unflatten(jax.tree.structure(tables), with_lanes(one, one_rule)(*leaves))
 
 
 def changed_where(
@@ -129,13 +129,13 @@ def changed_where(
     return lane_by_lane(body, table, condition, *inputs)
 
 
-def _lane_by_lane() -> bool:
+def lanes_in_turn() -> bool:
     """Whether lanes go one after another: on a CPU. (`lax.platform_dependent` adds 2 s to compiling.)"""
     return jax.default_backend() == "cpu"
 
 
-def _with_lanes(function: Callable[..., T], rule: Callable[..., Any]) -> Callable[..., T]:
-    """The function, with a rule for `vmap`."""
+def with_lanes(function: Callable[..., T], rule: Callable[..., Any]) -> Callable[..., T]:
+    """The function, with a rule for `vmap` as `custom_vmap` has it."""
 
     def of_lanes(axis_size: int, batched: Any, *args: Any) -> tuple[T, Any]:
         if any(jax.tree.leaves(batched)):
@@ -169,7 +169,7 @@ def _read_rule(axis_size, batched, table, *index):
     ), True
 
 
-_read = _with_lanes(_read_plainly, _read_rule)
+_read = with_lanes(_read_plainly, _read_rule)
 
 
 def _write_plainly(
@@ -184,7 +184,7 @@ def _write_rule(axis_size, batched, table, x, *index):
     return _write_list(entries, at, x).reshape(table.shape), True
 
 
-_write = _with_lanes(_write_plainly, _write_rule)
+_write = with_lanes(_write_plainly, _write_rule)
 
 
 def _as_list(axis_size: int, has_lanes: bool, table: Array, index: Any) -> tuple[Array, Array]:
@@ -213,7 +213,7 @@ def _merge(axis_size: int, has_lanes: bool, entries: Array, at: Array) -> tuple[
 
 def _read_list_plainly(entries: Shaped[Array, "N ..."], at: UInt32[Array, "..."]) -> Shaped[Array, "..."]:
     """`entries[at]`."""
-    if _lane_by_lane() and math.prod(entries.shape[1:]) <= LONG_ROW:
+    if lanes_in_turn() and math.prod(entries.shape[1:]) <= LONG_ROW:
         return _read_lanes(entries, at.ravel()).reshape(*at.shape, *entries.shape[1:])
     return entries.at[at].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
@@ -223,14 +223,14 @@ def _read_list_rule(axis_size, batched, entries, at):
     return _read_list(*_merge(axis_size, batched[0], entries, at)), True
 
 
-_read_list = _with_lanes(_read_list_plainly, _read_list_rule)
+_read_list = with_lanes(_read_list_plainly, _read_list_rule)
 
 
 def _write_list_plainly(
     entries: Shaped[Array, " N"], at: UInt32[Array, "..."], x: Shaped[Array, "..."]
 ) -> Shaped[Array, " N"]:
     """`entries` with `x` at `at`."""
-    if _lane_by_lane():
+    if lanes_in_turn():
         return _write_lanes(entries, at.ravel(), x.ravel())
     return entries.at[at].set(x, mode="promise_in_bounds", unique_indices=True)
 
@@ -240,7 +240,7 @@ def _write_list_rule(axis_size, batched, entries, at, x):
     return _write_list(*_merge(axis_size, True, entries, at), x).reshape(entries.shape), True
 
 
-_write_list = _with_lanes(_write_list_plainly, _write_list_rule)
+_write_list = with_lanes(_write_list_plainly, _write_list_rule)
 
 
 def _read_one(entries: Shaped[Array, "N ..."], at: UInt32[Array, ""]) -> Shaped[Array, "..."]:

@@ -85,7 +85,7 @@ def _run_again(
     states, length = jnp.arange(part.env.num_states, dtype=jnp.int32), part.budget
     record = lambda state: {"acting": jax.vmap(lambda s: method.probs(state, s))(states)}
     whole = length.num_steps or length.num_episodes
-    budget = dataclasses.replace(length, log_every=whole, exact=False, record=record)
+    budget = dataclasses.replace(length, log_every=whole, exact=False, exact_every=None, record=record)
     one = dataclasses.replace(part, axes={}, configs=[part.configs[setting]], budget=budget)
     computed = compute(one, places, memory=memory)
     if not np.array_equal(computed.q, q, equal_nan=True):

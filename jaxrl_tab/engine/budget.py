@@ -26,8 +26,10 @@ class Budget:
         num_steps: how many steps to take. Give this or `num_episodes`.
         num_episodes: how many episodes to finish.
         log_every: steps in a row of the log, or episodes where they are the budget; see `row`.
-        exact: whether exact values are recorded at the end of every row.
-        record: a function from the state of the learner to a dict of arrays, recorded there as well.
+        exact: whether exact values are recorded at the end of rows.
+        record: a function from the state of the learner to a dict of arrays, recorded at the end of every row.
+        exact_every: of how many rows one has exact values, and the last has them; if it is given, `exact` is True.
+            The errors of prediction, which cost little, are recorded in every row.
 
     Raises:
         InputError: neither or both of the lengths are given, a number is not whole or below 1, or `record` is
@@ -39,15 +41,17 @@ class Budget:
     log_every: int | None = None
     exact: bool = False
     record: Record | None = None
+    exact_every: int | None = None
 
     def __post_init__(self):
         if (self.num_steps is None) == (self.num_episodes is None):
             raise InputError("give either a number of steps or one of episodes: how long a run is")
-        for name in ("num_steps", "num_episodes", "log_every"):
+        for name in ("num_steps", "num_episodes", "log_every", "exact_every"):
             if (value := getattr(self, name)) is not None and not is_whole(value):
                 raise InputError(f"{name} must be a whole number of at least 1, not {shown(value)}")
         if self.record is not None and not callable(self.record):
             raise InputError(NO_RECORDER)
+        object.__setattr__(self, "exact", self.exact or self.exact_every is not None)
 
     @property
     def row(self) -> int:

@@ -30,6 +30,8 @@ class Log(NamedTuple):
         rewards: sum of the rewards of all steps, float [rows].
         greedy_value: exact value, from the start distribution, of the policy that is greedy to Q at the end
             of the row; -inf where it may go round for ever at a cost; float [rows]. None unless recorded.
+        policy_value: the same of the policy that acts, as it acts at the end of the row, exploring and all; float
+            [rows]. None unless recorded, and where a method does not say by what probabilities it acts.
         q_error: the largest |Q - Q*| at the end of the row, over the states that can be reached from the
             start and are not terminal, float [rows]. None unless recorded.
         v_error: of a method of `prediction`, the root of the mean squared error of V at the end of the row,
@@ -43,6 +45,7 @@ class Log(NamedTuple):
     lengths: Int[Array, "*rows"]
     rewards: Float[Array, "*rows"]
     greedy_value: Float[Array, "*rows"] | None = None
+    policy_value: Float[Array, "*rows"] | None = None
     q_error: Float[Array, "*rows"] | None = None
     v_error: Float[Array, "*rows"] | None = None
     recorded: dict[str, Array] | None = None

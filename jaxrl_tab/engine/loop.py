@@ -73,19 +73,24 @@ Step: TypeAlias = Callable[[Run, _Decisions], tuple[Run, Log, "Happened"]]
 
 
 class Measure(NamedTuple):
-    """What is measured at the end of a row.
+    """What is measured at the end of a row, or of some.
 
     Attributes:
         of: gives fields of the Log from the state of the learner.
         most: of how many rows it may be measured at once.
+        every: of how many rows one is measured, and the last is; the others have NaN.
     """
 
     of: Callable[[Any], dict[str, Any]]
     most: int
+    every: int = 1
+
+
+Measures: TypeAlias = tuple[Measure, ...]
 
 
 def run(
-    stream: rng.Stream, algorithm: Algorithm, env: Environment, budget: Budget, measure: Measure | None
+    stream: rng.Stream, algorithm: Algorithm, env: Environment, budget: Budget, measures: Measures
 ) -> tuple[Any, Log]:
     """What a method learned in an environment, and what happened.
 
@@ -94,16 +99,16 @@ def run(
         algorithm: the method, which takes available actions only.
         env: the environment.
         budget: how long the run is.
-        measure: what is measured at the end of every row.
+        measures: what is measured at the end of rows; at most one of every row, and one of fewer.
     """
     start = _make_start(algorithm, env)
     step = _make_step(algorithm, env, start)
     at_start = _start(stream, algorithm, env, start)
     if budget.num_steps is not None:
-        end, log = _run_steps(stream, step, at_start, budget.num_steps, budget.row, measure)
+        end, log = _run_steps(stream, step, at_start, budget.num_steps, budget.row, measures)
     else:
         assert budget.num_episodes is not None
-        end, log = _run_episodes(stream, step, at_start, budget.num_episodes, budget.row, measure)
+        end, log = _run_episodes(stream, step, at_start, budget.num_episodes, budget.row, measures)
     return end.learner, log
 
 
@@ -236,7 +241,7 @@ def _keys(stream: rng.Stream, t: Int[Array, ""]) -> _Decisions:
 
 
 def _run_steps(
-    stream: rng.Stream, step: Step, run: Run, num_steps: int, log_every: int, measure: Measure | None
+    stream: rng.Stream, step: Step, run: Run, num_steps: int, log_every: int, measures: Measures
 ) -> tuple[Run, Log]:
     """`num_steps` steps, with a row of the log after each `log_every` and after the last."""
 
@@ -248,68 +253,127 @@ def _run_steps(
     def row(run: Run, size: int) -> tuple[Run, Log]:
         return lax.fori_loop(0, size, one, (run, _zero_log(run.g.dtype)))
 
-    def whole_row(run: Run, _: None) -> tuple[Run, Any, dict[str, Any]]:
+    def whole_row(run: Run, _: None) -> tuple[Run, dict[str, Any]]:
         run, log = row(run, log_every)
-        return run, run.learner, log._asdict()
+        return run, log._asdict()
 
-    run, fields = _rows(whole_row, run, None, num_steps // log_every, measure)
+    rest = num_steps % log_every
+    whole = _Rows(whole_row, lambda run: run.learner, is_end=not rest)
+    run, fields = whole.run(run, None, num_steps // log_every, measures)
     log = Log(**fields)
-    if rest := num_steps % log_every:
+    if rest:
         run, last_row = row(run, rest)
-        if measure:
+        for measure in measures:
             last_row = last_row._replace(**measure.of(run.learner))
         log = jax.tree.map(lambda rows, x: jnp.append(rows, x[None], axis=0), log, last_row)
     return run, log
 
 
-def _rows(
-    row: Callable, carry: Any, xs: Any, count: int, measure: Measure | None
-) -> tuple[Any, dict[str, Any]]:
-    """`count` rows, one after another: `row(carry, x)` gives the carry, the learner, and fields of the Log.
+class _Rows(NamedTuple):
+    """Rows of a log, one after another.
 
-    By `lanes` measuring is a call of what XLA compiled, which takes as long as hundreds of steps. So several rows are
-    measured together, if that may be; as many as divide `count`, since a shorter rest would be a program of its own.
+    Attributes:
+        row: (carry, x) -> (carry, fields of the Log).
+        learner: carry -> the state of the learner.
+        is_end: whether the last of them is the last of the log.
     """
-    together = max(n for n in range(1, measure.most + 1) if count % n == 0) if measure else 1
 
-    def one(carry, x):
-        carry, learner, fields = row(carry, x)
-        return carry, fields | measure.of(learner) if measure else fields
+    row: Callable[[Any, Any], tuple[Any, dict[str, Any]]]
+    learner: Callable[[Any], Any]
+    is_end: bool = True
 
-    if together == 1:
-        return lax.scan(one, carry, xs, length=count)
+    def run(self, carry: Any, xs: Any, count: int, measures: Measures) -> tuple[Any, dict[str, Any]]:
+        """`count` rows, with what is measured in them: the carry, and the fields, [count] each."""
+        thin = next((measure for measure in measures if measure.every > 1), None)
+        each = next((measure for measure in measures if measure.every == 1), None)
+        return (
+            self._measured(carry, xs, count, each)
+            if thin is None
+            else self._thin(carry, xs, count, each, thin)
+        )
 
-    def some(carry, xs):
-        def unmeasured(carry, x):
-            carry, learner, fields = row(carry, x)
-            return carry, (learner, fields)
+    def _thin(
+        self, carry: Any, xs: Any, count: int, each: Measure | None, thin: Measure
+    ) -> tuple[Any, dict[str, Any]]:
+        """The same where one of the measures is taken in few rows: at the end of each group of rows, and of all."""
+        nothing = jax.eval_shape(thin.of, self.learner(carry))
+        unknown = lambda size: jax.tree.map(lambda x: jnp.full((size, *x.shape), jnp.nan, x.dtype), nothing)
 
-        assert measure
-        carry, (learners, fields) = lax.scan(unmeasured, carry, xs, length=together)
-        return carry, fields | jax.vmap(measure.of)(learners)
+        def group(carry: Any, xs: Any, size: int, is_measured: bool) -> tuple[Any, dict[str, Any]]:
+            carry, fields = self._measured(carry, xs, size, each)
+            if not is_measured:
+                return carry, fields | unknown(size)
+            now = thin.of(self.learner(carry))
+            return carry, fields | jax.tree.map(
+                lambda nan, x: jnp.append(nan, x[None], axis=0), unknown(size - 1), now
+            )
 
-    split = lambda x: x.reshape(-1, together, *x.shape[1:])
-    carry, fields = lax.scan(some, carry, jax.tree.map(split, xs), length=count // together)
-    return carry, jax.tree.map(lambda x: x.reshape(count, *x.shape[2:]), fields)
+        groups, rest = divmod(count, thin.every)
+        first, last = (
+            jax.tree.map(lambda x, of=of: x[of], xs)
+            for of in (slice(count - rest), slice(count - rest, None))
+        )
+        split = jax.tree.map(lambda x: x.reshape(groups, thin.every, *x.shape[1:]), first)
+        carry, fields = lax.scan(
+            lambda carry, xs: group(carry, xs, thin.every, True), carry, split, length=groups
+        )
+        fields = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), fields)
+        if rest:
+            carry, others = group(carry, last, rest, self.is_end)
+            fields = jax.tree.map(lambda x, y: jnp.append(x, y, axis=0), fields, others)
+        return carry, fields
+
+    def _measured(
+        self, carry: Any, xs: Any, count: int, measure: Measure | None
+    ) -> tuple[Any, dict[str, Any]]:
+        """The same where all of them are measured, or none.
+
+        By `lanes` measuring is a call of what XLA compiled, which takes as long as hundreds of steps. So several rows
+        are measured together, if that may be; as many as divide `count`, since a shorter rest would be a program of
+        its own.
+        """
+        if measure is None:
+            return lax.scan(self.row, carry, xs, length=count)
+        together = max(n for n in range(1, measure.most + 1) if count % n == 0)
+
+        def one(carry, x):
+            carry, fields = self.row(carry, x)
+            return carry, fields | measure.of(self.learner(carry))
+
+        if together == 1:
+            return lax.scan(one, carry, xs, length=count)
+
+        def some(carry, xs):
+            def unmeasured(carry, x):
+                carry, fields = self.row(carry, x)
+                return carry, (self.learner(carry), fields)
+
+            carry, (learners, fields) = lax.scan(unmeasured, carry, xs, length=together)
+            return carry, fields | jax.vmap(measure.of)(learners)
+
+        split = lambda x: x.reshape(-1, together, *x.shape[1:])
+        carry, fields = lax.scan(some, carry, jax.tree.map(split, xs), length=count // together)
+        return carry, jax.tree.map(lambda x: x.reshape(count, *x.shape[2:]), fields)
 
 
 def _run_episodes(
-    stream: rng.Stream, step: Step, run: Run, num_episodes: int, log_every: int, measure: Measure | None
+    stream: rng.Stream, step: Step, run: Run, num_episodes: int, log_every: int, measures: Measures
 ) -> tuple[Run, Log]:
     """`num_episodes` episodes, with a row of the log for each `log_every`, the last one perhaps shorter."""
     rows = -(-num_episodes // log_every)
     nothing = _zero_log(run.g.dtype)
     carry = run, _Begun(_empty(nothing, rows), jnp.int32(0), nothing), jnp.int32(0)
-    if measure is None:
+    if not measures:
         run, (log, *_), _ = _run_until(stream, step, carry, num_episodes, log_every)
         return run, log
 
     def row(carry, target):
-        carry = _run_until(stream, step, carry, target, log_every)
-        return carry, carry[0].learner, {}
+        return _run_until(stream, step, carry, target, log_every), {}
 
     targets = jnp.minimum(log_every * jnp.arange(1, rows + 1), num_episodes)
-    (run, (log, *_), _), measured = _rows(row, carry, targets, rows, measure)
+    (run, (log, *_), _), measured = _Rows(row, lambda carry: carry[0].learner).run(
+        carry, targets, rows, measures
+    )
     return run, log._replace(**measured)
 
 

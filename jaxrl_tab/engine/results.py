@@ -49,7 +49,8 @@ class SweepResult:
             problems. NaN where the environment does not say, or there is no finite v*, or no single such
             number.
         root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), first_seed + i)`.
-        num_steps, num_episodes, log_every: the budget of each run and what a row of the log is.
+        num_steps, num_episodes, log_every, exact_every: the budget of each run, what a row of the log is, and how
+            many of them have exact values, as in `train`.
         seconds, compile_seconds: time spent running the compiled program, and compiling it.
         first_seed: see `root_seed`.
         largest_value: the largest |Q| that is not taken for diverged, float64 [*grid]; see `part.Part`.
@@ -75,6 +76,7 @@ class SweepResult:
     first_seed: int = 0
     largest_value: Any = np.inf
     fresh: bool = False
+    exact_every: int | None = None
     learns: Learns = Learns.ACTIONS
     part: "Part | None" = None
 
@@ -146,6 +148,7 @@ class SweepResult:
             "fixed": json.dumps({name: label(v) for name, v in self.fixed.items() if v is not None}),
             **{name: value for name, value in budget.items() if value is not None},
             "log_every": self.log_every,
+            **({"exact_every": self.exact_every} if self.exact_every else {}),
             "root_seed": self.root_seed,
             **({"fresh_seeds": 1} if self.fresh else {}),
             "optimal_value": float(self.optimal_value) if self.optimal_value.ndim == 0 else float("nan"),

@@ -43,6 +43,7 @@ def sweep(
     seed: int = 0,
     exact: bool = False,
     record: Record | None = None,
+    exact_every: int | None = None,
     backend: Backend = "auto",
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
@@ -62,7 +63,7 @@ def sweep(
             default.
         num_seeds: how many seeds, at least 1.
         num_draws: how many trials of what is drawn at random; they are the axis `draw` of the result.
-        num_steps, num_episodes, log_every, exact, record: as in `train`.
+        num_steps, num_episodes, log_every, exact, record, exact_every: as in `train`.
         seed: which sequence of seeds, a whole number >= 0.
         backend: what compiles it: "lanes" (for CPUs, and fast), "xla", or "auto": what `JAXRL_TAB_BACKEND` says,
             or else `lanes` where it can. See `engine.backend`.
@@ -85,7 +86,7 @@ def sweep(
         env,
         algorithm,
         grid,
-        Budget(num_steps, num_episodes, log_every, bool(exact), record),
+        Budget(num_steps, num_episodes, log_every, bool(exact), record, exact_every),
         num_seeds=num_seeds,
         num_draws=num_draws,
         seed=seed,
@@ -182,6 +183,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
         num_steps=part.budget.num_steps,
         num_episodes=part.budget.num_episodes,
         log_every=part.budget.row,
+        exact_every=part.budget.exact_every,
         seconds=computed.seconds.running,
         compile_seconds=computed.seconds.compiling,
         part=part,

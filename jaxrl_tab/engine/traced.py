@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -39,9 +39,9 @@ def unchecked(
     if (problem := problem_of(stream, env)) is not env:
         env = problem
         full = full and (full[0], env)  # it is drawn in the precision of the program
-    measure = _make_measure(algorithm, env, full, budget.record)
+    measures = tuple(_make_measure(what, algorithm, env, full) for what in _measured(algorithm, budget))
     algorithm = restricted(algorithm, available_actions(env))
-    return loop.run(stream, algorithm, env, budget, measure)
+    return loop.run(stream, algorithm, env, budget, measures)
 
 
 def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], Any, Any]:
@@ -59,10 +59,8 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
         measured |= dict.fromkeys(exact_fields(algorithm), jnp.zeros((), q.dtype))
     if budget.record is not None:
         measured["recorded"] = recorded(budget.record, algorithm, learner)
-    is_free = (
-        not budget.exact and budget.record is not None and _stands_there(budget.record, algorithm, learner)
-    )
-    if measured and not is_free and (rows := rows_at_once(algorithm, learner, budget.exact)) > 1:
+    rows = max((rows_at_once(what, algorithm, learner) for what in _measured(algorithm, budget)), default=1)
+    if rows > 1:
         waiting = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), learner)
     return (q, loop.empty_log(q.dtype, budget, measured)), others, waiting
 
@@ -101,10 +99,31 @@ def _restored(full: T, obj: T) -> T:
 # --- what is measured at the end of a row -----------------------------------------------------------
 
 
-def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Record | None) -> Measure | None:
-    """What is measured at the end of a row."""
-    if full is None and record is None:
-        return None
+class _Measured(NamedTuple):
+    """What is measured together.
+
+    Attributes:
+        exact: whether exact values are.
+        record: what is recorded besides.
+        every: of how many rows in one.
+    """
+
+    exact: bool
+    record: Record | None
+    every: int = 1
+
+
+def _measured(algorithm: Any, budget: Budget) -> list[_Measured]:
+    """What is measured in a run: all together, but exact values apart where fewer rows have them."""
+    if budget.exact and (budget.exact_every or 1) > 1 and _solves(algorithm):
+        own = [_Measured(False, budget.record)] if budget.record else []
+        return [*own, _Measured(True, None, budget.exact_every or 1)]
+    return [_Measured(budget.exact, budget.record)] if budget.exact or budget.record else []
+
+
+def _make_measure(what: _Measured, algorithm: Algorithm, env: Environment, full: Any) -> Measure:
+    """How it is measured."""
+    record, full = what.record, full if what.exact else None
 
     def make(algorithm: Algorithm, env: Environment, full: Any) -> Callable[[Any], dict[str, Any]]:
         measures = []
@@ -112,42 +131,63 @@ def _make_measure(algorithm: Algorithm, env: Environment, full: Any, record: Rec
             with planning.doubled():
                 exact_algorithm, exact_env = _restored(full, (algorithm, env))
                 exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
-            measures.append(_exact_measurer(exact_algorithm, exact_env))
+            measures.append(_exact_measurer(exact_algorithm, exact_env, algorithm))
         if record is not None:
             of_learner = partial(recorded, record, algorithm)
             measures.append(lambda learner: {"recorded": of_learner(learner)})
         return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
 
     like = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
-    if full is None and record is not None and _stands_there(record, algorithm, like):
+    if record is not None and _is_free(what, algorithm, like):
         return Measure(lambda learner: {"recorded": recorded(record, algorithm, learner)}, most=1)
-    at_once = rows_at_once(algorithm, like, exact=full is not None)
-    return Measure(prepared(make, algorithm, env, full, like=like), at_once)
+    at_once = rows_at_once(what, algorithm, like)
+    return Measure(prepared(make, algorithm, env, full, like=like), at_once, what.every)
 
 
-def _stands_there(record: Record, algorithm: Any, learner: Any) -> bool:
-    """Whether what `record` says stands in the state of the learner, so that XLA has nothing to work out."""
+def _is_free(what: _Measured, algorithm: Any, learner: Any) -> bool:
+    """Whether all of it stands in the state of the learner, so that XLA has nothing to work out."""
+    if what.exact or what.record is None:
+        return False
     like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), learner)
-    return not jax.make_jaxpr(partial(recorded, record, algorithm))(like).eqns
+    return not jax.make_jaxpr(partial(recorded, what.record, algorithm))(like).eqns
 
 
-def rows_at_once(algorithm: Any, learner: Any, exact: bool) -> int:
-    """Of how many rows it is measured at once what a learner has learned: of as many as may wait in `WAITING` bytes.
+def rows_at_once(what: _Measured, algorithm: Any, learner: Any) -> int:
+    """Of how many rows it is measured at once: of as many as may wait in `WAITING` bytes.
 
-    Of one, where that solves a linear system.
+    Of one, where that solves a linear system, or takes nothing at all.
     """
-    solves = exact and of_method(algorithm).learns is Learns.ACTIONS
-    return 1 if solves else max(1, WAITING // max(1, memory.size(learner)))
+    if (what.exact and _solves(algorithm)) or _is_free(what, algorithm, learner):
+        return 1
+    return max(1, WAITING // max(1, memory.size(learner)))
 
 
-def _exact_measurer(algorithm: Any, env: Environment) -> Callable[[Any], dict[str, Any]]:
-    """The exact numbers beside a method: in prediction those of its own `measurer`."""
-    if of_method(algorithm).learns is Learns.STATES:
+def _solves(algorithm: Any) -> bool:
+    """Whether the exact values of a method are those of its policies, which are linear systems to be solved."""
+    return of_method(algorithm).learns is Learns.ACTIONS
+
+
+def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[Any], dict[str, Any]]:
+    """The exact numbers beside a method: in prediction those of its own `measurer`.
+
+    `acting` is the method with its numbers in the precision of the program, in which it acts.
+    """
+    if not _solves(algorithm):
         return algorithm.measurer(env)
-    measure, fields = planning.measurer(env, algorithm.gamma), exact_fields(algorithm)
-    return lambda learner: dict(zip(fields, measure(learner.q), strict=True))
+    of_table, fields = planning.measurer(env, algorithm.gamma), exact_fields(acting)
+    states = np.arange(env.num_states, dtype=np.int32)
+
+    @planning.in_turn
+    def measure(learner: Any) -> dict[str, Any]:
+        policies = [jax.vmap(acting.probs, (None, 0))(learner, states)] if "policy_value" in fields else []
+        return dict(zip(fields, of_table(learner.q, *policies), strict=True))
+
+    return measure
 
 
 def exact_fields(algorithm: Any) -> tuple[str, ...]:
     """The fields of the Log that exact values of a method are recorded in."""
-    return ("v_error",) if of_method(algorithm).learns is Learns.STATES else ("greedy_value", "q_error")
+    if not _solves(algorithm):
+        return ("v_error",)
+    acts = ("policy_value",) if hasattr(algorithm, "probs") else ()
+    return ("greedy_value", "q_error", *acts)

@@ -12,10 +12,11 @@ from jaxtyping import Array, Float
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.exact.double import doubled
 from jaxrl_tab.exact.model import Model, check_finite, ending_at, enumerate_model, reachable, terminal_states
-from jaxrl_tab.exact.values import doubled, from_start, greedy_to, iterate_policies, policy_values
+from jaxrl_tab.exact.values import from_start, greedy_to, iterate_policies, policy_values
 
-Measure = Callable[[Float[Array, "S A"]], tuple[Float[Array, ""], Float[Array, ""]]]
+Measure = Callable[..., tuple[Float[Array, ""], ...]]
 
 
 def _traced_model(env: Any) -> Model:
@@ -32,10 +33,13 @@ def _traced_model(env: Any) -> Model:
 def measurer(env: Environment, gamma: Any) -> Measure:
     """A function from Q [S, A] to (greedy_value [], q_error []), for use under `jit` and `vmap`.
 
+    It takes policies [S, A] besides, and then also gives the value of each: (greedy_value, q_error, value, ...).
+
     greedy_value is the exact value, from the start distribution, of the policy that is greedy to Q with ties
     split; -inf where gamma is 1 and that policy may be caught for ever while rewards go on. q_error is the
     largest |Q - Q*| over the states that can be reached from the start and are not terminal, never visited
-    ones included; NaN where Q* is not finite in one of them. Both are NaN where Q holds a NaN.
+    ones included; NaN where Q* is not finite in one of them. Both are NaN where Q holds a NaN. The value of a policy
+    is from the start distribution as well; its probabilities are made to add up to 1, and it is NaN where one is.
 
     Everything is computed in float64, also where the program around it is in float32, and comes back in the
     precision of Q. So both have the relative error of a float32, 6e-8, and in addition that of float64, 1e-16
@@ -58,7 +62,12 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         is_solved = ~(best.caught.any() | best.better.any())
         matters = ~terminal_states(model)
 
-    def measure(q: Float[Array, "S A"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def worth(policy: Float[Array, "S A"]) -> Float[Array, ""]:
+        with doubled():
+            value = from_start(model, policy_values(model, policy, gamma).v)
+            return jnp.where(jnp.isnan(policy).any(), jnp.nan, value)
+
+    def measure(q: Float[Array, "S A"], *others: Float[Array, "S A"]) -> tuple[Float[Array, ""], ...]:
         if q.shape != model.prob.shape[:2]:
             raise InputError(f"exact values are those of one table [S, A]; this method has {list(q.shape)}")
         counts = matters[:, None] & (q > policies.UNAVAILABLE)
@@ -66,11 +75,14 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         sound = ~jnp.isnan(q).any()
         with doubled():
             exact_q = q.astype(model.prob.dtype)
-            # The greedy policy jumps: it has no derivative.
-            v = policy_values(model, greedy_to(lax.stop_gradient(exact_q)), gamma).v
+            # A policy that depends on what is the largest jumps: it has no derivative.
+            greedy, *acting = (lax.stop_gradient(x.astype(exact_q.dtype)) for x in (exact_q, *others))
+            each = [greedy_to(greedy), *(x / x.sum(1, keepdims=True) for x in acting)]
+            # One after another, so that there is one linear system at a time, and one to compile.
+            worths = lax.map(worth, jnp.stack(each)).astype(q.dtype)
             error = _largest(jnp.where(counts, abs(exact_q - best.q), 0)).astype(q.dtype)
-            value = from_start(model, v).astype(q.dtype)
-        return jnp.where(sound, value, jnp.nan), jnp.where(sound & is_solved, error, jnp.nan)
+        value, *values = worths
+        return jnp.where(sound, value, jnp.nan), jnp.where(sound & is_solved, error, jnp.nan), *values
 
     return measure
 

@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike
 from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.exact.double import doubled, has_double, in_turn
 from jaxrl_tab.exact.given import checked_policy, checked_table, checked_values
 from jaxrl_tab.exact.iterates import Iterates, generalized_policy_iteration
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
@@ -49,10 +50,8 @@ from jaxrl_tab.exact.model import (
 from jaxrl_tab.exact.optimum import solved, unless
 from jaxrl_tab.exact.values import (
     ROUNDING,
-    doubled,
     from_start,
     greedy_to,
-    has_double,
     largest,
     policy_values,
     sparse_solver,
@@ -80,6 +79,7 @@ __all__ = [
     "generalized_policy_iteration",
     "greedy_policy",
     "has_double",
+    "in_turn",
     "largest_return",
     "measurer",
     "occupancy",

@@ -1,17 +1,15 @@
 """The values of policies in a model, and the best policy: the linear algebra of dynamic programming."""
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float
 
 from jaxrl_tab.core import policies
+from jaxrl_tab.exact.double import in_turn
 from jaxrl_tab.exact.model import (
     Model,
     array_module,
@@ -28,25 +26,6 @@ ROUNDING = 16  # an action is better if it is so by more than this many units of
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
 ANYTHING = -1  # the number of the round in which any action is taken, before the first policy is known
 BLOCK, MAX_BLOCKS = 16, 6  # states that are taken out of a dense chain at once, and how many times
-
-
-@contextlib.contextmanager
-def doubled() -> Iterator[None]:
-    """What is traced within is in float64, whatever the program around it is in.
-
-    An environment that is written for 32 bits mixes in some 64-bit constants then, which is all right here.
-    A TPU has no float64: there everything stays at the ambient precision.
-    """
-    with contextlib.ExitStack() as stack:
-        if jax.default_backend() != "tpu":
-            stack.enter_context(jax.enable_x64())
-        stack.enter_context(jax.numpy_dtype_promotion("standard"))
-        yield
-
-
-def has_double() -> bool:
-    """Whether float64 is what JAX makes of a number here, as within `doubled`."""
-    return jax.dtypes.canonicalize_dtype(float) == np.float64
 
 
 def largest(q: Float[Any, "... S A"]) -> Float[Any, "... S"]:
@@ -160,7 +139,7 @@ def sparse_solver(matrix: Any) -> Callable[[Float[np.ndarray, " S"]], Float[np.n
         return lambda constant: np.full(n, np.nan)
 
 
-@custom_vmap
+@in_turn
 def _solve_dense(
     chain: Float[Array, "S S"], leaving: Float[Array, " S"], constants: Float[Array, "S R"]
 ) -> Float[Array, "S R"]:
@@ -218,18 +197,6 @@ def _out_of_block(block: Float[Array, "B N"], systems: int) -> Float[Array, "B M
     first, last = jnp.int32(0), jnp.int32(size)
     inside, outside = lax.fori_loop(first, last, take_out, (block[:, :size], block[:, size:]))
     return lax.fori_loop(first, last, put_back, outside)
-
-
-@_solve_dense.def_vmap
-def _solve_dense_rule(axis_size, batched, *args):
-    """On a CPU one lane after another, so that its matrix stays in the cache."""
-    args = (
-        x if b else jnp.broadcast_to(x, (axis_size, *x.shape)) for x, b in zip(args, batched, strict=True)
-    )
-    with doubled():
-        if jax.default_backend() == "cpu":
-            return lax.map(lambda lane: _solve_dense(*lane), tuple(args)), True
-        return jax.vmap(_solve_dense.fun)(*args), True
 
 
 # The best policy.

@@ -32,7 +32,7 @@ class RunAgain:
     def __call__(self, name: str, setting: int, places: np.ndarray, every: int) -> OverTime:
         part = self.parts[name]
         budget = dataclasses.replace(
-            part.budget, log_every=part.budget.row * every, exact=False, record=Tables()
+            part.budget, log_every=part.budget.row * every, exact=False, exact_every=None, record=Tables()
         )
         one: Any = [Counted(part.configs[setting])]
         recorded = compute(

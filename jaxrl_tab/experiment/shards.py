@@ -143,11 +143,11 @@ def shard_runs(part: Part) -> int:
     length = budget.num_steps or budget.num_episodes or 0
     rows = -(-length // budget.row)
     steps = budget.num_steps or length * EPISODE_STEPS
-    if budget.exact:  # a system of equations in each row, a hundred multiply-adds in the time of a step
-        steps += rows * states**3 // 300
+    if budget.exact:  # a system of equations in rows, a hundred multiply-adds in the time of a step
+        steps += rows // (budget.exact_every or 1) * states**3 // 300
     recorded = sum(x.size for x in jax.tree.leaves(recorded_shapes(budget.record, part.configs[0], part.env)))
-    # A table; and in each row at most 7 numbers (sums, and exact values), and those of the recorder.
-    bytes_per_run = 4 * (states * part.env.num_actions + rows * (7 + recorded))
+    # A table; and in each row at most 8 numbers (sums, and exact values), and those of the recorder.
+    bytes_per_run = 4 * (states * part.env.num_actions + rows * (8 + recorded))
     return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // bytes_per_run) // room.LANES) * room.LANES
 
 

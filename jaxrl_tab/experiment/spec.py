@@ -83,6 +83,7 @@ class Experiment:
         log_every: how many steps, or episodes, are summed up in a row of the log.
         seed: the root seed, of runs and of draws.
         exact: whether exact values are recorded at every row; prediction always records its error.
+        exact_every: exact values of control in one of so many rows only, and in the last; it makes `exact` true.
         record: a function that records more at every row, as in `train`, or its name, "mine.py:function" or
             "package.module:function"; its arrays are variables of the results.
         backend: what compiles it: "lanes", "xla", or "auto", which is `lanes` where it can; see `engine.backend`.
@@ -100,6 +101,7 @@ class Experiment:
     log_every: int | None = field(default=None, at_least=1)
     seed: int = field(default=0, at_least=0)
     exact: bool = field(default=False)
+    exact_every: int | None = field(default=None, at_least=1)
     record: Any = None
     backend: Backend = dataclasses.field(default="auto", metadata={"static": True})
     select: Any = None
@@ -120,7 +122,7 @@ class Experiment:
             self._set("method", methods(self.method, source, references, self.seed, count))
             classes = [references[method["name"]].cls for method in self.method]
             prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
-            self._set("exact", self.exact or prediction)
+            self._set("exact", self.exact or self.exact_every is not None or prediction)
             with at("record"):
                 self._set(
                     "record", None if self.record is None else recorder(self.record, source, references)
@@ -219,7 +221,7 @@ class Experiment:
     def _parts(self) -> dict[str, Part]:
         parts = {}
         record = self.references[self.record["name"]].cls if self.record else None
-        budget = Budget(self.steps, self.episodes, self.log_every, self.exact, record)
+        budget = Budget(self.steps, self.episodes, self.log_every, self.exact, record, self.exact_every)
         with located(self.source):
             for environment in self.environment:
                 values = {key: x for key, x in environment.items() if key not in ABOUT}

@@ -73,6 +73,8 @@ def _curves(ax, error, knob, symbol):
 FIGURE = Figure(
     title="The bias-variance knobs n and λ on the random walk",
     source="Sutton and Barto 2018, figures 7.2, 12.6 and 12.8",
+    shows="Between one-step bootstrapping and whole returns lies a best n, and a best λ. The larger they are, "
+    "the smaller is the best step size; true online TD(λ) bears larger ones than TD(λ) does.",
     experiment=_experiment,
     small={"num_seeds": 2, "num_episodes": 2, "ns": (1, 2, 8), "lambdas": (0.8, 0.9), "alphas": ALPHAS[4:12]},
     numbers=(

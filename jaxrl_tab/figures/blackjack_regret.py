@@ -110,6 +110,9 @@ def _draw(datasets):
 FIGURE = Figure(
     title="Blackjack: exploration that fades too fast",
     source="Silver, lecture 5, GLIE Monte Carlo control",
+    shows="With ε = 1/k, which is GLIE, hardly anything is learned after the first thousand games. With a "
+    "constant 0.1 the greedy policy comes within a thousandth of the optimum; where ε falls with the "
+    "visits of a state it is near it sooner, and behind in the end.",
     experiment=_experiment,
     small={"num_seeds": 2, "budgets": ((20, 10), (40, 20))},
     numbers=(

@@ -78,6 +78,8 @@ def _draw(datasets):
 FIGURE = Figure(
     title="Sarsa, Expected Sarsa and Q-learning on the cliff, over the step size",
     source="van Seijen et al. 2009, figure 2; Sutton and Barto 2018, figure 6.3",
+    shows="Expected Sarsa can take a step size of 1, where Sarsa falls apart; over few episodes it is the best "
+    "with any. Q-learning's returns while it explores stay low with every step size.",
     experiment=_experiment,
     small={"num_seeds": 2, "alphas": (0.1, 0.5, 1.0)},
     numbers=(

@@ -50,6 +50,8 @@ def _draw(datasets):
 FIGURE = Figure(
     title="Sarsa and Q-learning on the cliff",
     source="Sutton and Barto 2018, example 6.6",
+    shows="Q-learning learns the shorter way along the cliff and, as it explores, falls off; Sarsa learns the "
+    "way that is safe for who explores, and earns more.",
     experiment=_experiment,
     small={"num_seeds": 2},
     numbers=(

@@ -87,6 +87,7 @@ class Figure:
     Attributes:
         title: what it shows.
         source: where it was published.
+        shows: what there is to see in it, in a sentence or two.
         experiment: what to run, by name: each gets a function to call with its `Progress`, and gives a
             dataset; most are sweeps, see `swept`. Its keyword arguments, all with defaults, are its budget.
         small: such arguments for a quick trial run, whose numbers come from too little to mean anything.
@@ -96,6 +97,7 @@ class Figure:
 
     title: str
     source: str
+    shows: str
     experiment: "Callable[..., Mapping[str, Run]]"
     numbers: tuple[Number, ...]
     draw: "Callable[[Datasets], matplotlib.figure.Figure]"

@@ -160,6 +160,8 @@ def _draw(datasets):
 FIGURE = Figure(
     title="Ordinary and weighted importance sampling",
     source="Sutton and Barto 2018, figures 5.3 and 5.4",
+    shows="Ordinary importance sampling is unbiased, with a variance that can be worked out. Weighted is biased "
+    "at first, and nearer all the same. Where the variance is infinite, ordinary estimates do not settle.",
     experiment=_experiment,
     small={
         "num_seeds": 2,

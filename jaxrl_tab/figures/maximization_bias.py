@@ -44,6 +44,8 @@ Q, DOUBLE = METHODS
 FIGURE = Figure(
     title="Maximisation bias: Q-learning against Double Q-learning",
     source="Sutton and Barto 2018, example 6.7 and figure 6.5",
+    shows="Q-learning prefers the worse action for a long time, because the largest of several noisy estimates "
+    "is too large; Double Q-learning, which chooses by one table and values by the other, hardly does.",
     experiment=_experiment,
     small={"num_seeds": 2},
     numbers=(

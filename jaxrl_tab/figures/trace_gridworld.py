@@ -83,6 +83,8 @@ def _draw(datasets):
 FIGURE = Figure(
     title="What one episode of Sarsa teaches, and one of Sarsa(λ)",
     source="Silver, lecture 5, Sarsa(λ) gridworld example; Sutton and Barto 2018, figure 7.4",
+    shows="The first episode that is paid changes one action value by one-step Sarsa, the last ten by 10-step "
+    "Sarsa, and those of the whole way by Sarsa(λ), the less the farther from the goal.",
     experiment=_experiment,
     small={"num_seeds": 20},
     numbers=(

@@ -63,6 +63,8 @@ def _draw(datasets):
 FIGURE = Figure(
     title="Greedy behaviour locks on to the worse of two doors",
     source="Silver 2015, lecture 5, greedy action selection",
+    shows="Who is greedy from the first play on keeps for ever to the door that paid first, which in two of "
+    "three runs is the worse one. Exploring mends it, but with ε = 1/k it takes long.",
     experiment=_experiment,
     small={"num_seeds": 2},
     numbers=(

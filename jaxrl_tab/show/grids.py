@@ -6,6 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
@@ -16,6 +17,9 @@ from jaxrl_tab.show.moves import Moves, greedy_actions, preferring, tables_of_se
 from jaxrl_tab.show.style import COLORS, GREY, INK, SMALL, InCell, axes_title, color_bar
 from jaxrl_tab.show.words import label_of, seeds_in_words, significant
 from jaxrl_tab.stats.settings import Settings
+
+# The outline of an arrow around its middle, in widths of a cell: (along, across).
+ARROW = np.array([(-5, -1), (0, -1), (0, -3), (5, 0), (0, 3), (0, 1), (-5, 1)]) * 0.092
 
 
 def greedy_path(
@@ -143,6 +147,25 @@ def changes(ax: Axes, env: Grid, change: np.ndarray, title: str) -> None:
     color = np.column_stack([np.tile(to_rgb(COLORS[1]), (len(size), 1)), faint])
     _quiver(ax, columns + 0.1 * right, rows + 0.1 * down, 0.4 * right, 0.4 * down, color, width=0.065)
     _draw_ends(ax, env)
+    axes_title(ax, title)
+
+
+def amounts(ax: Axes, env: Grid, change: np.ndarray, whole: float, title: str) -> None:
+    """An arrow for each action whose value changed, by its area how much: `change` is float [S, A].
+
+    The arrow of a change of `whole` is as long as a cell is wide, but for a little.
+    """
+    _draw_grid(ax, env, Moves.of(env))
+    states, actions = np.nonzero(change)
+    rows, columns = np.divmod(states, env.shape[1])
+    down, right = np.asarray(COMPASS)[actions].T
+    size = np.sqrt(np.abs(change[states, actions]).astype(float) / whole)
+    along, across = (size[:, None] * part for part in ARROW.T)
+    x = columns[:, None] + along * right[:, None] - across * down[:, None]
+    y = rows[:, None] + along * down[:, None] + across * right[:, None]
+    outlines = list(np.stack([x, y], -1))
+    ax.add_collection(PolyCollection(outlines, facecolor=COLORS[1], lw=0, zorder=3))
+    _draw_ends(ax, env, reached=True)
     axes_title(ax, title)
 
 

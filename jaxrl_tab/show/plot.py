@@ -34,7 +34,9 @@ from jaxrl_tab.show.curves import (
     mean_curve,
     sensitivity,
 )
+from jaxrl_tab.show.diagrams import backups, bridge
 from jaxrl_tab.show.grids import (
+    amounts,
     changes,
     greedy_path,
     median_path,
@@ -98,6 +100,9 @@ __all__ = [
     "TYPE",
     "WIDTH",
     "action_values",
+    "amounts",
+    "backups",
+    "bridge",
     "canvas",
     "changes",
     "color_bar",

@@ -33,6 +33,8 @@ from jaxrl_tab.show.rows import (
     chosen_table,
     columns_of,
     decimals,
+    early_in_words,
+    early_table,
     finding,
     notes,
     rank,
@@ -191,6 +193,8 @@ class Chapter(NamedTuple):
     on_fresh: bool
     notes: list[str]
     chosen: Table
+    early: Table
+    better_early: str
     settings: Table
     num_settings: int
     diverged: list[str]
@@ -219,7 +223,10 @@ def _chapter(label: str, methods: Methods, fresh: Methods, seen: Explorer, losin
     view = View(prediction, varied(rows), decimals([*stars, *again.values()]))
     differences = (fresh if on_fresh else methods).differences
     judged = again if on_fresh else {row.method: row for row in stars}
-    columns = dict.fromkeys(columns_of("chosen", [*stars, *again.values()]) + columns_of("all", rows))
+    last = [*stars, *again.values()]
+    columns = dict.fromkeys(
+        [*columns_of("chosen", last), *columns_of("early", last), *columns_of("all", rows)]
+    )
     return Chapter(
         label=words.title_of(label),
         about=describe.summary(type(env)),
@@ -235,6 +242,8 @@ def _chapter(label: str, methods: Methods, fresh: Methods, seen: Explorer, losin
         on_fresh=on_fresh,
         notes=notes(stars, again, view),
         chosen=chosen_table(stars, again, judged if differences else {}, view),
+        early=early_table(stars, again, view),
+        better_early=early_in_words(methods, lambda x: number(x, view.decimals)) if methods.early else "",
         settings=settings_table(ranked, [keys[id(row)] for row in ranked], view),
         num_settings=len(rows),
         diverged=[

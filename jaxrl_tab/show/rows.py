@@ -1,7 +1,7 @@
 """The tables, notes and sentences of a chapter of the report, from the rows of its settings."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -81,6 +81,30 @@ def finding(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> str:
     return f"best: {setting}, with a {view.what} of {number(mean, view.decimals)}{seeds}{optimum_text}"
 
 
+def early_in_words(methods: Methods, write: Callable[[float], str]) -> str:
+    """That another setting is better early than the one that wins in the end; only where there is one.
+
+    Args:
+        methods: whose `early` is not None.
+        write: how returns and errors are written.
+    """
+    assert methods.early
+    view = View(methods.prediction, varied(methods.rows), 0)
+    quick, winner = (setting_of(row, view) for row in methods.early)
+    if methods.by_length:
+        what, they, write = "steps an episode are", "they are", words.steps_in_words
+        early, late = (row["early_steps"] for row in methods.early)
+    else:
+        what, they = f"{view.what} is", "it is"
+        early, late = (row["early_score"][0] for row in methods.early)
+    end = "over the whole run" if methods.prediction else "at the end"
+    then = "no episode ends" if np.isposinf(late) else f"{they} {write(late)}"
+    return (
+        f"Early on another is better: over the first tenth of the run the {what} {write(early)} with {quick}; with "
+        f"{winner}, the best {end}, {then}."
+    )
+
+
 def _difference_cells(row: Row, view: View) -> list[str]:
     """How the best setting of a method differs from that of the best: the mean with its interval, and p."""
     difference, p = row["difference"], row["p"]
@@ -150,6 +174,22 @@ def chosen_table(
     )
 
 
+def early_table(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> Table:
+    """How the chosen settings learned early; no rows where there is nothing to tell."""
+    last = [again.get(row.method, row) for row in stars]
+    columns = columns_of("early", last)
+    rows = [
+        [
+            words.title_of(row.method),
+            _setting(row, view) or "as given",
+            *(_cell(column, shown, view) for column in columns),
+        ]
+        for row, shown in zip(stars, last, strict=True)
+    ]
+    head = ["method", "setting", *(text(column.report, view.prediction) for column in columns)]
+    return Table(head, rows if columns else [], [False] * len(rows))
+
+
 def settings_table(ranked: Sequence[Row], keys: Sequence[str], view: View) -> Table:
     """All settings in the order given: the best of each method has a star. `keys`: see `Table`."""
     settings = Counter(row.method for row in ranked)
@@ -177,7 +217,8 @@ def settings_table(ranked: Sequence[Row], keys: Sequence[str], view: View) -> Ta
 
 def columns_of(table: str, rows: Sequence[Row]) -> list[Column]:
     """The columns of a table of the report, besides the score and the difference, that have anything to tell."""
-    columns = [x for x in COLUMNS if x.report and x.tables in (table, "both") and x.tells(rows)]
+    also = lambda x: table == "all" and "early" in x.tables and x.on_screen(rows[0].own.among)
+    columns = [x for x in COLUMNS if x.report and (table in x.tables or also(x)) and x.tells(rows)]
     if table == "all" and len({number(row["optimum"]) for row in rows}) == 1:  # the other table says it
         columns = [column for column in columns if column.name != "optimum"]
     return columns
@@ -187,6 +228,10 @@ def _cell(column: Column, row: Row, view: View) -> str:
     x = row[column.name]
     if column.written == "range":
         return _between(x, view)
+    if column.written == "middle":
+        return number(x[0], view.decimals)
+    if column.written == "steps":
+        return words.steps_in_words(x)
     if isinstance(x, tuple):
         return _of(x, view)
     if column.written == "count":

@@ -30,6 +30,11 @@ def number(x: float, decimals: int | None = None) -> str:
     return text.replace("-", "−").replace(",", "\xa0").replace("inf", "∞")
 
 
+def steps_in_words(x: float) -> str:
+    """Steps until something happens: infinitely many where it did not happen yet."""
+    return "none yet" if np.isinf(x) else f"{x:.1f}" if x < 100 else f"{x:.0f}"
+
+
 def listed(names: Sequence[str], what: str) -> str:
     """The names in words; of more than three only how many there are: "4 methods"."""
     if len(names) > 3:

@@ -27,10 +27,13 @@ class Column:
         in_summary: its name in `summary.csv`, by default `name`; "" if it is not there. An interval has two
             columns more, which end in `_low` and `_high`.
         screen, report: its heading on the screen, and in the tables of the report; "" if it is not there.
-        tables: which tables of the report have it: of the chosen settings, of all settings, or both.
+        tables: which tables of the report have it: of the chosen settings, of their early learning, of all settings.
+            That of all settings also has what the screen shows of early learning.
+        by_length: whether the screen shows it only where episodes earn by their length alone (`early.by_length`), or
+            only elsewhere; None: everywhere.
         written: how people read it: with as many decimals as the score has, of an interval also without its
-            middle ("range"); with six significant digits ("exact"); as a count; a share in percent; or with one
-            decimal.
+            middle ("range"), or that alone ("middle"); with six significant digits ("exact"); as a count; as steps,
+            of which there may be none yet; a share in percent; or with one decimal.
         scale: the screen shows so many times the number.
         help: what it means, for the readers of the report; a sentence that follows the heading.
     """
@@ -41,10 +44,15 @@ class Column:
     in_summary: Text | None = None
     screen: Text = ""
     report: Text = ""
-    tables: Literal["chosen", "all", "both"] = "both"
-    written: Literal["score", "range", "exact", "count", "share", "tenths"] = "score"
+    tables: tuple[Literal["chosen", "early", "all"], ...] = ("chosen", "all")
+    by_length: bool | None = None
+    written: Literal["score", "range", "middle", "exact", "count", "steps", "share", "tenths"] = "score"
     scale: float = 1
     help: str = ""
+
+    def on_screen(self, methods: Any) -> bool:
+        """Whether the screen shows it of these `columns.Methods`, if it `tells` anything."""
+        return bool(self.screen) and self.by_length in (None, methods.by_length)
 
     def tells(self, rows: Sequence[Any]) -> bool:
         """Whether it has anything to tell of these `columns.Row`s: a number, a count that is not 0, a share below 1."""

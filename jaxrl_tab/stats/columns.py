@@ -20,6 +20,7 @@ from jaxrl_tab.stats.along import Datasets, Interval
 from jaxrl_tab.stats.bootstrap import iqm_interval
 from jaxrl_tab.stats.column import Column, text
 from jaxrl_tab.stats.comparisons import Difference
+from jaxrl_tab.stats.early import EARLY, better_early, by_length
 from jaxrl_tab.stats.intervals import mean_interval, median_interval, tolerance_interval
 from jaxrl_tab.stats.measures import (
     drawn,
@@ -129,9 +130,17 @@ class Method(Settings):
 
 # In the order in which people see them.
 COLUMNS = [
+    Column("episodes", lambda own: own.ds.episodes.sum("row").mean("seed"), written="tenths"),
     Column(
-        "episodes", lambda own: own.ds.episodes.sum("row").mean("seed"), screen="episodes", written="tenths"
+        "episodes_within_steps",
+        lambda own: own.episodes_within_steps,
+        in_summary="",
+        screen="episodes",
+        report="episodes",
+        tables=("all",),
+        written="tenths",
     ),
+    *EARLY,
     Column(
         "late_return",
         lambda own: mean_interval(final_return(own.ds)) if own.prediction else None,
@@ -190,9 +199,16 @@ COLUMNS = [
     Column(
         "steps_per_second",
         lambda own: own.ds.attrs.get("steps_per_second", np.nan),
-        screen="million\nsteps/s",
         written="tenths",
-        scale=1e-6,
+    ),
+    Column(
+        "policy_value",
+        lambda own: None if (x := own.at_the_end("policy_value")) is None else x.median("seed"),
+        screen="worth of the\nacting policy",
+        report="worth of the acting policy",
+        written="exact",
+        help="what the policy that acts, exploring and all, earns in the long run, exact, as it acts at the end of a "
+        "run, without the time limit; median over seeds.",
     ),
     Column(
         "greedy_arrives",
@@ -212,19 +228,11 @@ COLUMNS = [
         "seeds. −∞: it goes round for ever.",
     ),
     Column(
-        "episodes_within_steps",
-        lambda own: own.episodes_within_steps,
-        in_summary="",
-        report="episodes",
-        tables="all",
-        written="tenths",
-    ),
-    Column(
         "soft",
         lambda own: None if np.isnan(own.soft) else own.only_at_best(own.soft),
         in_summary="",
         report="best ε-soft",
-        tables="chosen",
+        tables=("chosen",),
         written="exact",
     ),
     Column(
@@ -326,6 +334,19 @@ class Methods(Mapping[str, xr.Dataset]):
         return all(own.prediction for own in self.settings.values())
 
     @cached_property
+    def by_length(self) -> bool:
+        """Whether episodes earn by their length alone: see the function of this name."""
+        return all(own.once(by_length) for own in self.settings.values())
+
+    @cached_property
+    def early(self) -> tuple[Row, Row] | None:
+        """A setting that is better early than the one that wins in the end, and that one: see `better_early`."""
+        found = better_early(self.settings)
+        places = [] if found is None else [found.quick, found.winner]
+        rows = [next(row for row in self.rows if (row.method, row.place) == place) for place in places]
+        return (rows[0], rows[1]) if rows else None
+
+    @cached_property
     def differences(self) -> dict[str, Difference]:
         """How the best settings differ from that of the best method: see the function of this name."""
         return differences(self.settings)
@@ -407,6 +428,12 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
         A frame with the columns `method`; every hyperparameter of any method, swept or not (empty where a
         method has no such); `episodes`, episodes finished in the whole run, mean over seeds; and
 
+        - of early learning, of the runs that did not diverge: `first_episode_steps`, steps until the end of the
+          `first_episode`, median over seeds; `first_tenth_steps` and `last_tenth_steps`, steps an episode, all steps
+          that were taken there over all episodes that ended there, infinite where none did; `first_tenth_unfinished`,
+          how many runs finished no episode in the `first_tenth`; `first_tenth_return`, mean `early_score`, and
+          `interim_return`, mean `interim_return`, with `first_tenth_low`, `interim_low` and so on. Their intervals
+          are those of `mean_interval`, not made wider where the mean rests on few bad runs;
         - `last_tenth_return` with `last_tenth_low` and `last_tenth_high`: the mean `score` of all seeds, and
           its interval by `score_interval`;
         - `last_tenth_median` and `last_tenth_iqm`, each with `_low` and `_high`: median and interquartile
@@ -426,7 +453,8 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
           seeds; `optimum`, v* from the start, of prediction v_pi.
 
         Of prediction the score is the error, and its columns are `v_error`, `v_error_low`, `v_error_high`,
-        `v_error_median`, ... and `v_error_iqm`, ...; `final_v_error` is that at the end, mean over seeds.
+        `v_error_median`, ... and `v_error_iqm`, ...; `first_tenth_v_error`, with `first_tenth_v_error_low`, ..., is
+        that of the first tenth, and `final_v_error` that at the end, mean over seeds.
         `last_tenth_return`, `_low` and `_high` are then what the policy that acts earned in those runs that
         finished an episode there.
     """

@@ -62,9 +62,12 @@ def has_errors(*datasets: xr.Dataset) -> bool:
 
 
 @by_seeds
-def unfinished(ds: xr.Dataset) -> xr.DataArray:
-    """Which runs finished no episode in the last tenth (and did not diverge), bool [*hyperparameters, seed]."""
-    without = ds.episodes.isel(row=last_tenth(ds)).sum("row") == 0
+def unfinished(ds: xr.Dataset, rows: slice | None = None) -> xr.DataArray:
+    """Which runs finished no episode in `rows` (and did not diverge), bool [*hyperparameters, seed].
+
+    By default in the last tenth.
+    """
+    without = ds.episodes.isel(row=last_tenth(ds) if rows is None else rows).sum("row") == 0
     return without & ~diverged_runs(ds)
 
 
@@ -88,23 +91,29 @@ def score(ds: xr.Dataset) -> xr.DataArray:
     Of a method of prediction it is the mean of the RMS error over all rows of the log, the lower the better
     (as in the book's figures 7.2 and 12.3), and infinite where the run diverged.
     """
-    scores, diverged = _own_score(ds), diverged_runs(ds)
     if has_errors(ds):
-        return scores.where(~diverged, np.inf)
-    scores = scores.where(~diverged)
+        return mean_error(ds)
+    scores, diverged = earned(ds, last_tenth(ds)), diverged_runs(ds)
     return scores.where(~diverged, scores.min().fillna(-np.inf))
 
 
+def mean_error(ds: xr.Dataset, rows: slice = slice(None)) -> xr.DataArray:
+    """The mean RMS error of V over `rows`, float64 [*hyperparameters, seed]; infinite where the run diverged."""
+    mean = by_seeds(lambda some: some.v_error.isel(row=rows).astype(float).mean("row", skipna=False))
+    return mean(ds).where(~diverged_runs(ds), np.inf)
+
+
 @by_seeds
-def _own_score(ds: xr.Dataset) -> xr.DataArray:
-    """The score of each run as if none had diverged; of those that did it may be NaN."""
-    if has_errors(ds):
-        return ds.v_error.astype(float).mean("row", skipna=False)
-    returns, without = final_return(ds), unfinished(ds)
+def earned(ds: xr.Dataset, rows: slice) -> xr.DataArray:
+    """The mean return of the episodes that ended in `rows`, or the rewards there where none did: see `score`.
+
+    Float64 [*hyperparameters, seed]; NaN where the run diverged.
+    """
+    returns, without = mean_return(ds, rows), unfinished(ds, rows)
     if not without.any():
         return returns
-    late = ds.isel(row=last_tenth(ds))
-    return returns.where(~without, (late.rewards.astype(float) * _discounts(late)).sum("row"))
+    there = ds.isel(row=rows)
+    return returns.where(~without, (there.rewards.astype(float) * _discounts(there)).sum("row"))
 
 
 def diverged_runs(ds: xr.Dataset) -> xr.DataArray:
@@ -116,9 +125,9 @@ def _gamma(ds: xr.Dataset) -> xr.DataArray:
     return ds["gamma"].astype(float) if "gamma" in ds.coords else xr.DataArray(fixed(ds).get("gamma", 1.0))
 
 
-def _discounts(late: xr.Dataset) -> xr.DataArray:
+def _discounts(ds: xr.Dataset) -> xr.DataArray:
     """The mean discount gamma^t of the steps of each row, t = 0 at the first of these rows; 1 at gamma = 1."""
-    gamma, steps = _gamma(late), late.steps.astype(float)
+    gamma, steps = _gamma(ds), ds.steps.astype(float)
     if (gamma == 1).all():
         return xr.ones_like(gamma)
     rate = gamma.where(gamma < 1, 0.0)

@@ -84,16 +84,29 @@ def measures_of(ds: xr.Dataset) -> list[Measure]:
             title, kind = recorded.get(name, (name, "count"))
             of_policy = name in ("greedy_value", "policy_value")
             middle = "median" if of_policy else "mean"
-            code = f'x = ds["{name}"]{last}'
+            every = exact_every(ds, name)
+            at_ends = last if every == 1 else _last_known(every)
+            code = f'x = ds["{name}"]{at_ends}'
             shown.append(Measure(name, title, lambda x, n=name: x[n], kind, code, middle=middle))
             if of_policy:
                 whose = "greedy policy arrives" if name == "greedy_value" else "acting policy arrives"
                 shown.append(
                     Measure(f"{name}_finite", f"share of seeds whose {whose}",
                             lambda x, n=name: np.where(np.isnan(x[n]), np.nan, np.isfinite(x[n])), "share",
-                            f'x = np.isfinite(ds["{name}"]{last.partition("  #")[0]})')
+                            f'x = np.isfinite(ds["{name}"]{at_ends.partition("  #")[0]})')
                 )  # fmt: skip
     return sorted(shown, key=lambda measure: measure.key != "v_error") if "v_error" in ds else shown
+
+
+def exact_every(ds: xr.Dataset, name: str) -> int:
+    """Of how many rows one has this number, and the last has it."""
+    return int(ds.attrs.get("exact_every", 1)) if name in ("greedy_value", "policy_value", "q_error") else 1
+
+
+def _last_known(every: int) -> str:
+    """The code for what was measured in some rows only: at the end of each group of rows as it was known by then."""
+    known = f"e if e == ends[-1] else e - (e + 1) % {every}"
+    return f".reindex(row=[{known} for e in ends])  # NaN until it was measured once"
 
 
 class Flat:
@@ -153,8 +166,13 @@ class Flat:
             if name in SUMS:
                 sums[name] = np.add.reduceat(of_setting.astype(float), self.starts, axis=-1)
             else:
-                sums[name] = of_setting[:, self.ends].astype(float)
+                known = self._known(exact_every(self.ds, str(name)))
+                sums[name] = np.where(known < 0, np.nan, of_setting[:, known].astype(float))
         return sums
+
+    def _known(self, every: int) -> np.ndarray:
+        """The last row, up to the end of each point, that has what one in so many rows has; -1 for none, [points]."""
+        return np.where(self.ends == self.rows - 1, self.ends, self.ends - (self.ends + 1) % every)
 
     def curves(self, measures: list[Measure], settings: list[int]) -> Iterator[tuple[slice, np.ndarray]]:
         """The runs of some settings, some at a time: which, and float64 [measures, settings, seeds, points]."""

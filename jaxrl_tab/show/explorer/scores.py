@@ -49,12 +49,17 @@ def scores_of(ds: xr.Dataset, measures: Sequence[Measure], levels: Sequence[floa
     name, kind = ("mean RMS error, whole run", "cost") if lower else ("mean return, last tenth", "return")
     shown = [
         Score("score", name, kind, "mean", "x = stats.score(ds)", lambda flat: stats.score(flat.ds)),
-        Score("interim", "mean return, whole run (interim)", "return", "mean", "x = stats.mean_return(ds)",
-              lambda flat: stats.mean_return(flat.ds)),
+        Score("interim", "mean return, whole run (interim)", "return", "mean", "x = stats.interim_return(ds)",
+              lambda flat: stats.interim_return(flat.ds)),
         Score("area", "area under the curve of returns", "return", "mean",
               f"merged = stats.merge_rows(ds, {POINTS})\n"
               "x = stats.area_under_curve(stats.learning_curve(merged), merged.steps)",
               lambda flat: stats.area_under_curve(flat.returns, flat.merged.steps)),
+        Score("early", f"{name.partition(',')[0]}, first tenth", kind, "mean", "x = stats.early_score(ds)",
+              lambda flat: stats.early_score(flat.ds)),
+        Score("early steps", "steps an episode, first tenth", "cost", "median",
+              "x = stats.steps_per_episode(ds, stats.first_tenth(ds))",
+              lambda flat: stats.steps_per_episode(flat.ds, stats.first_tenth(flat.ds))),
     ]  # fmt: skip
     word = "an error of" if lower else "a mean return of"
     for level in levels:
