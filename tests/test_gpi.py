@@ -1,6 +1,9 @@
 """The picture of generalized policy iteration, `solve --steps`, and docs/gpi.md: numbers from plain loops."""
 
 import json
+import re
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from jaxrl_tab.figures import FIGURES, gpi
 
 FIGURE = FIGURES["gpi"]
 HIT = 1
+ROOT = Path(__file__).parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -249,3 +253,24 @@ def test_the_zigzag_lies_between_its_lines():
     np.testing.assert_allclose(x[:-1:2], x[1::2])
     np.testing.assert_allclose((x[-1], y[-1]), 0, atol=1e-4)
     np.testing.assert_allclose(x**3, -history.zigzag.sum(1), atol=1e-12)
+
+
+# --- docs/gpi.md -------------------------------------------------------------------------------------
+
+
+def blocks(language):
+    page = (ROOT / "docs/gpi.md").read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+
+
+def test_the_page_shows_what_its_script_prints(capsys):
+    """Broken once: a number of the page changed -> fails."""
+    runpy.run_path(str(ROOT / "examples/gpi.py"))
+    assert capsys.readouterr().out == blocks("text")[0]
+
+
+def test_its_python_runs():
+    for code in blocks("python"):
+        names = {}
+        exec(code, names)
+        assert names["history"].settled
