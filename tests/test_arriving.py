@@ -21,7 +21,7 @@ def test_the_table_has_how_many_greedy_policies_arrive(windy):
 
 @pytest.mark.slow
 def test_sarsa_arrives_as_often_as_was_counted(windy):
-    """.01, .51 and .82 of the seeds after 4000, 8000 and 20,000 steps, counted elsewhere; within three errors of each."""
+    """.01, .51 and .82 of the seeds after 4000, 8000 and 20,000 steps, counted elsewhere; within three errors."""
     log = rl.sweep(
         windy, "sarsa", {"alpha": 0.5}, num_seeds=400, num_steps=20_000, log_every=4000, exact=True
     ).log
