@@ -77,6 +77,10 @@ LATER = (
         "list --backups two-doors",
         "bridge --alpha 0.1",
         "bridge windy-gridworld n-step-sarsa",
+        "random-walk td --v0 0 1",
+        "moments random-walk td-lambda",
+        "moments random-walk monte-carlo-prediction",
+        "k-armed-testbed td --alpha 0.1",
     ),
     *(
         "memory",
@@ -90,7 +94,7 @@ LATER = (
         "small",
         "nowhere",
     ),
-    *("--steps 10 --episodes 10", "--behaviour", "--offline", "--slurm y", "td sarsa", "swep", "nonsense"),
+    *("--steps 10 --episodes 10", "--behaviour", "--offline", "--slurm y", "td sarsa", "swep", "xyzzy"),
 )
 
 
@@ -119,6 +123,7 @@ def test_refusals_are_in_the_same_words(command, first, idle, capsys):  # noqa: 
         "bridge",
         "bridge --steps 10 --json",
         "bridge random-walk td --alpha 0.5",
+        "moments random-walk td-lambda --offline --lam 0 0.5 --alpha 0.1 0.2",
     ],
 )
 def test_what_is_right_goes_on(command, first):

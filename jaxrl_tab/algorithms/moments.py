@@ -28,6 +28,7 @@ from jaxtyping import Float, Int
 from jaxrl_tab.algorithms.distribution import Distribution, control_distribution
 from jaxrl_tab.algorithms.prediction import TD, MonteCarloPrediction, NStepTD, OffPolicyPrediction, TDLambda
 from jaxrl_tab.core import memory
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError, shown, whole
 from jaxrl_tab.core.types import Environment, available_actions, restricted
 from jaxrl_tab.exact import planning
@@ -40,6 +41,7 @@ __all__ = ["Best", "Distribution", "LearningCurve", "best_alpha", "control_distr
 
 CUT = 1e-12  # the probability of an episode up to the time limit that may be left out
 SWEPT = ("alpha", "lam", "n")
+METHODS = (TD, NStepTD, TDLambda, MonteCarloPrediction)  # and none that is off-policy
 MOST_PLACES = 2**17  # in the chain of an episode
 ROUNDS, POINTS = 5, 17  # of looking for the best alpha, and how many are tried in each
 
@@ -177,6 +179,9 @@ def learning_curve(
     whole(None, "num_episodes", num_episodes, 1)
     given = {name: x for name, x in {"alpha": alpha, "lam": lam, "n": n}.items() if x is not None}
     axes = {name: tuple(x) for name, x in given.items() if not np.isscalar(x)}
+    for name, x in axes.items():
+        if not x or len(set(x)) < len(x):
+            raise InputError(f"{name} must be a number, or a list of some that are different, not {shown(x)}")
     methods = {}
     for point in itertools.product(*(axes.get(name, (given[name],)) for name in given)):
         methods[point] = _checked(method, dict(zip(given, point, strict=True)))
@@ -231,9 +236,7 @@ def best_alpha(env: Environment, method: Any, *, num_episodes: int, whole_run: b
 
 def _checked(method: Any, values: Mapping[str, Any]) -> Any:
     """The method with these values. Raises InputError where its table has no such recursion."""
-    if not isinstance(method, TD | NStepTD | TDLambda | MonteCarloPrediction) or isinstance(
-        method, OffPolicyPrediction
-    ):
+    if not isinstance(method, METHODS) or isinstance(method, OffPolicyPrediction):
         raise InputError(
             "there are exact learning curves of TD, NStepTD, TDLambda(offline=True) and MonteCarloPrediction, "
             f"as instances, not of {shown(method)}"
@@ -250,7 +253,7 @@ def _checked(method: Any, values: Mapping[str, Any]) -> Any:
     if isinstance(method, TDLambda) and not method.offline and method.lam > 0:
         raise InputError(
             f"{name}: the traces of on-line TD(lambda) remember the whole episode, so that its covariance has no exact "
-            "recursion; offline=True has one, and NStepTD lies between TD(0) and Monte Carlo too"
+            "recursion; offline=True (--offline) has one, and n-step TD lies between TD(0) and Monte Carlo too"
         )
     if isinstance(method, MonteCarloPrediction) and method.first_visit:
         raise InputError(
@@ -270,6 +273,8 @@ def _same_recursion(methods: Sequence[Any]) -> list[list[int]]:
 def _task(env: Environment, method: Any) -> _Task:
     """What a policy does. Raises InputError where its episodes may last to the time limit."""
     planning.check_finite(env)
+    if of_environment(env).instance is not None:
+        raise InputError("each run has a problem of its own there, so that no curve is that of all")
     model = planning.exact_model(env)
     pi = restricted(method, available_actions(env)).probabilities(env)
     gamma = float(method.gamma)

@@ -30,6 +30,7 @@ MODULES = {
     "sweep": "sweep",
     "resume": "sweep",
     "explain": "explain",
+    "moments": "moments",
     "figure": "figure",
 }
 OBJECTS = 100_000  # that are new: then Python looks for garbage among them, instead of at 700
@@ -49,6 +50,7 @@ commands:
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
   resume    go on with a sweep that was interrupted
   explain   where the methods of a sweep lose what they earn less than the best policy
+  moments   exact learning curves of prediction, without a single run
   figure    make published figures again, and check their numbers
 
 examples:
@@ -62,6 +64,7 @@ examples:
   {PROG} sweep --write-template experiment.toml
   {PROG} resume runs/windy
   {PROG} explain runs/windy
+  {PROG} moments random-walk td --alpha 0.05 0.1 0.2 --episodes 100
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures
 

@@ -36,6 +36,11 @@ COMMANDS = {
         {"hyperparameters": ("methods", "methods"), "environment": _ENVIRONMENT, "executor": _EXECUTOR},
     ),
     "resume": ("sweep", "Resume", {"executor": _EXECUTOR}),
+    "moments": (
+        "moments",
+        "Moments",
+        {"hyperparameters": ("exact methods", "method"), "environment": _ENVIRONMENT},
+    ),
     "explain": ("explain", "Explain", {}),
     "figure": ("figure", "Figure", {}),
 }
@@ -46,7 +51,8 @@ class Catalogue(NamedTuple):
 
     Attributes:
         commands: by their names.
-        groups: "environments", "methods", "one method" (of which each option has one value) and "executors".
+        groups: "environments", "methods", "one method" (of which each option has one value), "exact methods" (of
+            `moments`) and "executors".
         listed: for `list`: "environments", "methods" (of control) and "prediction" -> name -> entry, with the
             defaults of the classes.
         facts: the same as JSON: name -> summary, parameters, those included that cannot be typed, and of methods the
@@ -95,6 +101,7 @@ def live() -> Catalogue:
     from jaxrl_tab.algorithms import ALGORITHMS
     from jaxrl_tab.algorithms.prediction import PREDICTION
     from jaxrl_tab.cli.common import ENVIRONMENT, EXECUTOR, HYPERPARAMETERS, OF_ONE_METHOD
+    from jaxrl_tab.cli.moments import EXACT
     from jaxrl_tab.cli.typed import Classes, command_of
     from jaxrl_tab.core import names
     from jaxrl_tab.envs import ENVS, GYMNASIUM
@@ -112,6 +119,7 @@ def live() -> Catalogue:
             "environments": ENVIRONMENT.group,
             "methods": HYPERPARAMETERS.group,
             "one method": OF_ONE_METHOD.group,
+            "exact methods": EXACT.group,
             "executors": EXECUTOR.group,
         },
         {kind: dict(Classes(registry, "").group.entries) for kind, registry in registries.items()},

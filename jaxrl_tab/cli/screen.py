@@ -4,6 +4,7 @@ import contextlib
 import json as jsonlib
 import threading
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from jaxrl_tab.show.words import (
     steps_in_words,
     symbol,
     title_of,
+    worth,
 )
 
 if TYPE_CHECKING:
@@ -45,6 +47,7 @@ FIRST_TO_GO = (
 )
 WRITTEN: dict[str, Any] = {
     "exact": six_digits,
+    "worth": partial(worth, write=six_digits),
     "count": str,
     "steps": steps_in_words,
     "share": "{:.0%}".format,
@@ -241,7 +244,7 @@ def _notes(methods: "Methods", choice: bool, digits: Any) -> Iterator[str]:
     if any(row.has("greedy_value") for row in rows):
         yield (
             "The worth of a policy is its exact value at the end, without luck and without a time limit, the median "
-            "over seeds; -inf: it goes round for ever."
+            "over seeds; –: half of them or more may go round for ever."
         )
     speeds = [(name, ds.attrs.get("steps_per_second", np.nan) / 1e6) for name, ds in methods.items()]
     yield f"Speed in million steps/s: {', '.join(f'{name} {speed:.1f}' for name, speed in speeds)}."

@@ -35,6 +35,7 @@ from jaxrl_tab.show.curves import (
     sensitivity,
 )
 from jaxrl_tab.show.diagrams import backups, bridge
+from jaxrl_tab.show.exact_curves import exact_curves
 from jaxrl_tab.show.grids import (
     amounts,
     changes,
@@ -107,6 +108,7 @@ __all__ = [
     "changes",
     "color_bar",
     "episodes_against_steps",
+    "exact_curves",
     "exact_line",
     "greedy_path",
     "head",

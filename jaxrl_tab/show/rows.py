@@ -230,6 +230,8 @@ def _cell(column: Column, row: Row, view: View) -> str:
         return _between(x, view)
     if column.written == "middle":
         return number(x[0], view.decimals)
+    if column.written == "worth":
+        return words.worth(x)
     if column.written == "steps":
         return words.steps_in_words(x)
     if isinstance(x, tuple):

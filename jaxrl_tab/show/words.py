@@ -1,7 +1,7 @@
 """Names, numbers and settings as people read them."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +28,11 @@ def number(x: float, decimals: int | None = None) -> str:
         return "–"
     text = f"{round(x, 9) + 0:.6g}" if decimals is None else f"{round(x, decimals) + 0:,.{decimals}f}"
     return text.replace("-", "−").replace(",", "\xa0").replace("inf", "∞")
+
+
+def worth(x: float, write: Callable[[float], str] = number) -> str:
+    """What a policy is worth; a dash where it goes round for ever, at a cost without end."""
+    return "–" if np.isneginf(x) else write(x)
 
 
 def steps_in_words(x: float) -> str:

@@ -32,9 +32,8 @@ class Column:
         by_length: whether the screen shows it only where episodes earn by their length alone (`early.by_length`), or
             only elsewhere; None: everywhere.
         written: how people read it: with as many decimals as the score has, of an interval also without its
-            middle ("range"), or that alone ("middle"); with six significant digits ("exact"); as a count; as steps,
-            of which there may be none yet; a share in percent; or with one decimal.
-        scale: the screen shows so many times the number.
+            middle ("range"), or that alone ("middle"); with six significant digits ("exact"), or a dash for −∞
+            ("worth"); as a count; as steps, of which there may be none yet; a share in percent; or with one decimal.
         help: what it means, for the readers of the report; a sentence that follows the heading.
     """
 
@@ -46,8 +45,9 @@ class Column:
     report: Text = ""
     tables: tuple[Literal["chosen", "early", "all"], ...] = ("chosen", "all")
     by_length: bool | None = None
-    written: Literal["score", "range", "middle", "exact", "count", "steps", "share", "tenths"] = "score"
-    scale: float = 1
+    written: Literal["score", "range", "middle", "exact", "worth", "count", "steps", "share", "tenths"] = (
+        "score"
+    )
     help: str = ""
 
     def on_screen(self, methods: Any) -> bool:

@@ -206,9 +206,9 @@ COLUMNS = [
         lambda own: None if (x := own.at_the_end("policy_value")) is None else x.median("seed"),
         screen="worth of the\nacting policy",
         report="worth of the acting policy",
-        written="exact",
+        written="worth",
         help="what the policy that acts, exploring and all, earns in the long run, exact, as it acts at the end of a "
-        "run, without the time limit; median over seeds.",
+        "run, without the time limit; median over seeds. –: half of them or more may go round for ever.",
     ),
     Column(
         "greedy_arrives",
@@ -223,9 +223,9 @@ COLUMNS = [
         lambda own: None if (x := own.at_the_end("greedy_value")) is None else x.median("seed"),
         screen="worth of the\ngreedy policy",
         report="worth of the greedy policy",
-        written="exact",
+        written="worth",
         help="what the learned policy would earn without exploring, exact, at the end of a run; median over "
-        "seeds. −∞: it goes round for ever.",
+        "seeds. –: half of them or more may go round for ever.",
     ),
     Column(
         "soft",
