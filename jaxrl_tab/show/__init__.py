@@ -16,6 +16,7 @@ Its modules, from the ground up:
     panels    pictures of tasks that are no grids: panels of values and actions
     rates     what a step size or an exploration rate comes to
     rate_curves pictures of that
+    iterated  pictures of generalized policy iteration
     diagrams  pictures of backup diagrams
     exact_curves pictures of exact learning curves
     learning  learning over time as an animation: GIF, or a page with a slider
