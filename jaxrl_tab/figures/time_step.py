@@ -137,7 +137,7 @@ def _draw(datasets):
     plot.head(
         canvas,
         f"The same grid in ever smaller steps: α = {ALPHA}, γ = {GAMMA} per unit of time\n"
-        f"white: the same way each time; filled: {seeds} runs that find one, mean and 95% interval",
+        f"white: the same way each time; filled: {seeds} runs, ε = {EPSILON}, mean and 95% interval",
     )
     return canvas
 
@@ -146,9 +146,9 @@ FIGURE = Figure(
     title="The tyranny of the time step",
     source="Silver, lecture 5, on the Sarsa(λ) gridworld example; Sutton and Barto 2018, section 12.7",
     shows="One episode tells one-step Sarsa of one step, which is the less of the way the smaller the steps are: it "
-    "needs the more episodes. So does Sarsa(λ) where λ stays the same per step. Where λ stays the same per unit of "
-    "time (the lecture leaves open which it means), an episode tells as much of the way as before; runs that have to "
-    "find one need a little more, for there are more ways.",
+    "needs the more episodes, and so does Sarsa(λ) where λ stays the same per step. Where λ stays the same per unit of "
+    "time (the lecture leaves open which it means), an episode tells as much of the way as before. Runs that have to "
+    "find one then need 2.1, 2.7 and 3.9 episodes, and one-step Sarsa 14, 37 and 102.",
     experiment=_experiment,
     small={"num_seeds": 2, "num_episodes": 4},
     numbers=(
@@ -168,7 +168,7 @@ FIGURE = Figure(
         Number(f"{SARSA}, 4 steps: episodes to learn it", 101.78, 0.13, _learning(SARSA, 4)),
         Number(f"{PER_STEP}, 4 steps: episodes to learn it", 11.823, 0.027, _learning(PER_STEP, 4)),
         Number(f"{PER_UNIT}, 1 step: episodes to learn it", 2.120, 0.0028, _learning(PER_UNIT, 1)),
-        Number(f"{PER_UNIT}, 4 steps: episodes to learn it", 3.85, 0.01, _learning(PER_UNIT, 4)),
+        Number(f"{PER_UNIT}, 4 steps: episodes to learn it", 3.869, 0.0095, _learning(PER_UNIT, 4)),
     ),
     draw=_draw,
 )

@@ -1,5 +1,7 @@
 """The eligibility trace of a state that is visited several times (Silver, lectures 4 and 5; book, section 12.2)."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxrl_tab.algorithms.traces import KEPT
@@ -27,8 +29,6 @@ def _traces():
 
 def _trace(kept):
     """The trace of state 0, float [STEPS], kept as all methods keep it; where it is not visited, state 1 is."""
-    import jax
-    import jax.numpy as jnp
 
     def step(values, s):
         values = values.begun().learned(s, jnp.int32(0), kept, jnp.zeros(()))
