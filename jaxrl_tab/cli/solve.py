@@ -6,18 +6,24 @@ from typing import Any
 
 import numpy as np
 from rich.markup import escape
+from rich.table import Table
 
 from jaxrl_tab.cli.common import ENVIRONMENT, find, named_in, new_folder, start_jax, with_own
 from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import console, print_json
-from jaxrl_tab.cli.tables import tables
+from jaxrl_tab.cli.tables import arrows, tables
 from jaxrl_tab.cli.typed import parse, values_of, word, words
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.exact import planning
-from jaxrl_tab.show.words import six_digits
+from jaxrl_tab.show.words import six_digits, some
+
+ROWS, POLICIES = 20, 10  # of iterates that are printed, at most; and of grids of arrows
+CLOSE = 1e-6  # a relative error that is none
 
 
 @checked_dataclass
@@ -29,19 +35,27 @@ class Solve:
       jaxrl-tab solve windy-gridworld --moves king --epsilon 0.1 --out runs/king
       jaxrl-tab solve mdp.npz
       jaxrl-tab solve random-walk --states 5 --left-reward 0 --json
+      jaxrl-tab solve cliff-walking --steps
+      jaxrl-tab solve windy-gridworld --steps --sweeps 1 --out runs/value-iteration
 
     Attributes:
         env: Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv, mdp.npz,
             gymnasium:NAME.
         gamma: Discount rate.
         epsilon: Also find the best policy among those that take a random action with this probability.
-        out: New folder for a picture (PNG).
-        json: Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A].
+        steps: Also show the way there, iterate by iterate: policy iteration, from the policy that takes any action.
+        sweeps: With --steps: sweeps of evaluation between two improvements, from v = 0 on; 1 is value iteration. By
+            default evaluation is exact.
+        out: New folder for pictures (PNG).
+        json: Print JSON: the value from the start, v [S], q [S][A], and the policy's probabilities [S][A]; with
+            --steps also those of each iterate.
     """
 
     env: str = word("ENV")
     gamma: float = field(default=1.0, at_least=0, at_most=1)
     epsilon: float | None = field(default=None, at_least=0, at_most=1)
+    steps: bool = False
+    sweeps: int | None = field(default=None, at_least=1)
     out: Path | None = None
     json: bool = False
 
@@ -51,25 +65,27 @@ def solve_command(argv: list[str]) -> int:
     options, typed = parse(Solve, argv, environment=group)
     cls = find(group, options.env)
     env = build(cls, options.env, values_of(options.env, typed["environment"], group))
+    if options.sweeps and not options.steps:
+        raise InputError("--sweeps says how to make the steps that --steps shows; give both")
     start_jax()
     with new_folder(options.out) as folder, busy("solving"):
-        solutions = {"optimal": planning.policy_iteration(env, options.gamma)}
+        solutions, epsilons = {"optimal": planning.policy_iteration(env, options.gamma)}, {"optimal": 0.0}
         if options.epsilon is not None:
             soft = f"best epsilon-soft, epsilon {words(options.epsilon)}"
             solutions[soft] = planning.epsilon_soft(env, options.epsilon, options.gamma)
+            epsilons[soft] = options.epsilon
+        histories = {
+            title: planning.generalized_policy_iteration(
+                env, options.gamma, sweeps=options.sweeps, epsilon=epsilon
+            )
+            for title, epsilon in (epsilons if options.steps else {}).items()
+        }
         if folder:
             _draw_solutions(env, solutions, folder)
+            _draw_steps(env, histories, f"{options.env}, gamma {words(options.gamma)}", folder)
     if options.json:
-        keys = ("optimal", "epsilon_soft")
-        numbers = {
-            key: {
-                "start_value": planning.start_value(env, v),
-                "v": v.tolist(),
-                "q": [[None if x == policies.UNAVAILABLE else x for x in row] for row in q.tolist()],
-                "policy": policy.tolist(),
-            }
-            for key, (policy, v, q) in zip(keys, solutions.values(), strict=False)
-        }
+        found = zip(("optimal", "epsilon_soft"), solutions, strict=False)
+        numbers = {key: _numbers(env, *solutions[title], histories.get(title)) for key, title in found}
         print_json({"environment": options.env, "gamma": options.gamma, "epsilon": options.epsilon} | numbers)
         return 0
     out = console()
@@ -78,6 +94,8 @@ def solve_command(argv: list[str]) -> int:
             f"[bold]{options.env}[/], gamma {words(options.gamma)}, {title}: "
             f"value from the start [bold]{six_digits(planning.start_value(env, v))}[/]"
         )
+        if title in histories:
+            _print_steps(env, histories[title])
         for table in tables(env, v, q):
             out.print(table)
     if (mean_value := of_environment(env).mean_optimal_value) is not None:
@@ -86,6 +104,86 @@ def solve_command(argv: list[str]) -> int:
     if options.out:
         say_where(options.out)
     return 0
+
+
+def _numbers(
+    env: Any, policy: np.ndarray, v: np.ndarray, q: np.ndarray, history: planning.Iterates | None
+) -> dict[str, Any]:
+    """What is printed as JSON of one solution, and of the way to it."""
+    solution = _of_one(planning.start_value(env, v), policy, v, q)
+    if history is None:
+        return solution
+    every = zip(history.start_value, history.policy, history.v, history.q, strict=True)
+    more = ("changed", "least_change", "largest_change", "error")
+    numbers = [
+        {"improvement": n} | {name: _plain(getattr(history, name)[n]) for name in more} | _of_one(*one)
+        for n, one in enumerate(every)
+    ]
+    return solution | {"sweeps": history.sweeps, "settled": history.settled, "steps": numbers}
+
+
+def _of_one(start_value: float, policy: np.ndarray, v: np.ndarray, q: np.ndarray) -> dict[str, Any]:
+    named = [[None if x == policies.UNAVAILABLE else x for x in row] for row in q.tolist()]
+    return {"start_value": float(start_value), "v": v.tolist(), "q": named, "policy": policy.tolist()}
+
+
+def _plain(x: Any) -> float | None:
+    """A number for JSON, which has none for what is not there."""
+    return None if np.isnan(x) else x.item()
+
+
+def _print_steps(env: Any, history: planning.Iterates) -> None:
+    """A row for each iterate, or for some of them; what became of it; and the policies, where that is a few grids."""
+    out, count = console(), len(history.v)
+    out.print(f"{_how(history)}:")
+    table = Table("policy", "states that\nact otherwise", "value from\nthe start")
+    table.add_column("change of v,\nleast to most")
+    table.add_column("largest\n|v − v*|")
+    for column in table.columns:
+        column.justify = "right"
+    for n in some(count, ROWS):
+        changes = (history.least_change[n], history.largest_change[n])
+        table.add_row(
+            str(n),
+            str(history.changed[n]) if n else "",
+            six_digits(history.start_value[n]),
+            " to ".join(map(six_digits, changes)) if n else "",
+            six_digits(history.error[n]),
+        )
+    if more := count - len(table.rows):
+        table.caption = f"and {more} more: --json prints them all"
+    out.print(table)
+    out.print(_what_became(history), soft_wrap=True)
+    if isinstance(env, Grid) and count <= POLICIES:
+        for n, policy in enumerate(history.policy):
+            out.print(arrows(env, policy, f"policy {n}"))
+
+
+def _how(history: planning.Iterates) -> str:
+    if history.sweeps is None:
+        return "Policy iteration, from the policy that takes any action"
+    how = "Value iteration" if history.sweeps == 1 else f"{history.sweeps} sweeps between improvements"
+    return f"{how}, from v = 0"
+
+
+def _what_became(history: planning.Iterates) -> str:
+    count, off = len(history.v) - 1, six_digits(history.error[-1])
+    if not history.settled:
+        return f"After {count} improvements it has not settled: values are up to {off} off."
+    if history.error[-1] > CLOSE * (1 + abs(history.v[-1][np.isfinite(history.v[-1])]).max()):
+        return (
+            f"It has settled at values that are up to {off} off: from v = 0, waiting looks better than it is."
+        )
+    if history.sweeps is None:
+        return f"No action is better anywhere than those of policy {count}: it is the best."
+    return "Further sweeps change nothing."
+
+
+def _draw_steps(env: Any, histories: Mapping[str, planning.Iterates], what: str, folder: Path) -> None:
+    from jaxrl_tab.show import plot
+
+    for name, (title, history) in zip(("gpi", "gpi_soft"), histories.items(), strict=False):
+        plot.save(plot.iterates(env, history, f"{what}, {title}\n{_how(history)}"), folder / f"{name}.png")
 
 
 def _draw_solutions(env: Any, solutions: Mapping[str, tuple[np.ndarray, ...]], folder: Path) -> None:

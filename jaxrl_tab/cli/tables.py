@@ -65,6 +65,20 @@ def position(env: Any, q: np.ndarray | None, s: int) -> list[Table]:
     ]
 
 
+def arrows(env: Grid, policy: np.ndarray, title: str) -> Table:
+    """The likeliest actions of a policy [S, A], on a grid; a dot where it takes any of them."""
+    model, declared = planning.exact_model(env), of_environment(env)
+    shown = planning.reachable(model) & ~planning.terminal_states(model)
+    best, prefers = _best(env, policy), preferring(policy)
+    cells = [
+        (f"[cyan]{best(s)}[/]" if prefers[s] else "any") if shown[s] else "" for s in range(env.num_states)
+    ]
+    cells[env.start_state] = f"[bold reverse]S[/] {cells[env.start_state]}"
+    cells[env.state(env.goal)] = "[bold green]G[/]"
+    (panel,) = declared.panels()
+    return _panel(panel._replace(title=title), cells, declared.wind, lines=False)
+
+
 def _best(env: Any, q: np.ndarray | None) -> Callable[[int], str]:
     """A function from a state to the names of its best actions; empty where there are no action values."""
     between, names = "" if isinstance(env, Grid) else " ", of_environment(env).action_names

@@ -6,6 +6,7 @@ from jaxrl_tab.figures import (
     blackjack_regret,
     cliff_alpha,
     cliff_walking,
+    gpi,
     how_often,
     importance_sampling,
     initial_q,
@@ -21,6 +22,7 @@ from jaxrl_tab.figures import (
 from jaxrl_tab.figures.figure import Check, Figure, Number, swept
 
 FIGURES = {
+    "gpi": gpi.FIGURE,
     "k-armed-testbed": k_armed_testbed.FIGURE,
     "two-doors": two_doors.FIGURE,
     "windy-gridworld": windy_gridworld.FIGURE,

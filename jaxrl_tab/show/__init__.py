@@ -14,6 +14,7 @@ Its modules, from the ground up:
     grids     pictures of grids: values, greedy paths, and what changes from grid to grid
     maps      a score over two hyperparameters
     panels    pictures of tasks that are no grids: panels of values and actions
+    iterated  pictures of generalized policy iteration
     diagrams  pictures of backup diagrams
     exact_curves pictures of exact learning curves
     learning  learning over time as an animation: GIF, or a page with a slider

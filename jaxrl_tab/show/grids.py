@@ -107,6 +107,20 @@ def values(
     color_bar(image, [ax], what)
 
 
+def small_values(
+    ax: Axes, env: Grid, v: np.ndarray, policy: np.ndarray, limits: tuple[float, float], title: str
+) -> None:
+    """The colours of `values`, with the arrows of the likeliest actions of a policy [S, A], and no numbers."""
+    moves = Moves.of(env)
+    shown = np.isfinite(v) & moves.reachable & ~moves.terminal
+    low, high = limits
+    ax.imshow(np.ma.masked_array(v, ~shown).reshape(env.shape), vmin=low, vmax=high, zorder=1)
+    _draw_grid(ax, env, moves, note=False)
+    _draw_arrows(ax, env, greedy_actions(policy) & (moves.reachable & ~moves.terminal)[:, None], "white")
+    _draw_ends(ax, env)
+    axes_title(ax, title)
+
+
 def walk(ax: Axes, env: Grid, states: np.ndarray, title: str) -> None:
     """The way that an episode went, from one of `states`, int [steps + 1], to the next.
 
@@ -155,8 +169,8 @@ def amounts(ax: Axes, env: Grid, change: np.ndarray, whole: float, title: str) -
     axes_title(ax, title)
 
 
-def _draw_grid(ax: Axes, env: Grid, moves: Moves) -> None:
-    """Cells, hatched where nobody gets; where there is wind, its strength as a shade and in numbers below."""
+def _draw_grid(ax: Axes, env: Grid, moves: Moves, note: bool = True) -> None:
+    """Cells, hatched where nobody gets (a note says so); where there is wind, a shade, and its strength below."""
     rows, columns = env.shape
     wind = of_environment(env).wind
     wind = np.zeros(columns) if wind is None else np.asarray(wind)
@@ -174,9 +188,9 @@ def _draw_grid(ax: Axes, env: Grid, moves: Moves) -> None:
     for s in np.flatnonzero(~moves.reachable):
         row, column = divmod(int(s), columns)
         ax.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, **style))
-    if not moves.reachable.all():
-        note = {"size": SMALL, "color": GREY, "ha": "right", "va": "top"}
-        ax.text(columns - 0.5, rows - 0.4 + 0.6 * wind.any(), "hatched: out of reach from the start", **note)
+    if note and not moves.reachable.all():
+        style = {"size": SMALL, "color": GREY, "ha": "right", "va": "top"}
+        ax.text(columns - 0.5, rows - 0.4 + 0.6 * wind.any(), "hatched: out of reach from the start", **style)
     lines = {"color": "#c4c4c4", "lw": 0.8, "zorder": 2}
     ax.hlines(np.arange(rows + 1) - 0.5, -0.5, columns - 0.5, **lines)
     ax.vlines(np.arange(columns + 1) - 0.5, -0.5, rows - 0.5, **lines)

@@ -124,6 +124,14 @@ def panels_canvas(env: Environment, rows: int, width: float = WIDTH) -> tuple[Fi
     return figure, figure.subplots(rows, len(tables), squeeze=False, width_ratios=widths)
 
 
+def values_limits(env: Environment, tables: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The smallest and the largest finite value [S] of the states that can be reached and are not terminal."""
+    model = planning.exact_model(env)
+    shown = np.concatenate([v[planning.reachable(model) & ~planning.terminal_states(model)] for v in tables])
+    shown = shown[np.isfinite(shown)]
+    return float(shown.min(initial=np.inf)), float(shown.max(initial=-np.inf))
+
+
 def action_values(ax: Axes, env: Environment, q: np.ndarray) -> None:
     """A mark for the value of each action, `q` [S, A], in each state that is not terminal.
 

@@ -44,6 +44,7 @@ from jaxrl_tab.show.grids import (
     values,
     walk,
 )
+from jaxrl_tab.show.iterated import iterates, zigzag
 from jaxrl_tab.show.maps import score_map, swept_pair
 from jaxrl_tab.show.moves import greedy_actions, tables_of_seeds
 from jaxrl_tab.show.panels import (
@@ -51,6 +52,7 @@ from jaxrl_tab.show.panels import (
     panels,
     panels_canvas,
     state_values,
+    values_limits,
 )
 from jaxrl_tab.show.style import (
     ALARM,
@@ -111,6 +113,7 @@ __all__ = [
     "greedy_path",
     "head",
     "in_words",
+    "iterates",
     "learning_curves",
     "legend",
     "literal",
@@ -131,6 +134,7 @@ __all__ = [
     "values",
     "walk",
     "written",
+    "zigzag",
 ]
 
 
@@ -315,7 +319,7 @@ def solutions(
         _panels_in_rows(grid, env, named, [v for v, _ in solved.values()])
         return figure
     figure = canvas(width if isinstance(env, Grid) else min(width, NARROW))
-    limits = _limits(env, [v for v, _ in solved.values()])
+    limits = values_limits(env, [v for v, _ in solved.values()])
     for ax, (title, (v, q)) in zip(np.ravel(figure.subplots(len(solved))), solved.items(), strict=True):
         if isinstance(env, Grid):
             values(ax, env, v, q, limits)
@@ -332,17 +336,9 @@ def _panels_in_rows(
     tables: Sequence[np.ndarray],
 ) -> None:
     """(v, best) by what stands over them, one below the other; one scale of colours, that of some `tables`, for all."""
-    limits, last = _limits(env, tables), len(rows) - 1
+    limits, last = values_limits(env, tables), len(rows) - 1
     for i, (row, (title, (v, best))) in enumerate(zip(grid, rows.items(), strict=True)):
         panels(row, env, v, best, title, limits, scale=i == last)
-
-
-def _limits(env: Environment, tables: Sequence[np.ndarray]) -> tuple[float, float]:
-    """The smallest and the largest finite value [S] of the states that can be reached and are not terminal."""
-    model = planning.exact_model(env)
-    shown = np.concatenate([v[planning.reachable(model) & ~planning.terminal_states(model)] for v in tables])
-    shown = shown[np.isfinite(shown)]
-    return float(shown.min(initial=np.inf)), float(shown.max(initial=-np.inf))
 
 
 def _exact_table(datasets: Datasets, env: Environment) -> tuple[np.ndarray, np.ndarray | None] | None:

@@ -56,6 +56,13 @@ def counts_in_words(counts: Iterable[int]) -> str:
     return " or ".join(str(n) for n in sorted(set(counts)))
 
 
+def some(count: int, most: int) -> list[int]:
+    """At most so many of the numbers from 0 on that are below `count`, the last among them: the later, the fewer."""
+    if count <= most:
+        return list(range(count))
+    return sorted({round(x) - 1 for x in np.geomspace(1, count, most)})
+
+
 def text_of(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
