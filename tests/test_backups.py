@@ -40,7 +40,7 @@ SHOWN = {
 │
 ○   R_t+n, S_t+n
 
-Where the episode ends within n steps, the rewards up to its end, and no value.
+Where a terminal state comes before that, the rewards up to it, and no value.
 """,
     "sarsa-lambda-forward": """
 1 − λ   (1 − λ) λ   (1 − λ) λ²   ...   λ^(T−t−1)
@@ -304,6 +304,15 @@ def test_the_picture_has_the_same_nodes(tmp_path):
         if a.shrunk(0.9, 0.5).overlaps(b.shrunk(0.9, 0.5))
     ]
     assert not apart
+
+
+def test_a_weight_of_ones_own_is_drawn_as_it_is(tmp_path):
+    """Whatever Matplotlib would make of it. Broken once: set as a formula in any case -> fails, by an error."""
+    weights = ["σ", "50 %", "a_b", "$x", "^", "{2}", "w^(n−1)"]
+    figure = plot.backups({"mine": Backup(dict.fromkeys(weights, "action, state"))})
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert texts[1:] == ["$σ$", "50 %", "a_b", r"\$x", "^", "{2}", "$w^{n−1}$"]
+    plot.save(figure, tmp_path / "mine.png")
 
 
 def test_labels_count_from_the_end_after_dots():

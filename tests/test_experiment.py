@@ -289,7 +289,7 @@ WRONG = [  # what stands in the file, what stands there instead, the line, and w
     ("draws = 3", "draws = 0", 20, "the number of draws must be a whole number of at least 1, not 0"),
     ("draws = 3", "", 17, "alpha is drawn at random: say how many draws"),
     ("draws = 3", "draw = 3", 17, "alpha is drawn at random: say how many draws"),
-    ('"glie"', '"gli"', 22, f"epsilon: 'gli' is neither a number nor a schedule; a schedule is {SCHEDULES}"),
+    ('"glie"', '"gli"', 22, "epsilon: 'gli' is neither a number nor a schedule; did you mean 'glie'?"),
     (
         "[select]",
         "seeds = 3\n\n[select]",

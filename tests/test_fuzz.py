@@ -29,9 +29,10 @@ import xarray as xr
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning, policies, schedules, stats
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.cli import bridge, figure, listing, sweep, watch
+from jaxrl_tab.cli import bridge, figure, listing, schedule, sweep, watch
 from jaxrl_tab.cli.bridge import Bridge
 from jaxrl_tab.cli.figure import Figure
+from jaxrl_tab.cli.schedule import Schedule
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Resume, Sweep
 from jaxrl_tab.cli.watch import Watch
@@ -169,6 +170,7 @@ def options_of(command):
 COMMANDS = {
     "list": None,
     "bridge": Bridge,
+    "schedule": Schedule,
     "solve": Solve,
     "watch": Watch,
     "sweep": Sweep,
@@ -179,6 +181,7 @@ OPTIONS = {name: options_of(command) for name, command in COMMANDS.items()}
 NAMES = {
     "list": [*ENVS, *METHODS],
     "bridge": list(ENVS),
+    "schedule": [*schedules.SHORT, "0.1", "power:0.5:step"],
     "solve": list(ENVS),
     "watch": list(ENVS),
     "figure": list(FIGURES),
@@ -247,6 +250,7 @@ def make_idle(put):
     put(bridge, "_compare", stop)
     put(bridge, "_draw", stop)
     put(listing, "_draw", stop)
+    put(schedule, "_draw", stop)
     put(figure, "make_runs", stop)
     get = rl.executors.get
 

@@ -45,7 +45,8 @@ class MonteCarlo(WholeReturns):
 
     acts_after_update: ClassVar[bool] = True
     backup: ClassVar[Backup] = Backup(
-        "action, state, action, ..., end", "The whole return of the episode: no value is looked up."
+        "action, state, action, ..., end",
+        "The whole return. A value is looked up only where a time limit cuts it off.",
     )
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> MonteCarloState:

@@ -73,7 +73,7 @@ class NStepSarsa(TDControl):
 
     backup: ClassVar[Backup] = Backup(
         "action, state, action, ..., state, action",
-        "Where the episode ends within n steps, the rewards up to its end, and no value.",
+        "Where a terminal state comes before that, the rewards up to it, and no value.",
     )
 
     def init(self, num_states: int, num_actions: int) -> NStepState:

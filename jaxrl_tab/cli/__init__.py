@@ -25,6 +25,7 @@ from jaxrl_tab.experiment import painter
 MODULES = {
     "list": "listing",
     "bridge": "bridge",
+    "schedule": "schedule",
     "solve": "solve",
     "watch": "watch",
     "sweep": "sweep",

@@ -28,6 +28,7 @@ _ENVIRONMENT, _EXECUTOR = ("environments", "env"), ("executors", "--executor")
 _ONE = {"hyperparameters": ("one method", "method"), "environment": _ENVIRONMENT}
 COMMANDS = {
     "bridge": ("bridge", "Bridge", _ONE),
+    "schedule": ("schedule", "Schedule", {}),
     "solve": ("solve", "Solve", {"environment": _ENVIRONMENT}),
     "watch": ("watch", "Watch", _ONE),
     "sweep": (

@@ -143,6 +143,10 @@ def _backups(catalogue: Catalogue, names: Sequence[str], options: Mapping[str, t
             _print_backup(out, drawn[name], "  ")
         else:
             out.print("  It declares no backup diagram.\n")
+    if "--out" in options:
+        from jaxrl_tab.cli.screen import say_where  # which imports what takes long
+
+        say_where(Path(options["--out"][0]))
     return 0
 
 

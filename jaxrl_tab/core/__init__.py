@@ -19,6 +19,7 @@ Its modules, from the ground up:
     tables      reading and writing a table of values, and how lanes batch that
     credited    action values with traces: what a pair is credited with is worked out when it is read
     clock       step sizes and exploration rates as a method uses them, and the clock that they read
+    families    schedules that a few numbers describe
     schedules   numbers that change with experience
     optax       schedules of optax, and functions of one's own
     policies    the exact probabilities of the actions, and one way to draw from them

@@ -17,11 +17,9 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core.checks import KINDS, Kind, as_array, build, check_number, concrete
+from jaxrl_tab.core.checks import KINDS, Kind, as_array, build, check_number
 from jaxrl_tab.core.clock import (
     CLOCKS,
     Clock,
@@ -38,8 +36,20 @@ from jaxrl_tab.core.clock import (
     step_size,
 )
 from jaxrl_tab.core.errors import InputError, nearest, shown
+from jaxrl_tab.core.families import (
+    FAMILIES,
+    SHORT,
+    Exponential,
+    Family,
+    Harmonic,
+    Linear,
+    Power,
+    Tail,
+    numbers_of,
+    tail_at,
+    typed,
+)
 from jaxrl_tab.core.optax import Optax
-from jaxrl_tab.core.pytree import field, pytree, static
 
 __all__ = [
     "CLOCKS",
@@ -78,131 +88,7 @@ __all__ = [
 ]
 
 
-_CLOCK = "What n counts."
-
-
-# --- the named families ------------------------------------------------------------------------------
-class Tail(NamedTuple):
-    """How a schedule ends.
-
-    Attributes:
-        order: the p for which its values fall like 1/n^p: 0 where they stay above 0, infinity where they are
-            0 from some n on or fall faster than every power.
-        words: the same for people, to follow the name of the quantity.
-    """
-
-    order: float
-    words: str
-
-
-def _tail_at(level: float, otherwise: str) -> Tail:
-    """The tail of what settles at `level`; `otherwise` says what it does where that is 0."""
-    return Tail(0.0, f"stays at {level:g}") if level > 0 else Tail(np.inf, otherwise)
-
-
-class Family:
-    """A schedule that a few numbers describe. Its `str` is what one types for it: harmonic:100:visit."""
-
-    clock: ClockName
-
-    def tail(self) -> Tail:
-        """Raises InputError where its numbers are not plain ones: a batch, or traced."""
-        raise NotImplementedError
-
-    def __str__(self) -> str:
-        fields = _numbers(type(self))
-        digits = [text for field in fields if (text := typed(getattr(self, field)))]
-        if len(digits) < len(fields):
-            return repr(self)  # a batch, or traced: nobody typed it
-        (name,) = (name for name, cls in FAMILIES.items() if cls is type(self))
-        long = ":".join([name, *digits, self.clock])
-        return next((short for short, other in SHORT.items() if other == long), long)
-
-    def _plain(self, name: str) -> float:
-        value = concrete(getattr(self, name))
-        if value is None or value.ndim:
-            problem = f"{name} must be one plain number to tell this"
-            raise InputError(problem, who=type(self).__name__, field=name)
-        return float(value)
-
-
-@pytree
-class Power(Family):
-    """scale / n**power: harmonic for power 1, the book's 1/n (section 2.5)."""
-
-    power: float = field(default=1.0, greater_than=0, help="How fast it falls.")
-    scale: float = field(default=1.0, greater_than=0, help="Its value for n = 1.")
-    clock: ClockName = static(default="episode", help=_CLOCK)
-
-    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
-        return self.scale * jnp.asarray(n, float) ** -jnp.asarray(self.power, float)
-
-    def tail(self) -> Tail:
-        power = self._plain("power")
-        return Tail(power, "falls like 1/n" if power == 1 else f"falls like 1/n^{power:g}")
-
-
-@pytree
-class Harmonic(Family):
-    """n0 / (n0 + n - 1): 1 at first, 1/2 after n0 counts, and like n0/n in the end; 1/n for n0 = 1.
-
-    As an exploration rate by visit it is N0 / (N0 + N(s)), where N(s) counts the earlier visits of the state
-    (Silver, assignment Easy21, with N0 = 100).
-    """
-
-    n0: float = field(default=100.0, greater_than=0, help="The count after which it is 1/2.")
-    clock: ClockName = static(default="visit", help=_CLOCK)
-
-    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
-        return self.n0 / (self.n0 + jnp.asarray(n - 1, float))
-
-    def tail(self) -> Tail:
-        return Tail(1.0, "falls like 1/n")
-
-
-@pytree
-class Linear(Family):
-    """From `start` at n = 1 in a straight line to `end` at n = steps + 1, and `end` from then on."""
-
-    start: float = field(at_least=0, help="Its value for n = 1.")
-    end: float = field(at_least=0, help="Its value in the end.")
-    steps: float = field(at_least=1, help="After how many counts it is `end`.")
-    clock: ClockName = static(default="episode", help=_CLOCK)
-
-    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
-        done = jnp.minimum(jnp.asarray(n - 1, float) / self.steps, 1)
-        return (1 - done) * self.start + done * self.end
-
-    def tail(self) -> Tail:
-        return _tail_at(self._plain("end"), f"is 0 after n = {self._plain('steps'):g}")
-
-
-@pytree
-class Exponential(Family):
-    """start rate**(n - 1), but never below `end`."""
-
-    start: float = field(greater_than=0, help="Its value for n = 1.")
-    rate: float = field(greater_than=0, less_than=1, help="The ratio of each value to the one before.")
-    end: float = field(default=0.0, at_least=0, help="The value below which it never falls.")
-    clock: ClockName = static(default="episode", help=_CLOCK)
-
-    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
-        decayed = self.start * jnp.asarray(self.rate, float) ** jnp.asarray(n - 1, float)
-        return jnp.maximum(decayed, self.end)
-
-    def tail(self) -> Tail:
-        return _tail_at(self._plain("end"), f"falls like {self._plain('rate'):g}^n")
-
-
-FAMILIES: dict[str, type[Family]] = {
-    "power": Power,
-    "harmonic": Harmonic,
-    "linear": Linear,
-    "exponential": Exponential,
-}
-
 NAMES = (*FAMILIES, "optax")  # with which a schedule begins as it is typed
-SHORT = {"glie": "harmonic:1:episode", "sample-average": "harmonic:1:visit"}
 
 
 def glie() -> Harmonic:
@@ -241,7 +127,7 @@ def parse(text: str) -> Family | Optax:
         if len(numbers) not in (1, 2):
             raise InputError(wrong)
         return build(Optax, name, dict(zip(("schedule", "clock"), numbers, strict=False)))
-    fields, clock = _numbers(FAMILIES[name]), numbers.pop() if numbers else None
+    fields, clock = numbers_of(FAMILIES[name]), numbers.pop() if numbers else None
     try:
         values = dict(zip(fields, map(float, numbers), strict=False))
     except ValueError:
@@ -264,9 +150,8 @@ def read(text: str) -> float | Family | Optax:
     try:
         return float(text)
     except ValueError:
-        raise InputError(
-            f"{shown(text)} is neither a number nor a schedule; a schedule is {forms()}"
-        ) from None
+        hint = nearest(text, [*SHORT, *NAMES], otherwise=f"a schedule is {forms()}")
+        raise InputError(f"{shown(text)} is neither a number nor a schedule; {hint}") from None
 
 
 def forms() -> str:
@@ -275,30 +160,14 @@ def forms() -> str:
     return f"one of {written}, where CLOCK is one of {', '.join(CLOCKS)}"
 
 
-def typed(rate: Any) -> str | None:
-    """A number or a schedule as it is typed, "0.1"; None where it is a batch of numbers, or traced."""
-    if isinstance(rate, Schedule):
-        return str(rate)
-    number = concrete(rate)
-    if number is None or number.ndim:
-        return None
-    return np.format_float_positional(number.flat[0], trim="-")
-
-
 def form(name: str) -> str:
     """How a schedule that begins with `name` is typed: "power[:POWER[:SCALE]]:CLOCK"."""
     if name == "optax":
         return "optax:NAME(NUMBERS)[:CLOCK]"
-    numbers = _numbers(FAMILIES[name])
+    numbers = numbers_of(FAMILIES[name])
     needed = [f":{n.upper()}" for n, default in numbers.items() if default is dataclasses.MISSING]
     spare = [f"[:{n.upper()}" for n, default in numbers.items() if default is not dataclasses.MISSING]
     return "".join([name, *needed, *spare, "]" * len(spare), ":CLOCK"])
-
-
-def _numbers(cls: type[Family]) -> dict[str, Any]:
-    """The numbers of a family, in order, each with its default."""
-    fields = dataclasses.fields(cls)  # pyright: ignore[reportArgumentType]
-    return {f.name: f.default for f in fields if f.name != "clock"}
 
 
 # --- what a method takes ------------------------------------------------------------------------------
@@ -455,4 +324,4 @@ def _tail(asker: str, rate: Any, fits: Callable[[float], bool], wanted: str) -> 
     number = as_array(rate)
     if number is None or number.ndim or number.dtype.kind not in "fiu" or not fits(float(number)):
         raise InputError(f"{asker}: {wanted}, or a schedule, not {shown(rate)}")
-    return _tail_at(float(number), "is 0")
+    return tail_at(float(number), "is 0")

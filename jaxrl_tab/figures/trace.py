@@ -66,7 +66,7 @@ def _draw(datasets):
 ACCUMULATING, REPLACING, DUTCH = LOOK
 FIGURE = Figure(
     title="The eligibility trace of a state: it jumps at each visit, and fades in between",
-    source="Silver, lecture 4, eligibility traces; Sutton and Barto 2018, section 12.2, and the first edition's 7.8",
+    source="Silver, lecture 4, eligibility traces; Sutton and Barto 2018, sections 12.2 and 12.5",
     shows="Frequency and recency in one number: an accumulating trace grows by 1 at each visit, so that soon repeated "
     "visits take it far above 1; a replacing trace begins again from 1; a dutch one lies in between, the nearer to "
     "replacing the larger α.",

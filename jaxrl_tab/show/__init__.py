@@ -14,6 +14,8 @@ Its modules, from the ground up:
     grids     pictures of grids: values, greedy paths, and what changes from grid to grid
     maps      a score over two hyperparameters
     panels    pictures of tasks that are no grids: panels of values and actions
+    rates     what a step size or an exploration rate comes to
+    rate_curves pictures of that
     iterated  pictures of generalized policy iteration
     diagrams  pictures of backup diagrams
     exact_curves pictures of exact learning curves

@@ -33,7 +33,7 @@ class Piece(NamedTuple):
         notes: what stands beside its levels; none where there are several columns.
         notes_at: where they begin, from the left.
         words: below it, in lines.
-    width, height: of all of it; of the height the words take a part.
+        width, height: of all of it, the words included.
     """
 
     title: list[str]
@@ -189,13 +189,13 @@ def _width(text: str) -> float:
 
 
 def _weight(text: str) -> str:
-    """A weight as the book sets it: "λ^(n−1)" has an exponent. Words may stand before it."""
+    """A weight as the book sets it: "λ^(n−1)" has an exponent. Words may stand before it; what else is in it stays."""
+    words, formula = re.fullmatch(r"((?:[a-z]{2,} )*)(.*)", text).groups()  # pyright: ignore[reportOptionalMemberAccess]
     if text == DOTS:
         return r"$\cdots$"
-    words, formula = re.fullmatch(r"((?:[a-z]{2,} )*)(.*)", text).groups()  # pyright: ignore[reportOptionalMemberAccess]
-    formula = (
-        re.sub(r"\^\(([^)]*)\)", r"^{\1}", literal(formula)).replace("²", "^2").replace("λ", r"\lambda ")
-    )
+    if not re.fullmatch(r"(?:[\w()+−./ ²]|\^\([^()^]*\))+", formula) or "_" in formula:
+        return literal(text)
+    formula = re.sub(r"\^\(([^)]*)\)", r"^{\1}", formula).replace("²", "^2").replace("λ", r"\lambda ")
     return f"{words}${formula}$"
 
 

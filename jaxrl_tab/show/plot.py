@@ -54,6 +54,7 @@ from jaxrl_tab.show.panels import (
     state_values,
     values_limits,
 )
+from jaxrl_tab.show.rate_curves import schedules
 from jaxrl_tab.show.style import (
     ALARM,
     CELL,
@@ -124,6 +125,7 @@ __all__ = [
     "pictures",
     "save",
     "save_all",
+    "schedules",
     "score_map",
     "sensitivity",
     "solutions",
