@@ -103,6 +103,7 @@ def test_whether_episodes_earn_by_their_length():
     assert not stats.by_length(log(some, step=1.0))
     assert not stats.by_length(log(some, step=0.0))
     assert not stats.by_length(log(some).drop_vars("rewards"))
+    assert not stats.by_length(log(some, step=-inf))
     falls = log(some)
     falls["rewards"][0, 1, 7] -= 99
     assert not stats.by_length(falls)

@@ -36,6 +36,15 @@ def neighbours(row, column):
 ENDS = (0, 0), (3, 3)
 
 
+def test_the_grid_is_that_of_the_book():
+    """Broken once: rows and columns exchanged, by which no value changes -> fails."""
+    model = planning.exact_model(gpi.grid())
+    for s, cell in enumerate(np.ndindex(4, 4)):
+        if cell not in ENDS:
+            assert model.s_next[s, :, 0].tolist() == [4 * row + column for row, column in neighbours(*cell)]
+            assert (model.reward[s] == -1).all() and model.start[s] == pytest.approx(1 / 14)
+
+
 def swept(times):
     """v of the random policy after so many sweeps from 0 on, [4][4]."""
     v = dict.fromkeys(np.ndindex(4, 4), 0.0)
@@ -246,7 +255,7 @@ def test_the_zigzag_lies_between_its_lines():
     ax = plot.canvas(4).subplots()
     plot.zigzag(ax, history.zigzag)
     x, y = ax.lines[0].get_data()
-    upper, lower = (line.get_data() for line in ax.lines[2:4])
+    upper, lower = (line.get_data() for line in ax.lines[1:3])
     for i in range(len(x) - 1):
         line = lower if i % 2 else upper
         assert y[i] == pytest.approx(np.interp(x[i], *line))

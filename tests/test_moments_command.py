@@ -40,7 +40,9 @@ def test_it_prints_the_numbers_of_the_library(curve, capsys):
     assert [line[3].endswith(" *") for line in lines] == [
         x == curve.mse[..., -1].min() for x in curve.mse[..., -1].ravel()
     ]
-    assert "the mean over 5 states, before the first episode 0.05556" in " ".join(out.split())
+    assert "over 5 states: exact, without runs. Before the first episode it is 0.05556." in " ".join(
+        out.split()
+    )
     assert main([*TASK, *TYPED, "--whole-run"]) == 0
     out = capsys.readouterr().out
     (starred,) = [line for line in out.splitlines() if " *" in line and "│" in line]

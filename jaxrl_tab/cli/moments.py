@@ -164,8 +164,8 @@ def _print(found: Found, options: Moments) -> None:
     say = lambda line: out.print(line, markup=False)
     first, states = curve.mse.reshape(-1, curve.mse.shape[-1])[0, 0], counted(len(curve.states), "states")
     say(
-        f"The mean squared error of V is exact: of no runs. It is the mean over {states}, before the first episode "
-        f"{_number(first)}; and it is squared bias, what is systematically off, plus variance, what is luck."
+        f"The mean squared error of V, over {states}: exact, without runs. Before the first episode it is "
+        f"{_number(first)}. It is squared bias, what is systematically off, plus variance, what is luck."
     )
     judged = (
         "mean error over all episodes" if options.whole_run else f"error after episode {options.episodes}"

@@ -66,7 +66,7 @@ def position(env: Any, q: np.ndarray | None, s: int) -> list[Table]:
 
 
 def arrows(env: Grid, policy: np.ndarray, title: str) -> Table:
-    """The likeliest actions of a policy [S, A], on a grid; a dot where it takes any of them."""
+    """The likeliest actions of a policy [S, A], on a grid; "any" where all are as likely."""
     model, declared = planning.exact_model(env), of_environment(env)
     shown = planning.reachable(model) & ~planning.terminal_states(model)
     best, prefers = _best(env, policy), preferring(policy)

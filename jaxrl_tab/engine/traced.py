@@ -131,7 +131,8 @@ def _make_measure(what: _Measured, algorithm: Algorithm, env: Environment, full:
             with planning.doubled():
                 exact_algorithm, exact_env = _restored(full, (algorithm, env))
                 exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
-            measures.append(_exact_measurer(exact_algorithm, exact_env, algorithm))
+            acting = restricted(algorithm, available_actions(env))
+            measures.append(_exact_measurer(exact_algorithm, exact_env, acting))
         if record is not None:
             of_learner = partial(recorded, record, algorithm)
             measures.append(lambda learner: {"recorded": of_learner(learner)})

@@ -159,7 +159,8 @@ def _iterated(
     improvements: int,
 ) -> tuple[list[tuple[np.ndarray, ...]], list[tuple[float, float]], bool]:
     """Policy, v and q of each iterate, the zigzag, and whether it settled; no iterate where memory does not do."""
-    exact, unit, room = sweeps is None, ROUNDING * np.finfo(float).eps, memory.free() / 2
+    exact, unit = sweeps is None, ROUNDING * np.finfo(float).eps
+    room = memory.free() / 4  # they are copied once, into arrays of all
     rows, zigzag = [], []
     v = size = np.zeros(len(probs))
     if exact:

@@ -28,8 +28,9 @@ ARROW = {
     "width": 0.05,
     "headlength": 3,
     "headwidth": 3.5,
+    "headaxislength": 3,
+    "minlength": 0,
 }
-ARROW |= {"headaxislength": 3, "minlength": 0}
 
 
 def grid() -> FiniteMDP:
@@ -38,7 +39,9 @@ def grid() -> FiniteMDP:
     row, column = np.moveaxis(np.clip(cells[:, None] + np.array(MOVES), 0, SIDE - 1), -1, 0)
     entered = SIDE * row + column
     start = np.isin(np.arange(SIDE**2), INNER) / len(INNER)
-    return FiniteMDP(np.eye(SIDE**2)[entered], -np.ones(entered.shape), [0, SIDE**2 - 1], start)
+    return FiniteMDP(
+        np.eye(SIDE**2)[entered], -np.ones(entered.shape), terminal=[0, SIDE**2 - 1], start=start
+    )
 
 
 def _experiment():

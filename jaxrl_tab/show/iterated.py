@@ -54,8 +54,8 @@ def zigzag(ax: Axes, way: np.ndarray, farthest: float | None = None, **line: Any
     way = way[np.isfinite(way).all(1)]
     farthest = farthest or 1.1 * float(way.sum(1).max())
     x, y = _placed(way)
-    ax.plot(x, y, **{"color": COLORS[0], "lw": 1.4, "zorder": 3} | line)
-    ax.plot(x[::2], y[::2], "o", **{"color": COLORS[0], "ms": 4, "zorder": 4} | line)
+    style = {"color": COLORS[0], "lw": 1.4, "marker": "o", "ms": 4, "markevery": 2, "zorder": 3}
+    ax.plot(x, y, **style | line)
     begin = -(farthest**POWER)
     for side, name in ((1, "v = $v_\\pi$"), (-1, "π = greedy(v)")):
         ax.plot([begin, 0], [-side * SLOPE * begin, 0], color=INK, lw=1.5, zorder=2)

@@ -93,7 +93,10 @@ def by_length(ds: xr.Dataset) -> bool:
         steps, episodes, rewards = (some[name].values.ravel() for name in ("steps", "episodes", "rewards"))
         return np.stack([steps, episodes], -1).astype(float), rewards
 
-    pay = np.linalg.lstsq(*counts(ds.isel(seed=0)), rcond=None)[0]
+    x, rewards = counts(ds.isel(seed=0))
+    if not np.isfinite(rewards).all():
+        return False
+    pay = np.linalg.lstsq(x, rewards, rcond=None)[0]
     step, end = np.where(abs(pay) > ROUNDING * abs(pay).sum(), pay, 0)
     if step > 0 or (step == 0 and end <= 0):
         return False
