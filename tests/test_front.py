@@ -76,6 +76,7 @@ LATER = (
         "list --out x",
         "list --backups two-doors",
         "bridge --alpha 0.1",
+        "bridge --steps 10",
         "bridge windy-gridworld n-step-sarsa",
         "random-walk td --v0 0 1",
         "moments random-walk td-lambda",
