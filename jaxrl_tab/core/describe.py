@@ -8,7 +8,7 @@ import dataclasses
 import inspect
 import sys
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
 from fractions import Fraction
 from numbers import Integral, Real
@@ -17,9 +17,12 @@ from typing import Any, NamedTuple
 
 from jaxrl_tab.core import clock, policies, schedules
 from jaxrl_tab.core.checks import explained
-from jaxrl_tab.core.errors import InputError, shown
+from jaxrl_tab.core.errors import InputError, one_line, reason, shown
 
 Plain = bool | int | float | str | list | tuple | None  # of a parameter that another library checks
+
+Lines = str | Sequence[str] | Mapping[str, Any]
+"""Of a parameter that is text in lines: lines, a text of them, the name of a file (.txt); or what else its class reads."""
 
 
 class Parameter(NamedTuple):
@@ -69,6 +72,8 @@ def takes_policy(parameter: Parameter) -> bool:
 
 def kind(parameter: Parameter) -> type:
     """The type in which its value, or each entry of its value, is written; a policy is written as text."""
+    if parameter.type == Lines:
+        return str
     if takes_schedule(parameter) or takes_policy(parameter):
         return float if takes_schedule(parameter) else str
     if parameter.default is MISSING or parameter.default is None:  # its annotation says it
@@ -111,6 +116,25 @@ def value(what: str, written: Any, parameter: Parameter) -> Any:
         problem = f"{what} takes {wanted}, not {shown(written)}"
         raise InputError(problem, field=what, wanted=wanted, value=written)
     return kind(parameter)(written)
+
+
+def lines(written: Lines, base: Path | None = None) -> Lines:
+    """The lines of a file where `written` is its name, that ends in .txt, alone or in a list; else `written`.
+
+    Args:
+        written: what a person gives for `Lines`.
+        base: the folder from which the name starts; by default that of the process.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    words = [written] if isinstance(written, str) else list(written)
+    if len(words) != 1 or not isinstance(words[0], str) or not words[0].endswith(".txt"):
+        return written
+    try:
+        return ((base or Path()) / words[0]).read_text("utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{one_line(words[0])} cannot be read: {reason(error)}") from None
 
 
 _KINDS: dict[type, tuple[str, type]] = {
