@@ -23,7 +23,15 @@ from jaxrl_tab.core.errors import InputError, shown
 
 PAIRS = Mapping[str, Any]  # the type of a parameter that is typed as KEY=VALUE ...
 FILE = str | Path | None  # the type of a parameter that names a file
-METAVARS = {int: "N", float: "X", str: "X", Path: "DIR", FILE: "FILE", PAIRS: "KEY=VALUE", describe.Lines: "TEXT"}
+METAVARS = {
+    int: "N",
+    float: "X",
+    str: "X",
+    Path: "DIR",
+    FILE: "FILE",
+    PAIRS: "KEY=VALUE",
+    describe.Lines: "TEXT",
+}
 
 
 class Classes(NamedTuple):

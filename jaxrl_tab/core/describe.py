@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxrl_tab.core import clock, policies, schedules
-from jaxrl_tab.core.checks import explained
+from jaxrl_tab.core.checks import explained, is_list
 from jaxrl_tab.core.errors import InputError, one_line, reason, shown
 
 Plain = bool | int | float | str | list | tuple | None  # of a parameter that another library checks
 
 Lines = str | Sequence[str] | Mapping[str, Any]
-"""Of a parameter that is text in lines: lines, a text of them, the name of a file (.txt); or what else its class reads."""
+"""Of a parameter that is text in lines: a list or a text of them, a file (.txt), or a table, as its class reads it."""
 
 
 class Parameter(NamedTuple):
@@ -118,7 +118,12 @@ def value(what: str, written: Any, parameter: Parameter) -> Any:
     return kind(parameter)(written)
 
 
-def lines(written: Lines, base: Path | None = None) -> Lines:
+def lines_of(written: Any) -> list[Any] | None:
+    """The lines that `written` has as a text or a list; None where it is neither."""
+    return written.splitlines() if isinstance(written, str) else list(written) if is_list(written) else None
+
+
+def read_lines(written: Any, base: Path | None = None) -> Any:
     """The lines of a file where `written` is its name, that ends in .txt, alone or in a list; else `written`.
 
     Args:
@@ -128,7 +133,7 @@ def lines(written: Lines, base: Path | None = None) -> Lines:
     Raises:
         InputError: the file cannot be read.
     """
-    words = [written] if isinstance(written, str) else list(written)
+    words = lines_of(written) or []
     if len(words) != 1 or not isinstance(words[0], str) or not words[0].endswith(".txt"):
         return written
     try:

@@ -67,24 +67,22 @@ class Drawn(NamedTuple):
 
 def name_of(written: describe.Lines) -> str:
     """The name that is written in place of a map, that of a file or of a map of ours; empty where it is drawn."""
-    words = [written] if isinstance(written, str) else list(written)
-    word = words[0] if len(words) == 1 else ""
-    in_list = isinstance(word, str) and (word in MAPS or word.endswith(".txt") or word.islower())
-    is_name = isinstance(written, str) or in_list
-    return word if is_name and "\n" not in word else ""
+    words = describe.lines_of(written) or []
+    word = words[0] if len(words) == 1 and isinstance(words[0], str) else ""
+    return word if isinstance(written, str) or word in MAPS or word.endswith(".txt") or word.islower() else ""
 
 
 def read(who: str, written: describe.Lines) -> Drawn:
     """A map from its name, the name of its file, its text, or its lines. Raises InputError where it is none."""
-    if name := name_of(written):
-        if name not in MAPS and not name.endswith(".txt"):
-            hint = f"{nearest(name, MAPS)} A map of your own is a file ({name}.txt), or its rows"
-            raise InputError(f"there is no map {shown(name)}; {hint}", who=who, field="map")
-        written = describe.lines(str(MAPS.get(name, name)))
-    lines = written.splitlines() if isinstance(written, str) else list(written)
-    if isinstance(written, Mapping) or not all(isinstance(line, str) for line in lines):
-        hint = "; names of several maps, or several drawn ones, are several environments"
-        raise unfit(who, "map", "a name, or the rows of a map as texts", written, hint)
+    name = name_of(written)
+    if name and name not in MAPS and not name.endswith(".txt"):
+        choices = f"choose one of {', '.join(MAPS)}, a file such as maze.txt, or draw its rows in a list"
+        raise InputError(
+            f"there is no map {shown(name)}; {nearest(name, MAPS, choices)}", who=who, field="map"
+        )
+    lines = describe.lines_of(describe.read_lines(str(MAPS.get(name, name))) if name else written)
+    if lines is None or not all(isinstance(line, str) for line in lines):
+        raise unfit(who, "map", "a name, or the rows of one map as texts", written)
     if len(lines) > 1 and all(line in MAPS or line.endswith(".txt") for line in lines):
         raise InputError(
             f"map names several maps; in a file, write them as [[{lines[0]!r}], [{lines[1]!r}], ...]",
@@ -102,7 +100,9 @@ def read(who: str, written: describe.Lines) -> Drawn:
             raise InputError(f"{problem}; {nearest(name, SETTINGS)}", who=who, field="map")
         numbers = [_number(who, name, word) for word in value.split()]
         if name != "wind" and len(numbers) != 1:
-            raise InputError(f"{name} below the map must be one number, not {shown(value)}", who=who, field="map")
+            raise InputError(
+                f"{name} below the map must be one number, not {shown(value)}", who=who, field="map"
+            )
         settings[name] = tuple(numbers) if name == "wind" else numbers[0]
     return Drawn(rows, read_legend(who, [x for x in about if not _is_setting(x)]), settings)
 
@@ -112,7 +112,9 @@ def read_legend(who: str, written: describe.Lines) -> Legend:
     if isinstance(written, Mapping):
         pairs = list(written.items())
     else:
-        lines = written.splitlines() if isinstance(written, str) else written
+        lines = describe.lines_of(written)
+        if lines is None:
+            raise unfit(who, "legend", "a table, or lines such as 'O: reward -10, terminal'", written)
         pairs = [(key.strip(), value) for key, _, value in (str(line).partition(":") for line in lines)]
     legend: Legend = {}
     for letter, meaning in pairs:
@@ -139,22 +141,24 @@ def check_rows(who: str, rows: Sequence[str], legend: Legend) -> None:
     for i, row in enumerate(rows):
         if len(row) != len(rows[0]):
             hint = "; write '.' for free cells at the end of a row" if len(row) < len(rows[0]) else ""
-            raise fail(f"row {i} has {len(row)} cells, and row 0 has {len(rows[0])}{hint}")
+            cells = "1 cell" if len(row) == 1 else f"{len(row)} cells"
+            raise fail(f"row {i} has {cells}, and row 0 has {len(rows[0])}{hint}")
         for k, letter in enumerate(row):
             if letter not in known:
                 there_are = " ".join(["# S G .", *legend])
-                problem = f"row {i}, column {k}: the letter {letter!r} is not in the legend; there are {there_are}"
+                problem = (
+                    f"row {i}, column {k}: the letter {letter!r} is not in the legend; there are {there_are}"
+                )
                 raise fail(f'{problem}; write what it means, as in "{letter}: reward -10, terminal"')
     every = "".join(rows)
     for letter in filter(every.__contains__, legend):
         of = legend[letter]
         if not (target := of.to or of.jump):
             continue
-        word = "to" if of.to else "jump"
         if target == WALL or (target in legend and (legend[target].to)):
-            raise fail(f"{letter!r} leads {word} {target!r}, where nobody can stand")
+            raise fail(f"{letter!r} leads to {target!r}, where nobody can stand")
         if (count := every.count(target)) != 1:
-            raise fail(f"{letter!r} leads {word} {target!r}, which must be one cell, and there are {count}")
+            raise fail(f"{letter!r} leads to {target!r}, which must be one cell, and there are {count}")
 
 
 def number(who: str, what: str, value: Any) -> float:

@@ -18,7 +18,6 @@ from jaxrl_tab.envs.drawing import FREE, GOAL, MAPS, START, WALL, Letter
 from jaxrl_tab.envs.windy_gridworld import MOVES
 from jaxrl_tab.exact.model import spread
 
-
 ICE = {"F": Letter(), "H": Letter(terminal=True)}  # what the letters of a lake mean
 
 
@@ -54,7 +53,7 @@ class Table(NamedTuple):
 class DrawnGrid(Grid):
     """A grid that is read from a drawing; a subclass says which, as `plan`."""
 
-    @property
+    @functools.cached_property
     def plan(self) -> Plan:
         raise NotImplementedError
 
@@ -119,7 +118,8 @@ class Maze(DrawnGrid):
     """
 
     map: Lines = static(
-        default=("S.#.G", "..#..", "....."), help="The map: its rows, a file (.txt), or the name of one of ours."
+        default=("S.#.G", "..#..", "....."),
+        help="The map: its rows, a file (.txt), or the name of one of ours.",
     )
     legend: Lines = static(default=(), help='What letters mean, a line each: "O: reward -10, terminal".')
     step_reward: float | None = static(
@@ -137,7 +137,9 @@ class Maze(DrawnGrid):
         at_most=1,
         help="Probability that a move goes to one of its two sides instead, half each; by default 0.",
     )
-    wind: Any = static(default=(), help="Rows by which each column carries up a walker who leaves it, [columns].")
+    wind: Any = static(
+        default=(), help="Rows by which each column carries up a walker who leaves it, [columns]."
+    )
     moves: Literal["four", "king", "king+stay"] = static(
         default="four", help="The actions; a king moves diagonally, too."
     )
@@ -161,7 +163,7 @@ class Maze(DrawnGrid):
         check_ends(who, self.plan)
 
     @functools.cached_property
-    def plan(self) -> Plan:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def plan(self) -> Plan:
         drawn = drawing.read(type(self).__name__, self.map)
         legend = drawn.legend | drawing.read_legend(type(self).__name__, self.legend)
         own = {key: x for key in drawing.SETTINGS if (x := getattr(self, key)) not in (None, ())}
@@ -202,7 +204,7 @@ class FrozenLake(DrawnGrid):
         check_ends(who, self.plan)
 
     @functools.cached_property
-    def plan(self) -> Plan:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def plan(self) -> Plan:
         drawn = drawing.read(type(self).__name__, self.map or f"frozen-lake-{self.map_name}")
         slip = 1 - self.success_rate if self.is_slippery else 0.0
         return Plan(drawn.rows, tuple((ICE | drawn.legend).items()), 4, 0.0, 1.0, None, slip, ())
@@ -215,7 +217,10 @@ def tabulated(plan: Plan) -> Table:
     states, is_wall = np.arange(len(letters)), letters == WALL
     enter = np.where(letters == GOAL, plan.goal_reward, plan.step_reward)  # the reward of ending in a cell
     is_terminal, put = is_wall | (letters == GOAL), states.copy()  # `put`: where one is who enters a cell
-    slip, lift = np.full(len(letters), plan.slip), np.tile(plan.wind or 0, len(letters) // len(plan.wind or "0"))
+    slip, lift = (
+        np.full(len(letters), plan.slip),
+        np.tile(plan.wind or 0, len(letters) // len(plan.wind or "0")),
+    )
     for letter, of in legend.items():
         here = letters == letter
         is_terminal |= here & of.terminal

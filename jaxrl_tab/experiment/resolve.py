@@ -59,9 +59,7 @@ def environments(written: Any, source: Source | None, references: References) ->
     return resolved
 
 
-def _environment(
-    table: Mapping[str, Any], cls: type, others: int, base: Path | None
-) -> list[dict[str, Any]]:
+def _environment(table: Mapping[str, Any], cls: type, others: int, base: Path | None) -> list[dict[str, Any]]:
     """The environments that a table describes.
 
     Args:
@@ -97,8 +95,10 @@ def _texts(key: str, written: Any, base: Path | None) -> list[Any]:
     several = isinstance(written, list | tuple) and any(not isinstance(x, str) for x in written)
     tried = list(written) if several else [written]
     if wrong := [x for x in tried if not isinstance(x, str | list | tuple | Mapping)]:
-        raise InputError(f"{key} takes a text, a list of lines, or a list of such lists, not {shown(wrong[0])}")
-    return [_listed(describe.lines(x, base)) for x in tried]
+        raise InputError(
+            f"{key} takes a text, a list of lines, or a list of such lists, not {shown(wrong[0])}"
+        )
+    return [_listed(describe.read_lines(x, base)) for x in tried]
 
 
 def _short(value: Any, tried: Sequence[Any]) -> str:
