@@ -46,7 +46,7 @@ class Letter(NamedTuple):
     def words(self) -> str:
         """As it stands in a text."""
         said = [
-            "terminal" if value is True else f"{name} {value:.17g}" if name in _NUMBERS else f"{name} {value}"
+            "terminal" if value is True else f"{name} {value!s}".removesuffix(".0")
             for name, value, default in zip(self._fields, self, self.__new__.__defaults__ or (), strict=True)
             if value != default
         ]
@@ -65,14 +65,14 @@ class Drawn(NamedTuple):
     settings: dict[str, Any]
 
 
-def name_of(written: describe.Lines) -> str:
+def name_of(written: Any) -> str:
     """The name that is written in place of a map, that of a file or of a map of ours; empty where it is drawn."""
     words = describe.lines_of(written) or []
     word = words[0] if len(words) == 1 and isinstance(words[0], str) else ""
     return word if isinstance(written, str) or word in MAPS or word.endswith(".txt") or word.islower() else ""
 
 
-def read(who: str, written: describe.Lines) -> Drawn:
+def read(who: str, written: Any) -> Drawn:
     """A map from its name, the name of its file, its text, or its lines. Raises InputError where it is none."""
     name = name_of(written)
     if name and name not in MAPS and not name.endswith(".txt"):
@@ -107,7 +107,7 @@ def read(who: str, written: describe.Lines) -> Drawn:
     return Drawn(rows, read_legend(who, [x for x in about if not _is_setting(x)]), settings)
 
 
-def read_legend(who: str, written: describe.Lines) -> Legend:
+def read_legend(who: str, written: Any) -> Legend:
     """A legend from lines such as "O: reward -10, terminal", or from a dict of dicts or texts."""
     if isinstance(written, Mapping):
         pairs = list(written.items())

@@ -16,7 +16,6 @@ from jaxrl_tab.envs import drawing
 from jaxrl_tab.envs.base import COMPASS, MAX_STEPS, TIME_LIMIT, Grid
 from jaxrl_tab.envs.drawing import FREE, GOAL, MAPS, START, WALL, Letter
 from jaxrl_tab.envs.windy_gridworld import MOVES
-from jaxrl_tab.exact.model import spread
 
 ICE = {"F": Letter(), "H": Letter(terminal=True)}  # what the letters of a lake mean
 
@@ -79,7 +78,7 @@ class DrawnGrid(Grid):
 
     @property
     def letters(self) -> dict[int, str]:
-        """Those of the drawing, but for free cells and walls; a start is marked where there is one to draw."""
+        """Those of the drawing, but for walls and free cells."""
         plain = {letter for letter, of in self.plan.legend if of == Letter()} - {
             target for _, of in self.plan.legend for target in (of.to, of.jump)
         }
@@ -112,9 +111,10 @@ class Maze(DrawnGrid):
     - `to X`: a door; a step that ends there puts the walker at the cell of letter X, at once;
     - `jump X`: from there every move leads to the cell of letter X, and gives the `reward`.
 
-    A file has these lines below the map, and settings, such as "slip: 2/3". Against a wall or the edge a walker
-    stays where it is. Wind adds to the move, row by row, until something is in the way. All cells are states,
-    numbered row by row; walls are states that no walker is ever in.
+    A file has these lines below the map, and settings, such as "slip: 2/3". A wall stops a move, and so does the
+    edge, along which a king slides. Wind adds to the move, one row after another, until a wall or the edge is in
+    the way. All cells are states, numbered row by row; walls and doors are states that no walker is ever in. Where
+    no goal can be reached, values are finite only where gamma is below 1.
     """
 
     map: Lines = static(
@@ -126,7 +126,8 @@ class Maze(DrawnGrid):
         default=None, help="Reward of a step; by default what the map says, or -1."
     )
     goal_reward: float | None = static(
-        default=None, help="Reward of the step into a goal, in place of that; by default the same."
+        default=None,
+        help="Reward of the step into a goal, in its place; by default what the map says, or the same.",
     )
     bump_reward: float | None = static(
         default=None, help="Reward of a move that a wall or the edge stops; by default that of any step."
@@ -148,7 +149,7 @@ class Maze(DrawnGrid):
     def __post_init__(self):
         who = type(self).__name__
         drawn, legend = drawing.read(who, self.map), drawing.read_legend(who, self.legend)
-        given = {key: x for key in drawing.SETTINGS if (x := getattr(self, key)) not in (None, ())}
+        given = self._given()
         if drawing.name_of(self.map) in MAPS:  # its name stays, for it says the rest
             assign(self, map=drawing.name_of(self.map))
         else:  # what is in a file is kept here, for the file may change
@@ -160,17 +161,21 @@ class Maze(DrawnGrid):
         if not 0 <= (slip := numbers.get("slip", 0)) <= 1:
             raise unfit(who, "slip", "between 0 and 1", slip)
         assign(self, legend=drawing.as_lines(legend), wind=wind, **numbers)
-        check_ends(who, self.plan)
+        _check_start(who, self.plan)
 
     @functools.cached_property
     def plan(self) -> Plan:
         drawn = drawing.read(type(self).__name__, self.map)
         legend = drawn.legend | drawing.read_legend(type(self).__name__, self.legend)
-        own = {key: x for key in drawing.SETTINGS if (x := getattr(self, key)) not in (None, ())}
         rules: dict[str, Any] = {"step_reward": -1.0, "bump_reward": None, "slip": 0.0, "wind": ()}
-        rules |= drawn.settings | own
+        rules |= drawn.settings | self._given()
         rules.setdefault("goal_reward", rules["step_reward"])
         return Plan(drawn.rows, tuple(legend.items()), MOVES[self.moves], **rules)
+
+    def _given(self) -> dict[str, Any]:
+        """The settings that do not leave to the map what holds."""
+        own = {key: getattr(self, key) for key in drawing.SETTINGS}
+        return {key: x for key, x in own.items() if x is not None and not (is_list(x) and len(x) == 0)}
 
 
 @pytree
@@ -201,7 +206,7 @@ class FrozenLake(DrawnGrid):
             raise InputError("a lake has no settings below its map; a maze has", who=who, field="map")
         drawing.check_rows(who, drawn.rows, ICE | drawn.legend)
         assign(self, map=(*drawn.rows, *drawing.as_lines(drawn.legend)))
-        check_ends(who, self.plan)
+        _check_start(who, self.plan)
 
     @functools.cached_property
     def plan(self) -> Plan:
@@ -282,21 +287,10 @@ def _landings(plan: Plan, is_wall: np.ndarray, lift: np.ndarray) -> tuple[np.nda
     return row * shape[1] + column, bumped
 
 
-def check_ends(who: str, plan: Plan) -> None:
-    """Raises InputError unless episodes can start, and, where there are ends, can end from every start."""
-    table, columns = tabulated(plan), len(plan.rows[0])
-    if not len(table.starts):
+def _check_start(who: str, plan: Plan) -> None:
+    """Raises InputError unless there is a cell to start in."""
+    if not len(tabulated(plan).starts):
         raise InputError("there is no free cell to start in", who=who, field="map")
-    ends = table.is_terminal & (_letters(plan) != WALL)
-    possible = table.prob > 0
-    source = np.nonzero(possible)[0]
-    lost = table.starts[~spread(table.s_next[possible], source, ends)[table.starts]]
-    if ends.any() and len(lost):
-        row, column = divmod(int(lost[0]), columns)
-        start = f"the start in row {row}, column {column}"
-        if not any(START in of_row for of_row in plan.rows):
-            start += " (without an S episodes start anywhere)"
-        raise InputError(f"no goal can be reached from {start}", who=who, field="map")
 
 
 def _wind(who: str, wind: Any, columns: int) -> tuple[int, ...]:

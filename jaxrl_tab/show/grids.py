@@ -49,14 +49,9 @@ def greedy_path(
     paths = [moves.path(q, s) for s in starts] if len(starts) <= MOST_STARTS else []
     prefers = preferring(q) & ~moves.terminal & moves.reachable
     _draw_grid(ax, env, moves)
-    outline = [patheffects.withStroke(linewidth=8, foreground="white")]
-    round_ends: dict[str, Any] = {"solid_capstyle": "round", "solid_joinstyle": "round"}
-    on_path = np.zeros(env.num_states, bool)
     for path, arrives in paths:
-        rows, columns = np.divmod(path, env.shape[1])
-        color = COLORS[5] if arrives else COLORS[4]
-        ax.plot(columns, rows, color=color, lw=5.5, zorder=2.5, path_effects=outline, **round_ends)
-        on_path[path] = True
+        _draw_path(ax, env, path, COLORS[5] if arrives else COLORS[4])
+    on_path = np.isin(np.arange(env.num_states), [s for path, _ in paths for s in path])
     for some, ink in ((~on_path, "#9a9a9a"), (on_path, INK)):
         _draw_arrows(ax, env, greedy_actions(q) & (prefers & some)[:, None], ink)
     _draw_letters(ax, env, moves)
@@ -65,6 +60,20 @@ def greedy_path(
         length = f"likeliest outcomes: {length}"
     best = "" if np.isnan(optimum) else f"optimum v* = {significant(optimum, 4)}"
     axes_title(ax, "\n".join(filter(None, [title, "; ".join(filter(None, [length, best]))])))
+
+
+def _draw_path(ax: Axes, env: Grid, path: np.ndarray, color: str) -> None:
+    """A band along some states, dotted where it goes further than a move and the wind can carry anybody."""
+    outline = [patheffects.withStroke(linewidth=8, foreground="white")]
+    round_ends: dict[str, Any] = {"solid_capstyle": "round", "solid_joinstyle": "round"}
+    cells = np.stack(np.divmod(path, env.shape[1]), -1)
+    wind = of_environment(env).wind
+    furthest = 1 + (0 if wind is None else np.abs(wind).max())
+    jumps = np.flatnonzero(np.abs(np.diff(cells, axis=0)).max(-1) > furthest)
+    for piece in np.split(cells, jumps + 1):
+        ax.plot(*piece.T[::-1], color=color, lw=5.5, zorder=2.5, path_effects=outline, **round_ends)
+    for i in jumps:
+        ax.plot(*cells[i : i + 2].T[::-1], ":", color=color, lw=2.5, zorder=2.5)
 
 
 def _length(steps: np.ndarray) -> str:

@@ -264,8 +264,10 @@ function panelStage(c, box, m, tables) {
       grid && tables.q(view, moment, 0).length > 1 ? greedyWays(c, (s) => tables.greedy(view, moment, s)) : [];
     if (cells.path) {
       const at = (s) => cells.find((cell) => cell.s === s);
-      const line = (way) => way.states.map((s, i) => `${i ? "L" : "M"}${at(s).x} ${at(s).y}`).join("");
-      cells.path.setAttribute("d", ways.map(line).join(""));
+      const furthest = 1 + Math.max(0, ...grid.wind.map(Math.abs)); // further lead doors alone
+      const isNear = (a, b) => Math.max(Math.abs(a.i - b.i), Math.abs(a.k - b.k)) <= furthest;
+      const draw = (cell, i, way) => `${i && isNear(way[i - 1], cell) ? "L" : "M"}${cell.x} ${cell.y}`;
+      cells.path.setAttribute("d", ways.flatMap((way) => way.states.map(at).map(draw)).join(""));
       cells.path.setAttribute("stroke-dasharray", ways.every((way) => way.ends) ? "" : "2 9");
     }
     bar.style.background = range.bar;

@@ -141,10 +141,13 @@ function greedyWays(c, greedy) {
 function waysInWords(ways, stochastic) {
   const arrive = ways.filter((way) => way.ends);
   if (arrive.length < ways.length)
-    return ways.length === 1 ? "the greedy way does not arrive" : `${ways.length - arrive.length} of ${ways.length} greedy ways do not arrive`;
-  const lengths = arrive.map((way) => way.states.length - 1).join(", ");
+    return ways.length === 1
+      ? "the greedy way does not arrive"
+      : `of ${ways.length} greedy ways ${ways.length - arrive.length} do not arrive`;
+  const lengths = arrive.map((way) => way.states.length - 1);
+  const [least, most] = [Math.min(...lengths), Math.max(...lengths)];
   const takes = ways.length === 1 ? "the greedy way takes" : "the greedy ways take";
-  return `${takes} ${lengths} steps${stochastic ? " by the likeliest outcomes" : ""}`;
+  return `${takes} ${least === most ? least : `${least} to ${most}`} steps${stochastic ? " by the likeliest outcomes" : ""}`;
 }
 
 function nameOf(c, s) {
