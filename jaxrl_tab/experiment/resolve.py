@@ -102,9 +102,10 @@ def _texts(key: str, written: Any, base: Path | None) -> list[Any]:
 
 
 def _short(value: Any, tried: Sequence[Any]) -> str:
-    """One of the values that are tried, as it can stand in the name of a folder; of a text its number."""
-    if isinstance(value, Mapping) or (isinstance(value, list) and any(isinstance(x, str) for x in value)):
-        return str(tried.index(value) + 1)
+    """One of the values that are tried, as it can stand in the name of a folder; of a text of several lines its number."""
+    lines = [x for x in value if isinstance(x, str)] if isinstance(value, list) else []
+    if isinstance(value, Mapping) or lines:
+        return lines[0] if len(lines) == 1 else str(tried.index(value) + 1)
     return re.sub(r'[" ]', "", json.dumps(value))
 
 
