@@ -258,6 +258,8 @@ def test_list_tells_of_what_is_named(capsys, tmp_path):
     assert "Mine  Sarsa that hopes." in text and "--hope" in text and "●   A'" in text
     assert text.count("cliff-walking  ") == 2  # it is an environment and a figure
     assert "expected-sarsa" not in text
+    assert main(["list", "gymnasium:FrozenLake-v1"]) == 0
+    assert "--is-slippery" in capsys.readouterr().out
     assert main(["list", "td", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert list(found) == ["prediction", "figures"]

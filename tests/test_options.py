@@ -10,6 +10,7 @@ from jaxrl_tab import policies, schedules
 from jaxrl_tab.cli import main
 from jaxrl_tab.cli import typed as options
 from jaxrl_tab.cli.common import HYPERPARAMETERS
+from jaxrl_tab.cli.options import whole_number
 from jaxrl_tab.core.policies import UCB, EpsilonGreedy, Greedy, Softmax, Table
 
 
@@ -33,6 +34,19 @@ def typed(option, token, method="expected-sarsa"):
 @pytest.mark.parametrize("option", ["--alpha", "--epsilon"])
 def test_every_family_can_be_typed(option, token, schedule):
     assert repr(typed(option, token)) == repr(schedule)
+
+
+@pytest.mark.parametrize(("text", "number"), [("1e4", 10_000), ("12", 12), ("2.5e1", 25), ("-1e0", -1)])
+def test_whole_numbers_may_have_an_exponent(text, number):
+    """Broken once: read as int alone -> fails."""
+    assert whole_number(text) == number and type(whole_number(text)) is int
+
+
+@pytest.mark.parametrize("text", ["1.5", "1e-3", "1e400", "nan", "1e17", "four"])
+def test_what_is_no_whole_number_is_none(text):
+    """1e17 + 1 would be the same number."""
+    with pytest.raises((ValueError, OverflowError)):
+        whole_number(text)
 
 
 def test_numbers_are_still_numbers():

@@ -137,20 +137,27 @@ def of_own(name: str) -> Catalogue:
     Raises:
         InputError: the name stands for neither.
     """
+    from jaxrl_tab import interop  # noqa: F401  which adds its libraries
     from jaxrl_tab.algorithms.prediction import METHOD
     from jaxrl_tab.cli.typed import Classes
     from jaxrl_tab.core import names
     from jaxrl_tab.core.declared import Learns, of_method
     from jaxrl_tab.envs import ENVIRONMENT
 
-    try:
-        cls, kind = names.find(METHOD, name).cls, "methods"
-        kind = "prediction" if of_method(cls).learns is Learns.STATES else kind
-    except InputError as error:
+    no_method = name.endswith(".npz") or name.partition(":")[0] in ENVIRONMENT.libraries
+    refusals = []
+    for one in (ENVIRONMENT,) if no_method else (METHOD, ENVIRONMENT):
         try:
-            cls, kind = names.find(ENVIRONMENT, name).cls, "environments"
-        except InputError:
-            raise error from None
+            cls = names.find(one, name).cls
+            break
+        except InputError as error:
+            refusals.append(error)
+    else:
+        raise refusals[0]
+    if one is ENVIRONMENT:
+        kind = "environments"
+    else:
+        kind = "prediction" if of_method(cls).learns is Learns.STATES else "methods"
     listed = {kind: dict(Classes({name: cls}, "").group.entries)}
     return Catalogue({}, {}, listed, {kind: {name: _facts(cls)}}, {}, ())
 

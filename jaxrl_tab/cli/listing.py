@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -92,29 +93,25 @@ def list_command(argv: list[str]) -> int:
 
 
 def _of(names: Sequence[str]) -> Catalogue:
-    """What there is to know of these names alone. Raises InputError where one stands for nothing."""
-    all_there_is, own = everything(), []
-    known = {*all_there_is.figures, *(name for of_kind in all_there_is.listed.values() for name in of_kind)}
+    """What there is to know of these names alone, in their order. Raises InputError where one stands for nothing."""
+    parts = [everything()]
+    known = {*parts[0].figures, *(name for of_kind in parts[0].listed.values() for name in of_kind)}
     for name in names:
         if ":" in name or name.endswith((".py", ".npz")):
-            own.append(of_own(name))
+            parts.append(of_own(name))
         elif name not in known:
             hint = nearest(name, sorted(known), otherwise="`jaxrl-tab list` shows what there is")
             raise InputError(f"{shown(name)} is not an environment, a method or a figure; {hint}")
-    listed: dict[str, dict[str, Entry]] = {}
-    facts: dict[str, dict] = {}
-    for part in [all_there_is, *own]:
-        for kind, entries in part.listed.items():
-            for name in entries.keys() & set(names):
-                listed.setdefault(kind, {})[name] = entries[name]
-                facts.setdefault(kind, {})[name] = part.facts[kind][name]
-    in_order = lambda entries: {name: entries[name] for name in dict.fromkeys(names) if name in entries}
-    return all_there_is._replace(
-        listed={kind: in_order(listed[kind]) for kind in HEADINGS if kind in listed},
-        facts={kind: in_order(facts[kind]) for kind in HEADINGS if kind in facts},
-        figures=in_order(all_there_is.figures),
-        unavailable=(),
-    )
+
+    def chosen(of_kind: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        return {name: one[name] for name in names for one in of_kind if name in one}
+
+    kinds = {kind: [part for part in parts if kind in part.listed] for kind in HEADINGS}
+    listed = {kind: chosen([part.listed[kind] for part in there]) for kind, there in kinds.items()}
+    facts = {kind: chosen([part.facts[kind] for part in there]) for kind, there in kinds.items()}
+    some = lambda by_kind: {kind: entries for kind, entries in by_kind.items() if entries}
+    figures = chosen([parts[0].figures])
+    return parts[0]._replace(listed=some(listed), facts=some(facts), figures=figures, unavailable=())
 
 
 # --- backup diagrams -----------------------------------------------------------------------------------

@@ -272,7 +272,17 @@ def check_words(who: str, option: Option, words: Sequence[str]) -> None:
             raise unfit(who, option.name, in_words(option.limits) or "a number", number)
 
 
-NUMBERS = {"int": (int, "a whole number"), "float": (float, "a number"), "rate": (float, "a number")}
+def whole_number(text: str) -> int:
+    """The number of a text that is a whole one, also written as 1e4. Raises ValueError for any other."""
+    with contextlib.suppress(ValueError):
+        return int(text)
+    number = float(text)
+    if not number.is_integer() or abs(number) > 2**53:  # above, not each whole number has a float of its own
+        raise ValueError(f"{text} is not a whole number")
+    return int(number)
+
+
+NUMBERS = {"int": (whole_number, "a whole number"), "float": (float, "a number"), "rate": (float, "a number")}
 
 
 def _within(limits: Mapping[str, float], number: float) -> bool:

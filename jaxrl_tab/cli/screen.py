@@ -40,10 +40,10 @@ FIRST_TO_GO = (
     "episodes_within_steps",
     "unfinished",
     "late_steps",
-    "greedy_arrives",
     "early_score",
     "final_v_error",
     "optimum",
+    "greedy_arrives",
 )
 WRITTEN: dict[str, Any] = {
     "exact": six_digits,

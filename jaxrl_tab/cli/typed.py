@@ -16,7 +16,17 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 import numpy as np
 
 from jaxrl_tab.cli import options
-from jaxrl_tab.cli.options import NONE, Command, Entry, Group, Option, Place, Typed, check_owners
+from jaxrl_tab.cli.options import (
+    NONE,
+    Command,
+    Entry,
+    Group,
+    Option,
+    Place,
+    Typed,
+    check_owners,
+    whole_number,
+)
 from jaxrl_tab.core import clock, describe, names, policies, schedules
 from jaxrl_tab.core.checks import KINDS, build, but_none
 from jaxrl_tab.core.errors import InputError, shown
@@ -159,7 +169,7 @@ def _value(flag: str, text: str, parameter: describe.Parameter) -> Any:
     read: Any = text
     if (kind := describe.kind(parameter)) in (int, float):
         with contextlib.suppress(ValueError):
-            read = kind(text)
+            read = (whole_number if kind is int else kind)(text)
     return describe.value(flag, read, parameter)
 
 

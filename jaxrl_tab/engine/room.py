@@ -19,7 +19,9 @@ from jaxrl_tab.exact import planning
 
 LANES = 64
 BLOCKS = 16  # of lanes that a device works through in one call, at most
-FEWEST_LANES = 8  # on a CPU, where memory runs out: with fewer, exact values would differ in the last bit
+FEWEST_LANES = (
+    8  # on a CPU, where memory runs out: with fewer, what `record` adds up would differ in the last bit
+)
 OF_A_STEP = 800  # bytes of a run, about: numbers of one step that lie in memory between two loops over lanes
 CALL_BYTES = 2**28  # of a call on a device, at most, unless one block alone is larger
 

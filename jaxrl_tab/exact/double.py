@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
-from functools import wraps
+from functools import partial, wraps
 from typing import Any, TypeVar
 
 import jax
@@ -51,22 +51,18 @@ def in_turn(function: Callable[..., T]) -> Callable[..., T]:
             return jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, arrays[:size]))(*arrays[size:])
 
         def rule(axis_size: int, batched: Any, *arrays: Any) -> tuple[list[Any], list[bool]]:
+            own = [x for x, has_lanes in zip(arrays, batched, strict=True) if has_lanes]
+
+            def of_lane(work: Callable[..., list[Any]], own: list[Any]) -> list[Any]:
+                rest = iter(own)
+                both = zip(arrays, batched, strict=True)
+                return work(*(next(rest) if has_lanes else x for x, has_lanes in both))
+
             with doubled():
-                if not tables.lanes_in_turn():
-                    results = jax.vmap(one, [0 if x else None for x in batched])(*arrays)
+                if tables.lanes_in_turn():  # with the rule, for there may be a `vmap` around this one
+                    results = lax.map(partial(of_lane, again), own)
                 else:
-                    own = [x for x, has_lanes in zip(arrays, batched, strict=True) if has_lanes]
-
-                    def lane(own: list[Any]) -> list[Any]:
-                        rest = iter(own)
-                        return again(
-                            *(
-                                next(rest) if has_lanes else x
-                                for x, has_lanes in zip(arrays, batched, strict=True)
-                            )
-                        )
-
-                    results = lax.map(lane, own)
+                    results = jax.vmap(partial(of_lane, one))(own)
             return results, [True] * len(results)
 
         again = tables.with_lanes(one, rule)

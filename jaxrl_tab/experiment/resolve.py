@@ -102,7 +102,7 @@ def _texts(key: str, written: Any, base: Path | None) -> list[Any]:
 
 
 def _short(value: Any, tried: Sequence[Any]) -> str:
-    """One of the values that are tried, as it can stand in the name of a folder; of a text of several lines its number."""
+    """One of the values that are tried, as it can stand in the name of a folder; of several lines their number."""
     lines = [x for x in value if isinstance(x, str)] if isinstance(value, list) else []
     if isinstance(value, Mapping) or lines:
         return lines[0] if len(lines) == 1 else str(tried.index(value) + 1)
