@@ -1,6 +1,7 @@
 """Drawn mazes: against tables worked by hand, published values, and the same task built in another way."""
 
 import json
+from pathlib import Path
 
 import gymnasium
 import jax
@@ -89,6 +90,8 @@ def test_wind_goes_no_further_than_a_wall_and_a_letter_can_have_its_own():
     assert table[16, UP] == {(1, -1, False): 1}  # u: one row and two
     assert table[16, LEFT] == {(10, -1, False): 1}  # two rows up, and the wall at (1, 0) is beyond
     assert table[2, DOWN] == {(2, -1, False): 1}  # the wind is the stronger
+    storm = planning.exact_model(rl.make("maze", map=["S.G", "..."], wind=[10**20] * 3)).s_next[..., 0]
+    assert storm[3].tolist() == [0, 1, 0, 0]
 
 
 @pytest.mark.parametrize("moves", ["four", "king", "king+stay"])
@@ -183,6 +186,7 @@ def test_a_file_a_text_and_a_list_are_the_same(tmp_path, monkeypatch):
         rl.make("maze", map=TEXT),
         rl.make("maze", map=TEXT.splitlines()),
         rl.make("maze", map="my.txt"),
+        rl.make("maze", map=Path("my.txt")),
     ]
     (tmp_path / "my.txt").write_text("S.G")
     assert len({jax.tree.structure(env) for env in envs}) == 1
@@ -234,7 +238,7 @@ def test_a_file_a_text_and_a_list_are_the_same(tmp_path, monkeypatch):
         ({"map": ["S.G"], "wind": "up"}, "wind must be a list of whole numbers of cells, not 'up'"),
         ({"step_reward": "x"}, "step_reward must be a number, not 'x'"),
         ({"legend": 3}, "legend must be a table, or lines such as"),
-        ({"legend": {"AB": "free"}}, "the legend is of single letters, but for # S G . and :, not of 'AB'"),
+        ({"legend": {"AB": "free"}}, "the legend is of single letters, but for # S G . , and :, not of 'AB'"),
         ({"legend": {"S": "slip 1"}}, "the legend is of single letters"),
         ({"legend": ["A: free", "A: terminal"]}, "the legend has 'A' twice"),
         ({"legend": ["A: teminal"]}, "the legend says 'teminal' of 'A'; a letter can be"),

@@ -41,7 +41,7 @@ def tables(env: Any, v: np.ndarray, q: np.ndarray | None) -> list[Table]:
     actions = _lettered(env, [f"[cyan]{best(s)}[/]" for s in range(env.num_states)], acts)
     cells = [f"{short_number(v[s])}\n{x}" if acts[s] else x for s, x in enumerate(actions)]
     shown = [_panel(panel, cells, declared.wind) for panel in declared.panels()]
-    if not (visited | terminal).all():
+    if not all(cells[s] for s in np.flatnonzero(~visited & ~terminal)):
         shown[-1].caption = "empty: out of reach from the start"
     return shown
 

@@ -6,6 +6,7 @@
 import contextlib
 import dataclasses
 import inspect
+import os
 import sys
 import typing
 from collections.abc import Mapping, Sequence
@@ -21,7 +22,7 @@ from jaxrl_tab.core.errors import InputError, one_line, reason, shown
 
 Plain = bool | int | float | str | list | tuple | None  # of a parameter that another library checks
 
-Lines = str | Sequence[str] | Mapping[str, Any]
+Lines = str | os.PathLike[str] | Sequence[str] | Mapping[str, Any]
 """Of a parameter that is text in lines: a list or a text of them, a file (.txt), or a table, as its class reads it."""
 
 
@@ -120,6 +121,7 @@ def value(what: str, written: Any, parameter: Parameter) -> Any:
 
 def lines_of(written: Any) -> list[Any] | None:
     """The lines that `written` has as a text or a list; None where it is neither."""
+    written = os.fspath(written) if isinstance(written, os.PathLike) else written
     return written.splitlines() if isinstance(written, str) else list(written) if is_list(written) else None
 
 

@@ -10,11 +10,13 @@ As text, a map is its rows, and below them a line for each letter and each setti
     slip: 2/3
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.errors import InputError, nearest, shown, unfit
@@ -69,7 +71,8 @@ def name_of(written: Any) -> str:
     """The name that is written in place of a map, that of a file or of a map of ours; empty where it is drawn."""
     words = describe.lines_of(written) or []
     word = words[0] if len(words) == 1 and isinstance(words[0], str) else ""
-    return word if isinstance(written, str) or word in MAPS or word.endswith(".txt") or word.islower() else ""
+    is_alone = isinstance(written, str | os.PathLike)
+    return word if is_alone or word in MAPS or word.endswith(".txt") or word.islower() else ""
 
 
 def read(who: str, written: Any) -> Drawn:
@@ -118,8 +121,8 @@ def read_legend(who: str, written: Any) -> Legend:
         pairs = [(key.strip(), value) for key, _, value in (str(line).partition(":") for line in lines)]
     legend: Legend = {}
     for letter, meaning in pairs:
-        if not isinstance(letter, str) or len(letter) != 1 or not letter.isprintable() or letter in "#SG. :":
-            problem = f"the legend is of single letters, but for # S G . and :, not of {shown(letter)}"
+        if not isinstance(letter, str) or len(letter) != 1 or not letter.isprintable() or letter in "#SG. ,:":
+            problem = f"the legend is of single letters, but for # S G . , and :, not of {shown(letter)}"
             raise InputError(problem, who=who, field="legend")
         if letter in legend:
             raise InputError(f"the legend has {letter!r} twice", who=who, field="legend")
@@ -163,7 +166,11 @@ def check_rows(who: str, rows: Sequence[str], legend: Legend) -> None:
 
 def number(who: str, what: str, value: Any) -> float:
     """`value` as a float. Raises InputError unless it is one finite number."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not abs(float(value)) < 1e30:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float | np.integer | np.floating)
+        or not abs(value) < 1e30
+    ):
         raise unfit(who, what, "a number", value)
     return float(value)
 

@@ -1,6 +1,7 @@
 """Mazes that a person draws, and frozen lakes (book, examples 3.5, 4.1, 6.6 and 8.1; Gymnasium's FrozenLake)."""
 
 import functools
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -175,7 +176,9 @@ class Maze(DrawnGrid):
     def _given(self) -> dict[str, Any]:
         """The settings that do not leave to the map what holds."""
         own = {key: getattr(self, key) for key in drawing.SETTINGS}
-        return {key: x for key, x in own.items() if x is not None and not (is_list(x) and len(x) == 0)}
+        if is_list(self.wind) and len(self.wind) == 0:
+            del own["wind"]
+        return {key: x for key, x in own.items() if x is not None}
 
 
 @pytree
@@ -199,8 +202,8 @@ class FrozenLake(DrawnGrid):
         who = type(self).__name__
         success_rate = drawing.number(who, "success_rate", self.success_rate)
         assign(self, success_rate=success_rate)
-        if not self.map:
-            return
+        if isinstance(self.map, tuple) and not self.map:
+            return  # it is one of Gymnasium
         drawn = drawing.read(who, self.map)
         if drawn.settings:
             raise InputError("a lake has no settings below its map; a maze has", who=who, field="map")
@@ -215,45 +218,83 @@ class FrozenLake(DrawnGrid):
         return Plan(drawn.rows, tuple((ICE | drawn.legend).items()), 4, 0.0, 1.0, None, slip, ())
 
 
+class _Cells(NamedTuple):
+    """What holds in each cell, all [S].
+
+    Attributes:
+        letter: the one that is drawn.
+        is_terminal: whether nothing goes on there; of a wall, too.
+        enter: the reward of a step that ends there.
+        put: the state in which one is who enters: the cell itself, or where a door leads.
+        slip, lift: of the moves that are made there: the probability, and the rows of wind.
+    """
+
+    letter: np.ndarray
+    is_terminal: np.ndarray
+    enter: np.ndarray
+    put: np.ndarray
+    slip: np.ndarray
+    lift: np.ndarray
+
+
 @functools.lru_cache(maxsize=64)
 def tabulated(plan: Plan) -> Table:
     """The outcomes of a plan."""
-    letters, legend = _letters(plan), dict(plan.legend)
-    states, is_wall = np.arange(len(letters)), letters == WALL
-    enter = np.where(letters == GOAL, plan.goal_reward, plan.step_reward)  # the reward of ending in a cell
-    is_terminal, put = is_wall | (letters == GOAL), states.copy()  # `put`: where one is who enters a cell
-    slip, lift = (
-        np.full(len(letters), plan.slip),
-        np.tile(plan.wind or 0, len(letters) // len(plan.wind or "0")),
-    )
-    for letter, of in legend.items():
-        here = letters == letter
-        is_terminal |= here & of.terminal
-        slip[here] = plan.slip if of.slip is None else of.slip
-        lift[here] = lift[here] if of.wind is None else of.wind
-        enter[here] = plan.step_reward if of.reward is None or of.jump else of.reward
-    for letter, of in legend.items():
-        if of.to and (here := letters == letter).any():
-            put[here] = np.flatnonzero(letters == of.to)[0]
-            enter[here] = enter[put[here]] if of.reward is None else of.reward
-    landing, bumped = _landings(plan, is_wall, lift)
-    s_next, reward = put[landing], enter[landing]
+    cells, states = _cells(plan), np.arange(len(plan.rows) * len(plan.rows[0]))
+    landing, is_stopped = _landings(plan, cells)
+    s_next, reward = cells.put[landing], cells.enter[landing]
     if plan.bump_reward is not None:
-        reward[bumped & (landing == states[:, None])] = plan.bump_reward
-    for letter, of in legend.items():
-        if of.jump and (here := letters == letter).any():
-            s_next[here] = target = np.flatnonzero(letters == of.jump)[0]
-            reward[here] = enter[target] if of.reward is None else of.reward
-    s_next[is_terminal], reward[is_terminal] = states[is_terminal, None], 0.0
+        reward[is_stopped & (landing == states[:, None])] = plan.bump_reward
+    for letter, of in plan.legend:
+        if of.jump and (here := cells.letter == letter).any():
+            s_next[here] = target = _only(cells, of.jump)
+            reward[here] = cells.enter[target] if of.reward is None else of.reward
+    over = cells.is_terminal
+    s_next[over], reward[over] = states[over, None], 0.0
     # A move and its two sides; of three likely outcomes pictures show the one in the middle.
-    which, prob = np.arange(plan.num_actions)[:, None], np.ones((len(letters), 1))
-    if slip.any():
+    which, prob = np.arange(plan.num_actions)[:, None], np.ones((len(states), 1))
+    if cells.slip.any():
         which = np.array([(_turned(a, -1), a, _turned(a, 1)) for a in range(plan.num_actions)])
-        prob = np.stack([slip / 2, 1 - slip, slip / 2], -1)
+        prob = np.stack([cells.slip / 2, 1 - cells.slip, cells.slip / 2], -1)
     prob = np.repeat(prob[:, None], plan.num_actions, 1)
-    stands = ~is_terminal & (put == states)
-    starts = np.flatnonzero(letters == START) if START in letters else np.flatnonzero(stands)
-    return Table(s_next[:, which].astype(np.int32), prob, reward[:, which], is_terminal, starts)
+    is_start = cells.letter == START
+    starts = np.flatnonzero(is_start if is_start.any() else ~over & (cells.put == states))
+    return Table(s_next[:, which].astype(np.int32), prob, reward[:, which], over, starts)
+
+
+def _cells(plan: Plan) -> _Cells:
+    letter, rows = _letters(plan), len(plan.rows)
+    is_goal = letter == GOAL
+    cells = _Cells(
+        letter,
+        is_terminal=is_goal | (letter == WALL),
+        enter=np.where(is_goal, plan.goal_reward, plan.step_reward),
+        put=np.arange(len(letter)),
+        slip=np.full(len(letter), plan.slip),
+        lift=np.tile(_within(rows, plan.wind or (0,) * len(plan.rows[0])), rows),
+    )
+    for name, of in plan.legend:
+        here = letter == name
+        cells.is_terminal[here] = of.terminal
+        cells.enter[here] = plan.step_reward if of.reward is None or of.jump else of.reward
+        cells.slip[here] = plan.slip if of.slip is None else of.slip
+        if of.wind is not None:
+            cells.lift[here] = _within(rows, [of.wind])
+    for name, of in plan.legend:
+        if of.to and (here := letter == name).any():
+            cells.put[here] = target = _only(cells, of.to)
+            cells.enter[here] = cells.enter[target] if of.reward is None else of.reward
+    return cells
+
+
+def _within(rows: int, wind: Sequence[int]) -> np.ndarray:
+    """Wind, no stronger than from one edge to the other."""
+    return np.array([max(-rows, min(rows, strength)) for strength in wind])
+
+
+def _only(cells: _Cells, letter: str) -> int:
+    """The state of the one cell with a letter."""
+    return int(np.flatnonzero(cells.letter == letter)[0])
 
 
 def _letters(plan: Plan) -> np.ndarray:
@@ -266,25 +307,23 @@ def _turned(a: int, by: int) -> int:
     return a if a == 8 else a - a % 4 + (a + by) % 4
 
 
-def _landings(plan: Plan, is_wall: np.ndarray, lift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each move leads from each cell, int [S, A], and whether something was in its way, bool [S, A].
+def _landings(plan: Plan, cells: _Cells) -> tuple[np.ndarray, np.ndarray]:
+    """The cell to which each move leads from each cell, int [S, A], and whether anything stopped it, bool [S, A].
 
     The move and the wind add up. The first step may go sideways, those after it up or down alone.
     """
-    shape = len(plan.rows), len(plan.rows[0])
-    is_wall, here = is_wall.reshape(shape), np.indices(shape).reshape(2, -1, 1)
-    move = np.array(COMPASS[: plan.num_actions]).T[:, None]
-    (row, column), (down, right) = np.broadcast_arrays(*here, *move)[:2], move
-    down, right = np.broadcast_arrays(down - lift[:, None], right)
-    bumped, stopped = np.zeros(down.shape, bool), np.zeros(down.shape, bool)
-    for step in range(max(1, int(np.abs(down).max()))):
+    shape, move = (len(plan.rows), len(plan.rows[0])), np.array(COMPASS[: plan.num_actions])
+    is_wall = (cells.letter == WALL).reshape(shape)
+    row, column = (x.reshape(-1, 1) for x in np.indices(shape))
+    down, right = move[:, 0] - cells.lift[:, None], move[:, 1]
+    at_wall = is_stopped = np.zeros(down.shape, bool)
+    for step in range(max(1, np.abs(down).max())):
         to = row + np.sign(down) * (np.abs(down) > step), column + (right if step == 0 else 0)
         inside = [np.clip(x, 0, n - 1) for x, n in zip(to, shape, strict=True)]
-        hit = is_wall[tuple(inside)]
-        bumped |= ~stopped & (hit | (inside[0] != to[0]) | (inside[1] != to[1]))
-        stopped |= hit
-        row, column = (np.where(stopped, x, y) for x, y in zip((row, column), inside, strict=True))
-    return row * shape[1] + column, bumped
+        is_stopped = is_stopped | (inside[0] != to[0]) | (inside[1] != to[1])
+        at_wall = at_wall | is_wall[tuple(inside)]
+        row, column = (np.where(at_wall, x, y) for x, y in zip((row, column), inside, strict=True))
+    return row * shape[1] + column, is_stopped | at_wall
 
 
 def _check_start(who: str, plan: Plan) -> None:
