@@ -358,3 +358,12 @@ def test_the_command_says_where_an_update_is_another_one(capsys, tmp_path):
         "The mean of what is sampled is not the full backup: the largest difference over all 5 pairs of state and "
         "action is 0.25." in capsys.readouterr().out
     )
+
+
+def test_the_command_says_that_a_method_has_diverged(capsys):
+    """Broken once: not looked at -> "q0 must be a number, not an array"."""
+    assert (
+        main(["bridge", "random-walk", "expected-sarsa", "--states", "3", "--alpha", "90", "--steps", "500"])
+        == 2
+    )
+    assert "after 500 steps expected-sarsa has diverged" in capsys.readouterr().err

@@ -51,7 +51,7 @@ def test_lanes_in_turn_and_side_by_side_give_the_same(name, windy, monkeypatch):
         return jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(4), 6))
 
     in_turn = q(300)
-    monkeypatch.setattr(tables, "_lane_by_lane", lambda: False)
+    monkeypatch.setattr(tables, "lanes_in_turn", lambda: False)
     np.testing.assert_array_equal(q(150), in_turn)
     assert len(np.unique(in_turn, axis=0)) > 1
 
@@ -80,7 +80,7 @@ def _with_sum(table, x, y):
 @pytest.mark.parametrize("in_turn", [True, False])
 def test_a_table_is_changed_where_the_condition_holds_with_any_lanes(in_turn, monkeypatch):
     """Broken once: changed where it does not hold, or in the first lane -> each fails."""
-    monkeypatch.setattr(tables, "_lane_by_lane", lambda: in_turn)
+    monkeypatch.setattr(tables, "lanes_in_turn", lambda: in_turn)
     rand = np.random.default_rng(0)
     table, y = rand.normal(size=(2, 3, 4, 5, 2)).astype(np.float32)
     x, is_due = rand.normal(size=(3, 4)).astype(np.float32), rand.random((3, 4)) < 0.5

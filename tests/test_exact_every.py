@@ -38,6 +38,12 @@ def test_every_fourth_row_and_the_last_have_them_and_nothing_else_changes(budget
         assert name not in THIN or np.isnan(np.delete(thin[name], measured, -1)).all()
 
 
+def test_of_fewer_rows_than_are_left_out_the_last_has_them():
+    """Broken once: a loop over no groups of rows -> `lanes` fails."""
+    log = rl.sweep(DOORS, "sarsa", num_seeds=2, num_episodes=3, exact_every=4).log
+    np.testing.assert_array_equal(np.isfinite(log.policy_value), [[False, False, True]] * 2)
+
+
 @pytest.mark.slow
 def test_errors_of_prediction_are_in_all_rows():
     """They are what methods are compared by. Broken once: thinned out as well -> NaN."""

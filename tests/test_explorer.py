@@ -232,6 +232,18 @@ def test_runs_that_are_not_the_same_again_are_left_out(windy, windy_set):
         assert bool(data["missing"]) == bool(text)
 
 
+def test_what_one_method_lacks_beside_another_is_left_out(windy, windy_set):
+    """A method without `probs` has no policy_value. Broken once: a score without its measure -> KeyError."""
+    exact = windy_set.assign(greedy_value=windy_set.returns, policy_value=windy_set.returns)
+    methods = Methods.of({"sarsa": exact, "own": exact.drop_vars("policy_value")}, windy)
+    shown = [
+        {one["key"] for one in chapter.explorer("windy", methods).data[kind]}
+        for kind in ("measures", "scores")
+    ]
+    assert shown[0] >= {"greedy_value"} and shown[1] >= {"greedy_value end"}
+    assert not any("policy_value" in key for key in shown[0] | shown[1])
+
+
 def test_of_many_settings_the_page_keeps_the_best(windy, windy_set, tmp_path):
     """10,000 settings are below 10 MB. Broken once: without those beside the best one -> fails."""
     n = 100

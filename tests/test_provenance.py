@@ -17,8 +17,8 @@ from jaxrl_tab import plot
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import provenance, room
+from jaxrl_tab.experiment import runner, storage
 from jaxrl_tab.experiment import shards as splitting
-from jaxrl_tab.experiment import storage
 
 SHARDS = 64 * 200
 WALK = rl.Experiment("random-walk", "sarsa", seeds=130, steps=200)  # three shards
@@ -223,6 +223,29 @@ def test_folders_of_earlier_versions_are_refused_unless_they_are_finished(whole,
         rl.resume(folder)
     rl.resume(folder, mixed=True)
     assert "what it was computed with is not recorded" in (folder / "report.html").read_text()
+
+
+def without(name, folder, *numbers):
+    """Makes shards of a folder ones that an earlier version wrote, which did not record this."""
+    for number in numbers:
+        file = folder / "shards" / f"00000{number}.npz"
+        arrays = dict(np.load(file))
+        del arrays[name]
+        np.savez(file, **arrays)
+    (folder / "manifest.json").unlink()
+
+
+def test_what_earlier_versions_did_not_record_is_not_missed(tmp_path):
+    """Broken once: shards compared by all of their arrays -> called damaged, and set aside, even by `explain`."""
+    folder = tmp_path / "run"
+    new = rl.run(rl.Experiment("two-doors", "sarsa", seeds=70, steps=200, exact=True), folder)
+    without("policy_value", folder, 0)  # of two shards, as after `resume(mixed=True)`
+    runner.explain(folder)
+    again = rl.resume(folder)
+    one, other = new.datasets["two-doors/sarsa"], again.datasets["two-doors/sarsa"]
+    assert "policy_value" in one and "policy_value" not in other
+    np.testing.assert_array_equal(other.q_error, one.q_error)
+    assert not (folder / "set-aside").exists()
 
 
 def test_a_setting_that_cannot_be_set_is_refused(folder):

@@ -149,9 +149,9 @@ def test_its_bytes_are_in_the_plan_and_in_the_size_of_shards(here):
     (part,), (bare,) = experiment().parts().values(), experiment(None).parts().values()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shards, "SHARD_STEPS", 2**40)
-        patch.setattr(shards, "SHARD_BYTES", 128 * 4 * (280 + 3 * 8))
+        patch.setattr(shards, "SHARD_BYTES", 128 * 4 * (280 + 3 * 7))
         assert shards.shard_runs(bare) == 128
-        patch.setattr(shards, "SHARD_BYTES", 192 * 4 * (280 + 3 * (8 + 287)))
+        patch.setattr(shards, "SHARD_BYTES", 192 * 4 * (280 + 3 * (7 + 287)))
         assert shards.shard_runs(part) == 192
     room = memory.size(jax.ShapeDtypeStruct((), np.float32)) * 64 * 280
     with pytest.raises(InputError, match="runs at a time on each device"):

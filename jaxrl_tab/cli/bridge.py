@@ -23,6 +23,7 @@ from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import parse, word
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.core.types import available_actions
@@ -137,6 +138,11 @@ def _compare(env: Any, method: Any, row: bridge.Row, options: Bridge) -> Compare
     values = np.asarray(state.v if of_method(method).learns is Learns.STATES else state.q, np.float64)
     if values.ndim == 2 and (available := available_actions(env)) is not None:
         values = np.where(available, values, UNAVAILABLE)
+    if not np.isfinite(values).all():
+        raise InputError(
+            f"after {counted(options.steps, 'steps')} {options.method} has diverged: a value is infinite, or not a "
+            "number; take a smaller alpha, or fewer steps"
+        )
     mean, full = bridge.expected_backup(method, env, values), bridge.full_backup(method, env, values)
     return Compared(env, method, row, values, mean, full)
 

@@ -16,6 +16,7 @@ from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.budget import NO_RECORDER, Record
 
 _NAMES = {"q", "diverged", "optimum", "environment", "method", DRAW, "seed", "row", "state", "action"}
+LATER = frozenset({"policy_value"})  # fields that earlier versions did not record: files of theirs lack them
 _OWN = "recorded."  # before the names of what is recorded, where they stand beside the fields
 
 

@@ -309,6 +309,8 @@ class _Rows(NamedTuple):
             )
 
         groups, rest = divmod(count, thin.every)
+        if rest and not groups:
+            return group(carry, xs, rest, self.is_end)
         first, last = (
             jax.tree.map(lambda x, of=of: x[of], xs)
             for of in (slice(count - rest), slice(count - rest, None))

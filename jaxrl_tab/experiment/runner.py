@@ -26,7 +26,7 @@ from jaxrl_tab.core import names
 from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
 from jaxrl_tab.engine import backend, batch, provenance, speeds
-from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.log import LATER, Log
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
@@ -234,6 +234,10 @@ def _compute(
     missing = _missing(store, job)
     if missing:
         origin.check(store.path)
+    for number in missing:
+        if number in store.shards and _is_of_setting(store, job, number):
+            store.leave_out(number)
+    _warn_of_damage(store)
     clock = speeds.Clock()
     meter.begin(store, job, missing, later, clock.known)
     # Where it stops, the workers do.
@@ -265,16 +269,23 @@ def _heard(underway: Callable[[int, int], None]) -> Iterator[None]:
 
 def _missing(store: Store, job: Job) -> list[int]:
     """The numbers of the shards that are to be computed."""
-    missing = [number for number, shard in enumerate(job.shards) if not _has_shard(store, job, number, shard)]
-    _warn_of_damage(store)
-    return missing
+    return [number for number, shard in enumerate(job.shards) if not _has_shard(store, job, number, shard)]
 
 
 def _has_shard(store: Store, job: Job, number: int, shard: Shard) -> bool:
-    """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give."""
-    if number not in store.shards or store.shards[number].setting != job.setting(shard):
+    """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give.
+
+    It may lack what an earlier version did not record.
+    """
+    if number not in store.shards or not _is_of_setting(store, job, number):
         return False
-    return store.keep_if(number, _shapes(job.parts[shard.part], shard))
+    expected, found = _shapes(job.parts[shard.part], shard), store.shapes(number)
+    return {**{name: expected[name] for name in LATER & expected.keys()}, **found} == expected
+
+
+def _is_of_setting(store: Store, job: Job, number: int) -> bool:
+    """Whether a shard that is there is of the setting that is chosen now, if it is one of fresh seeds."""
+    return store.shards[number].setting == job.setting(job.shards[number])
 
 
 def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
@@ -287,15 +298,16 @@ def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
 def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[dict[str, xr.Dataset], int]":
     """The results of some parts from their shards, which are all there; and how much of `room` is left.
 
+    What some shards of a part lack, which an earlier version wrote, the results lack.
     What does not fit in `room`, in bytes, is in temporary files; see `memory.Results`.
     """
     datasets = {}
     for name in names:
         part, results, seconds = job.parts[name], None, np.zeros(2)
-        for number, shard in enumerate(job.shards):
-            if shard.part != name:
-                continue
-            arrays = store.read(number)
+        own = {number: shard for number, shard in enumerate(job.shards) if shard.part == name}
+        in_all = set.intersection(*(set(store.shapes(number)) for number in own))
+        for number, shard in own.items():
+            arrays = {key: x for key, x in store.read(number).items() if key in in_all}
             seconds += arrays.pop("seconds")
             if results is None:
                 like = {key: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for key, x in arrays.items()}

@@ -146,8 +146,9 @@ def shard_runs(part: Part) -> int:
     if budget.exact:  # a system of equations in rows, a hundred multiply-adds in the time of a step
         steps += rows // (budget.exact_every or 1) * states**3 // 300
     recorded = sum(x.size for x in jax.tree.leaves(recorded_shapes(budget.record, part.configs[0], part.env)))
-    # A table; and in each row at most 8 numbers (sums, and exact values), and those of the recorder.
-    bytes_per_run = 4 * (states * part.env.num_actions + rows * (8 + recorded))
+    # A table; and in each row some 7 numbers (sums, and exact values), and those of the recorder. They are 8 with
+    # `policy_value`; but what is split otherwise than it was cannot be put together with what folders have.
+    bytes_per_run = 4 * (states * part.env.num_actions + rows * (7 + recorded))
     return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // bytes_per_run) // room.LANES) * room.LANES
 
 

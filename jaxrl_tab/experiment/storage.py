@@ -274,18 +274,18 @@ class Store:
             raise RunError(f"{file} was damaged while it was in use")
         return {name: array for name, array in arrays.items() if name != ABOUT}
 
-    def keep_if(self, number: int, shapes: Mapping[str, tuple[Any, Any]]) -> bool:
-        """Whether a shard is there and holds just these arrays, (shape, dtype) each; else it is set aside."""
-        if number not in self.shards:
-            return False
+    def shapes(self, number: int) -> dict[str, tuple[Any, Any]]:
+        """(shape, dtype) of each array of a shard that is there, by its name."""
         file = self.path / SHARDS / _name(number)
         with as_run_error(file, "read"):
-            shapes_in_file = _load(file, _shape) or {}
-        if {name: x for name, x in shapes_in_file.items() if name != ABOUT} == shapes:
-            return True
-        self.problems.append(set_aside(file, self.path, "computed again"))
+            shapes = _load(file, _shape) or {}
+        return {name: x for name, x in shapes.items() if name != ABOUT}
+
+    def leave_out(self, number: int) -> None:
+        """Sets a shard aside that is whole, and holds what is not of use here."""
+        file = self.path / SHARDS / _name(number)
+        self.problems.append(set_aside(file, self.path, "computed again", "is not as this version writes it"))
         del self.shards[number]
-        return False
 
     @property
     def files(self) -> list[str]:

@@ -75,7 +75,7 @@ def scores_of(ds: xr.Dataset, measures: Sequence[Measure], levels: Sequence[floa
     }
     titles = {measure.key: measure.title for measure in measures}
     for name, (kind, middle) in ends.items():
-        if name in ds:
+        if name in ds and name in titles:  # not where another method, beside it, lacks it
             shown.append(
                 Score(f"{name} end", f"{titles[name]}, at the end", kind, middle,
                       f'x = ds["{name}"].isel(row=-1)', partial(_at_end, name=name))
