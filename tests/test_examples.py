@@ -165,6 +165,7 @@ def test_the_example_of_a_log(capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised")  # a million steps, which take five times as long otherwise
 def test_the_example_of_a_replay(capsys):
     error = run_example("replay_old_policies", capsys)[0]["error"]
     assert error[0] > 3 > 100 * error[-1]

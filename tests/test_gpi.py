@@ -1,5 +1,6 @@
 """The picture of generalized policy iteration, `solve --steps`, and docs/gpi.md: numbers from plain loops."""
 
+import io
 import json
 import re
 import runpy
@@ -8,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.text import Text
+from rich.console import Console
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning, plot
-from jaxrl_tab.cli import main
+from jaxrl_tab.cli import main, tables
 from jaxrl_tab.figures import FIGURES, gpi
 
 FIGURE = FIGURES["gpi"]
@@ -283,3 +285,15 @@ def test_its_python_runs():
         names = {}
         exec(code, names)
         assert names["history"].settled
+
+
+def test_wide_grids_are_whole_in_a_file_and_a_narrow_window_is_told():
+    """Broken once: printed as wide as the console is -> columns are missing, unsaid."""
+    env = rl.TraceGridworld(shape=(1, 40), start=(0, 0), goal=(0, 39))
+    _, v, q = planning.policy_iteration(env)
+    tables.show(Console(file=(file := io.StringIO()), width=60), *tables.tables(env, v, q))
+    top = file.getvalue().splitlines()[1]
+    assert [int(x) for x in top.replace("┃", " ").split()] == list(range(40))
+    window = Console(file=(file := io.StringIO()), width=60, force_terminal=True, color_system=None)
+    tables.show(window, *tables.tables(env, v, q))
+    assert "The window is too narrow, and cuts columns off: 243" in file.getvalue()

@@ -6,11 +6,12 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from rich.console import Console
 
 import jaxrl_tab as rl
 from jaxrl_tab.algorithms.moments import best_alpha, learning_curve
 from jaxrl_tab.algorithms.prediction import TD, NStepTD, TDLambda
-from jaxrl_tab.cli import main
+from jaxrl_tab.cli import main, moments
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.show import plot
 from jaxrl_tab.show.exact_curves import MOST, PARTS
@@ -51,6 +52,17 @@ def test_it_prints_the_numbers_of_the_library(curve, capsys):
     cells = [cell.strip() for cell in starred.split("│")[1:-1]]
     assert [float(cells[0]), int(cells[1])] == [GRID["alpha"][i], GRID["n"][k]]
     assert float(cells[-1].removesuffix(" *")) == pytest.approx(mean.min(), rel=6e-4)
+
+
+def test_in_a_narrow_window_columns_go_and_no_number_is_cut_off(curve, capsys, monkeypatch):
+    """Broken once: all columns in 40 characters -> "0.05…"."""
+    monkeypatch.setattr(moments, "console", lambda: Console(highlight=False, width=40))
+    assert main([*TASK, *TYPED, "--whole-run"]) == 0
+    out = capsys.readouterr().out
+    assert "…" not in out and f"{curve.mse[0, 0, 1:].mean():.4g}" in out
+    assert "wider window the table has: error after episode 2; of which squared bias; variance" in (
+        " ".join(out.split())
+    )
 
 
 def test_the_best_alpha_and_what_programs_read(curve, capsys):

@@ -160,7 +160,7 @@ def _print(found: Found, options: Moments) -> None:
     out, curve = console(), found.curve
     shared = [f"{name} {words(x)}" for name, x in found.fixed.items()]
     out.print(f"[bold]{escape(options.env)}[/]: {', '.join([options.method, *shared])}", soft_wrap=True)
-    out.print(_table(found, options))
+    _print_table(found, options)
     say = lambda line: out.print(line, markup=False)
     first, states = curve.mse.reshape(-1, curve.mse.shape[-1])[0, 0], counted(len(curve.states), "states")
     say(
@@ -177,25 +177,45 @@ def _print(found: Found, options: Moments) -> None:
         say(f"Between 0 and 1 the best alpha is that with the least {judged}.")
 
 
-def _table(found: Found, options: Moments) -> Table:
-    """A row for each setting."""
-    curve, is_best = found.curve, found.is_best
+def _print_table(found: Found, options: Moments) -> None:
+    """A row for each setting. Where the window is too narrow, columns go; that by which settings are judged stays."""
+    out, columns, left_out = console(), _columns(found, options), []
+    *earlier, last = [name for name in columns if name.startswith("error")]
+    parts = [name for name in columns if name.endswith(("bias", "variance"))]
+    for name in [*earlier, *parts, *([last] if options.whole_run else [])]:
+        if _table(found, columns).__rich_measure__(out, out.options).maximum > out.width:
+            left_out.append(" ".join(name.split()))
+            del columns[name]
+    out.print(_table(found, columns))
+    if left_out:
+        out.print(f"In a wider window the table has: {'; '.join(left_out)}.", markup=False)
+
+
+def _columns(found: Found, options: Moments) -> dict[str, list[str]]:
+    """What stands in each column, by its heading; by the last of the errors settings are judged."""
+    curve, places = found.curve, [place for place, _ in found.settings]
+    written = lambda x: [cell(x[place], _number) for place in places]
+    values = zip(*([words(x) for x in setting] for _, setting in found.settings), strict=True)
+    columns = dict(zip(curve.grid, map(list, values), strict=False))
     episodes = [k for k in (options.episodes // 100, options.episodes // 10, options.episodes) if k]
-    judged = ["mean over\nall episodes"] if options.whole_run else []
-    errors = [f"error after\nepisode {k}" for k in episodes]
-    view = Table(*curve.grid, *errors, "of which\nsquared bias", "\nvariance", *judged)
+    columns |= {f"error after\nepisode {k}": written(curve.mse[..., k]) for k in episodes}
+    last = f"error after\nepisode {options.episodes}"
+    columns["of which\nsquared bias"] = written(curve.squared_bias[..., -1])
+    columns["\nvariance"] = written(curve.variance[..., -1])
+    if options.whole_run:
+        columns[last := "mean over\nall episodes"] = written(found.judged)
+    columns[last] = [
+        f"{x} *" if found.is_best[place] else x for x, place in zip(columns[last], places, strict=True)
+    ]
+    return columns
+
+
+def _table(found: Found, columns: Mapping[str, list[str]]) -> Table:
+    view = Table(*columns)
     for column in view.columns:
         column.justify = "right"
-    for place, setting in found.settings:
-        numbers = [curve.mse[place][k] for k in episodes]
-        numbers += [curve.squared_bias[place][-1], curve.variance[place][-1]]
-        cells = [cell(x, _number) for x in numbers]
-        if options.whole_run:
-            cells.append(cell(found.judged[place], _number))
-        star = bool(is_best[place])
-        if star:
-            cells[-1 if options.whole_run else len(episodes) - 1] += " *"
-        view.add_row(*map(words, setting), *cells, style="bold" if star else None)
+    for cells, (place, _) in zip(zip(*columns.values(), strict=True), found.settings, strict=True):
+        view.add_row(*cells, style="bold" if found.is_best[place] else None)
     return view
 
 

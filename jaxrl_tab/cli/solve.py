@@ -11,7 +11,7 @@ from rich.table import Table
 from jaxrl_tab.cli.common import ENVIRONMENT, find, named_in, new_folder, start_jax, with_own
 from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import console, print_json
-from jaxrl_tab.cli.tables import arrows, tables
+from jaxrl_tab.cli.tables import arrows, show, tables
 from jaxrl_tab.cli.typed import parse, values_of, word, words
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.checks import build
@@ -96,8 +96,7 @@ def solve_command(argv: list[str]) -> int:
         )
         if title in histories:
             _print_steps(env, histories[title])
-        for table in tables(env, v, q):
-            out.print(table)
+        show(out, *tables(env, v, q))
     if (mean_value := of_environment(env).mean_optimal_value) is not None:
         mean = escape(six_digits(mean_value(options.gamma)))
         out.print(f"Each run of a sweep draws a problem of its own; the mean over them is [bold]{mean}[/].")
@@ -155,8 +154,7 @@ def _print_steps(env: Any, history: planning.Iterates) -> None:
     out.print(table)
     out.print(_what_became(history), soft_wrap=True)
     if isinstance(env, Grid) and count <= POLICIES:
-        for n, policy in enumerate(history.policy):
-            out.print(arrows(env, policy, f"policy {n}"))
+        show(out, *(arrows(env, policy, f"policy {n}") for n, policy in enumerate(history.policy)))
 
 
 def _how(history: planning.Iterates) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -14,6 +15,7 @@ from jaxrl_tab.exact import planning
 from jaxrl_tab.show.moves import preferring
 from jaxrl_tab.show.words import short_number, six_digits
 
+WIDEST = 100_000  # characters of a line, where nothing limits them
 MANY_STATES = 500  # the rows of a table that people look through, at most
 
 
@@ -44,6 +46,19 @@ def tables(env: Any, v: np.ndarray, q: np.ndarray | None) -> list[Table]:
     if not all(cells[s] for s in np.flatnonzero(~visited & ~terminal)):
         shown[-1].caption = "empty: out of reach from the start"
     return shown
+
+
+def show(out: Console, *shown: Table) -> None:
+    """Prints tables of places, whole where that is a file; of a window that is too narrow it says so."""
+    of, width = out.options.update(max_width=WIDEST), out.width
+    widest = max(table.__rich_measure__(out, of).minimum for table in shown)
+    if not out.is_terminal:
+        out.width = max(width, widest)
+    for table in shown:
+        out.print(table)
+    out.width = width
+    if out.is_terminal and widest > width:
+        out.print(f"The window is too narrow, and cuts columns off: {widest} characters are needed.")
 
 
 def position(env: Any, q: np.ndarray | None, s: int) -> list[Table]:

@@ -24,7 +24,7 @@ from jaxrl_tab.cli.common import (
 )
 from jaxrl_tab.cli.screen import busy
 from jaxrl_tab.cli.streams import console
-from jaxrl_tab.cli.tables import position, tables
+from jaxrl_tab.cli.tables import position, show, tables
 from jaxrl_tab.cli.typed import FILE, parse, word
 from jaxrl_tab.core.declared import Learns, of_environment
 from jaxrl_tab.core.errors import InputError
@@ -137,8 +137,7 @@ def _show(watched: Watched) -> None:
     if isinstance(env, FiniteEnvironment) and (of_environment(env).panels() or env.num_states <= FEW_STATES):
         q = np.asarray(watched.q, float)
         out.print("What it has learned by then:")
-        for table in tables(env, q.max(-1), q if told.learns is Learns.ACTIONS else None):
-            out.print(table)
+        show(out, *tables(env, q.max(-1), q if told.learns is Learns.ACTIONS else None))
 
 
 def _frames(watched: Watched, told: Told) -> Iterator[Together]:
