@@ -380,6 +380,7 @@ REFUSALS = {
     "schedule 1 2 3 4 5 6 7 8 9": "at most 8 schedules stand side by side, not 9",
     "schedule glie --jsn": "did you mean '--json'?",
     "bridge --alpha 0.1": "name an environment: windy-gridworld",
+    "bridge --steps 10": "name an environment: windy-gridworld",
     "bridge windy-gridworld": "name a method: sarsa",
     "bridge windy-gridworld sara": "did you mean 'sarsa'?",
     "bridge windy-gridworld sarsa --alpha 0": "alpha must be greater than 0, not 0.0",

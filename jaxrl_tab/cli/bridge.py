@@ -110,7 +110,8 @@ def bridge_command(argv: list[str]) -> int:
     }
     options, typed = parse(Bridge, argv, **groups)
     compared = None
-    if options.env or typed["environment"] or typed["hyperparameters"]:
+    of_learning = {"--steps", "--seed"} & set(typed["options"])
+    if options.env or typed["environment"] or typed["hyperparameters"] or of_learning:
         env, method = build_named(groups, typed, environment=options.env, hyperparameters=options.method)
         row = bridge.row_of(method)
         start_jax()
