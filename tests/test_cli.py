@@ -398,7 +398,7 @@ REFUSALS = {
     "solve windy-gridworld --shape 7": "shape must be (rows, columns)",
     "solve windy-gridworld --moves": "--moves: expected one argument",
     "solve windy-gridworld --moves king four": "unexpected argument 'four'",
-    "solve cliff-walking --moves king": "cliff-walking has no --moves, which belongs to windy-gridworld; "
+    "solve cliff-walking --moves king": "cliff-walking has no --moves, which belongs to windy-gridworld, maze; "
     "cliff-walking has --shape, --max-steps",
     "solve random-walk --states 4": "states must be odd",
     "moments": "name an environment: windy-gridworld",
@@ -599,7 +599,7 @@ def test_list_names_everything(capsys):
         not isinstance(cls().alpha, float) for cls in METHODS.values()
     )  # for control, for prediction, and where it is by default a schedule
     assert "A policy is one of greedy, epsilon-greedy[:EPSILON], softmax[:TEMPERATURE], ucb[:C]." in text
-    (line,) = [line for line in text.splitlines() if "--wind " in line]
+    line, *_ = [line for line in text.splitlines() if "--wind " in line]
     assert "0 0 0 1 1 1 2 2 1 0  Strength of each column" in line
 
 

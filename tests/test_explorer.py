@@ -162,7 +162,7 @@ def test_what_is_exact_is_the_solution(page):
     data, found = page
     exact = floats(found["data-1-exact"], 70, 4)
     np.testing.assert_allclose(exact, rl.planning.value_iteration(rl.make("windy-gridworld"))[1], rtol=1e-6)
-    assert data["scene"]["grid"]["goal"] == 37
+    assert data["scene"]["grid"]["letters"] == [[30, "S"], [37, "G"]]
     assert data["scene"]["start"] == [30]
 
 

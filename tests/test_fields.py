@@ -44,6 +44,8 @@ OUTSIDE = {
     "back": [-0.1, 1],
     "prizes": [[-1.0]],
     "left": [[-1.0, 2.0]],
+    "slip": [-0.1, 1.1],
+    "success_rate": [-0.1, 1.1],
     "right": [[-1.0, 2.0]],
 }
 LIMITED = [(cls, f.name) for cls in CLASSES for f in dataclasses.fields(cls) if f.metadata.get("limits")]

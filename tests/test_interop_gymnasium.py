@@ -354,8 +354,8 @@ def test_theirs_is_not_ours():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("FrozenLake-v1", "'gymnasium:FrozenLake-v1' imports it"),
-        ("frozen-lake", "'gymnasium:FrozenLake-v1' imports it"),
+        ("FrozenLake-v1", "did you mean 'frozen-lake'?"),
+        ("FrozenLake8x8-v1", "'gymnasium:FrozenLake8x8-v1' imports it"),
         ("Taxi-v3", "'gymnasium:Taxi-v4' imports it"),
         (
             "CartPole-v1",

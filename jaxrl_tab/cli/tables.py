@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.core import policies
@@ -38,14 +39,11 @@ def tables(env: Any, v: np.ndarray, q: np.ndarray | None) -> list[Table]:
         if (more := len(listed) - MANY_STATES) > 0:
             table.caption = f"and {more} more states: --json prints them all"
         return [table]
-    marks = {env.start_state: "[bold reverse]S[/] "} if isinstance(env, Grid) else {}
-    cells = [f"{short_number(v[s])}\n{marks.get(s, '')}[cyan]{best(s)}[/]" for s in range(env.num_states)]
-    for s in np.flatnonzero(terminal | ~visited):
-        cells[s] = ""
-    if isinstance(env, Grid):
-        cells[env.state(env.goal)] = "[bold green]G[/]"
+    acts = visited & ~terminal
+    actions = _lettered(env, [f"[cyan]{best(s)}[/]" for s in range(env.num_states)], acts)
+    cells = [f"{short_number(v[s])}\n{x}" if acts[s] else x for s, x in enumerate(actions)]
     shown = [_panel(panel, cells, declared.wind) for panel in declared.panels()]
-    if not (visited | terminal).all():
+    if not all(cells[s] for s in np.flatnonzero(~visited & ~terminal)):
         shown[-1].caption = "empty: out of reach from the start"
     return shown
 
@@ -72,7 +70,9 @@ def position(env: Any, q: np.ndarray | None, s: int) -> list[Table]:
     prefers = np.zeros(env.num_states, bool) if q is None else preferring(q)
     cells = [f"[dim cyan]{best(i)}[/]" if prefers[i] else "" for i in range(env.num_states)]
     if isinstance(env, Grid):
-        cells[env.state(env.goal)] = "[bold green]G[/]"
+        model = planning.exact_model(env)
+        acts = planning.reachable(model) & ~planning.terminal_states(model)
+        cells = _lettered(env, cells, acts, starts=False)
     cells[s] = "[bold reverse] ● [/]"
     declared = of_environment(env)
     return [
@@ -88,10 +88,27 @@ def arrows(env: Grid, policy: np.ndarray, title: str) -> Table:
     cells = [
         (f"[cyan]{best(s)}[/]" if prefers[s] else "any") if shown[s] else "" for s in range(env.num_states)
     ]
-    cells[env.start_state] = f"[bold reverse]S[/] {cells[env.start_state]}"
-    cells[env.state(env.goal)] = "[bold green]G[/]"
+    cells = _lettered(env, cells, shown)
     (panel,) = declared.panels()
     return _panel(panel._replace(title=title), cells, declared.wind, lines=False)
+
+
+def _lettered(env: Any, cells: Sequence[str], acts: np.ndarray, starts: bool = True) -> list[str]:
+    """The cells of states in which one `acts`, bool [S], and the others empty; on a grid with its letters and walls.
+
+    Without `starts` these have no letter.
+    """
+    shown = [cell if own else "" for cell, own in zip(cells, acts, strict=True)]
+    if not isinstance(env, Grid):
+        return shown
+    for s, letter in env.letters.items():
+        if acts[s] and (starts or letter != "S"):
+            shown[s] = f"[bold reverse]{escape(letter)}[/] {shown[s]}"
+        elif not acts[s]:
+            shown[s] = f"[bold green]{letter}[/]" if letter == "G" else f"[bold]{escape(letter)}[/]"
+    for cell in env.walls:
+        shown[env.state(cell)] = "[dim]▒▒▒▒▒[/]"
+    return shown
 
 
 def _best(env: Any, q: np.ndarray | None) -> Callable[[int], str]:

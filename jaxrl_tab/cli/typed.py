@@ -33,7 +33,15 @@ from jaxrl_tab.core.errors import InputError, shown
 
 PAIRS = Mapping[str, Any]  # the type of a parameter that is typed as KEY=VALUE ...
 FILE = str | Path | None  # the type of a parameter that names a file
-METAVARS = {int: "N", float: "X", str: "X", Path: "DIR", FILE: "FILE", PAIRS: "KEY=VALUE"}
+METAVARS = {
+    int: "N",
+    float: "X",
+    str: "X",
+    Path: "DIR",
+    FILE: "FILE",
+    PAIRS: "KEY=VALUE",
+    describe.Lines: "TEXT",
+}
 
 
 class Classes(NamedTuple):
@@ -209,7 +217,7 @@ def flag_of(parameter: describe.Parameter, spelled: str = "") -> str:
 
 def words(value: Any) -> str:
     """A value as it is typed; a dash where there is none."""
-    if value is None or value is dataclasses.MISSING:
+    if value is None or value is dataclasses.MISSING or (isinstance(value, tuple) and not value):
         return NONE
     if isinstance(value, bool | np.bool_):
         return "on" if value else "off"

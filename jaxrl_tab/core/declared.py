@@ -85,7 +85,7 @@ class OfEnvironment(NamedTuple):
         available: which actions a state has; None where each has all.
         panels: the tables in which people see the states, as `envs.base.Panel`; none where they are a list.
         action_names: a short name of each action, for pictures; their numbers where there are none.
-        wind: how strong the wind is in each column of a grid, [columns]; None where there is none.
+        wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
     """
 
     instance: Callable[..., Any] | None = None
@@ -121,6 +121,8 @@ def of_environment(env: Any) -> OfEnvironment:
     """What an environment declares."""
     values = _declared(OfEnvironment, env)
     values["action_names"] = values["action_names"] or tuple(map(str, range(env.num_actions)))
+    if isinstance(values["wind"], tuple):
+        values["wind"] = values["wind"] or None
     return OfEnvironment(**values)
 
 

@@ -6,9 +6,10 @@
 import contextlib
 import dataclasses
 import inspect
+import os
 import sys
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
 from fractions import Fraction
 from numbers import Integral, Real
@@ -16,10 +17,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxrl_tab.core import clock, policies, schedules
-from jaxrl_tab.core.checks import explained
-from jaxrl_tab.core.errors import InputError, shown
+from jaxrl_tab.core.checks import explained, is_list
+from jaxrl_tab.core.errors import InputError, one_line, reason, shown
 
 Plain = bool | int | float | str | list | tuple | None  # of a parameter that another library checks
+
+Lines = str | os.PathLike[str] | Sequence[str] | Mapping[str, Any]
+"""Of a parameter that is text in lines: a list or a text of them, a file (.txt), or a table, as its class reads it."""
 
 
 class Parameter(NamedTuple):
@@ -69,6 +73,8 @@ def takes_policy(parameter: Parameter) -> bool:
 
 def kind(parameter: Parameter) -> type:
     """The type in which its value, or each entry of its value, is written; a policy is written as text."""
+    if parameter.type == Lines:
+        return str
     if takes_schedule(parameter) or takes_policy(parameter):
         return float if takes_schedule(parameter) else str
     if parameter.default is MISSING or parameter.default is None:  # its annotation says it
@@ -111,6 +117,31 @@ def value(what: str, written: Any, parameter: Parameter) -> Any:
         problem = f"{what} takes {wanted}, not {shown(written)}"
         raise InputError(problem, field=what, wanted=wanted, value=written)
     return kind(parameter)(written)
+
+
+def lines_of(written: Any) -> list[Any] | None:
+    """The lines that `written` has as a text or a list; None where it is neither."""
+    written = os.fspath(written) if isinstance(written, os.PathLike) else written
+    return written.splitlines() if isinstance(written, str) else list(written) if is_list(written) else None
+
+
+def read_lines(written: Any, base: Path | None = None) -> Any:
+    """The lines of a file where `written` is its name, that ends in .txt, alone or in a list; else `written`.
+
+    Args:
+        written: what a person gives for `Lines`.
+        base: the folder from which the name starts; by default that of the process.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    words = lines_of(written) or []
+    if len(words) != 1 or not isinstance(words[0], str) or not words[0].endswith(".txt"):
+        return written
+    try:
+        return ((base or Path()) / words[0]).read_text("utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{one_line(words[0])} cannot be read: {reason(error)}") from None
 
 
 _KINDS: dict[type, tuple[str, type]] = {

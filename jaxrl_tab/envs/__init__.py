@@ -17,6 +17,7 @@ from jaxrl_tab.envs.finite_mdp import FiniteMDP
 from jaxrl_tab.envs.infinite_variance import InfiniteVariance
 from jaxrl_tab.envs.k_armed_testbed import KArmedTestbed
 from jaxrl_tab.envs.maximization_bias import MaximizationBias
+from jaxrl_tab.envs.maze import FrozenLake, Maze
 from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.two_doors import TwoDoors
@@ -33,10 +34,12 @@ ENVS: dict[str, type] = {
     "maximization-bias": MaximizationBias,
     "infinite-variance": InfiniteVariance,
     "trace-gridworld": TraceGridworld,
+    "maze": Maze,
+    "frozen-lake": FrozenLake,
 }
 
 # What people look for under these names, without hyphens, as Gymnasium calls it.
-GYMNASIUM = {"frozenlake": "FrozenLake-v1", "frozenlake8x8": "FrozenLake8x8-v1", "taxi": "Taxi-v4"}
+GYMNASIUM = {"frozenlake8x8": "FrozenLake8x8-v1", "taxi": "Taxi-v4"}
 
 
 def make(name: str, **parameters: Any):
@@ -94,10 +97,12 @@ __all__ = [
     "Finite",
     "FiniteMDP",
     "FixedStart",
+    "FrozenLake",
     "Grid",
     "InfiniteVariance",
     "KArmedTestbed",
     "MaximizationBias",
+    "Maze",
     "RandomWalk",
     "TraceGridworld",
     "TwoDoors",

@@ -113,8 +113,11 @@ class FixedStart(Finite):
         return jnp.int32(self.start_state)
 
 
-class Grid(FixedStart):
-    """A rectangle of cells, numbered row by row from the top left; one start, one goal that is terminal.
+class Grid(Finite):
+    """A rectangle of cells, numbered row by row from the top left.
+
+    It has one start, and one goal that is terminal, but where a subclass says otherwise in `starts`, `goals`, and
+    `walls`: pictures ask these.
 
     Attributes:
         shape: (rows, columns).
@@ -147,8 +150,43 @@ class Grid(FixedStart):
         return (Panel("", np.arange(self.num_states).reshape(self.shape), rows, columns),)
 
     @property
+    def starts(self) -> tuple[tuple[int, int], ...]:
+        """The cells in which episodes start, each equally likely."""
+        return (self.start,)
+
+    @property
+    def goals(self) -> tuple[tuple[int, int], ...]:
+        return (self.goal,)
+
+    @property
+    def walls(self) -> tuple[tuple[int, int], ...]:
+        """The cells that nobody can enter."""
+        return ()
+
+    @property
+    def letters(self) -> dict[int, str]:
+        """The state of a cell -> the letter that pictures have there."""
+        return {self.state(cell): x for x, cells in (("S", self.starts), ("G", self.goals)) for cell in cells}
+
+    @property
+    def start_states(self) -> list[int]:
+        """The states of `starts`."""
+        return [self.state(cell) for cell in self.starts]
+
+    @property
     def start_state(self) -> int:
-        return self.state(self.start)
+        """The first of them."""
+        return self.state(self.starts[0])
+
+    def initial(self) -> Float[Array, " S"]:
+        starts = np.array(self.start_states)
+        return jnp.zeros(self.num_states, dtype=float).at[starts].set(1 / len(starts))
+
+    def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
+        starts = self.start_states
+        if len(starts) == 1:
+            return jnp.int32(starts[0])
+        return jnp.asarray(starts, jnp.int32)[policies.sample(key, jnp.full(len(starts), 1 / len(starts)))]
 
     def state(self, cell: tuple[int, int]) -> int:
         """The number of the state at (row, column)."""

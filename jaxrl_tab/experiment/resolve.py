@@ -8,6 +8,7 @@ import math
 import re
 import typing
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -50,36 +51,61 @@ def environments(written: Any, source: Source | None, references: References) ->
     resolved, places = [], []
     for i, table in enumerate(_tables("environment", written, ENVIRONMENT, source, references)):
         with at("environment", i):
-            several = _environment(table, references[table["name"]].cls, len(resolved))
+            base = source.path.parent if source else None
+            several = _environment(table, references[table["name"]].cls, len(resolved), base)
             resolved += several
             places += [i] * len(several)
     _check_labels("environment", resolved, places)
     return resolved
 
 
-def _environment(table: Mapping[str, Any], cls: type, others: int) -> list[dict[str, Any]]:
-    """The environments that a table describes; `others` is how many the tables before it describe."""
+def _environment(table: Mapping[str, Any], cls: type, others: int, base: Path | None) -> list[dict[str, Any]]:
+    """The environments that a table describes.
+
+    Args:
+        table: it.
+        cls: the class that it names.
+        others: how many environments the tables before it describe.
+        base: the folder from which the names of files start.
+    """
     label, about = table["label"], {key: table[key] for key in ABOUT if key in table}
     parameters = {p.name: p for p in describe.parameters(cls)}
     tried = {}
     for key, written in _own(table, parameters).items():
         with at(key):
-            tried[key] = _values_of_environment(key, written, parameters[key])
+            if parameters[key].type == describe.Lines:
+                tried[key] = _texts(key, written, base)
+            else:
+                tried[key] = _values_of_environment(key, written, parameters[key])
     resolved = []
     axes.check_settings(others + math.prod(map(len, tried.values())), "the environments")
     for point in itertools.product(*tried.values()):
         values = dict(zip(tried, point, strict=True))
         with blame(values):
             made(cls, label, values)
-        own = [f"{key}={_short(value)}" for key, value in values.items() if len(tried[key]) > 1]
+        own = [f"{key}={_short(value, tried[key])}" for key, value in values.items() if len(tried[key]) > 1]
         data = {key: values.get(key, _listed(p.default)) for key, p in parameters.items()}
         data = {key: value for key, value in data.items() if value is not None}
         resolved.append(about | {"label": ",".join([label, *own])} | data)
     return resolved
 
 
-def _short(value: Any) -> str:
-    """A value as it can stand in the name of a folder."""
+def _texts(key: str, written: Any, base: Path | None) -> list[Any]:
+    """What is to be tried of a parameter that is text in lines: a list of lines is one text, one of lists several."""
+    several = isinstance(written, list | tuple) and any(not isinstance(x, str) for x in written)
+    tried = list(written) if several else [written]
+    if wrong := [x for x in tried if not isinstance(x, str | list | tuple | Mapping)]:
+        raise InputError(
+            f"{key} takes a text, a list of lines, or a list of such lists, not {shown(wrong[0])}"
+        )
+    return [_listed(describe.read_lines(x, base)) for x in tried]
+
+
+def _short(value: Any, tried: Sequence[Any]) -> str:
+    """One of the values that are tried, as it can stand in the name of a folder; of several lines their number."""
+    lines = [x for x in value if isinstance(x, str)] if isinstance(value, list) else []
+    if isinstance(value, Mapping) or lines:
+        return lines[0] if len(lines) == 1 else str(tried.index(value) + 1)
     return re.sub(r'[" ]', "", json.dumps(value))
 
 

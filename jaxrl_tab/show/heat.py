@@ -35,8 +35,9 @@ class Map(NamedTuple):
         title, rows, columns, down, along: as of a `Panel`; of a grid none.
         shape: (rows, columns).
         cells: the states in which anything is lost.
-        out: the places (x, y) of the states that nobody can come to.
-        ends: start and goal of a grid, as ((row, column), letter).
+        out: the places (x, y) of the states that nobody can come to, but for walls.
+        walls: the places (x, y) of the walls of a grid.
+        letters: of a grid, as ((row, column), letter).
     """
 
     title: str
@@ -47,7 +48,8 @@ class Map(NamedTuple):
     along: str
     cells: list[Cell]
     out: list[tuple[int, int]]
-    ends: tuple[tuple[tuple[int, int], str], ...]
+    walls: list[tuple[int, int]]
+    letters: list[tuple[tuple[int, int], str]]
 
 
 class Heat(NamedTuple):
@@ -76,9 +78,12 @@ def _heat(one: Explained) -> Heat:
 def _map(one: Explained, losses: Losses, table: Panel) -> Map:
     lost, names = losses.by_state, of_environment(one.env).action_names
     model, name_of = planning.exact_model(one.env), state_names(one.env)
-    reachable = planning.reachable(model)
+    reachable, grid = planning.reachable(model), one.env if isinstance(one.env, Grid) else None
+    walls = [(x, y) for y, x in grid.walls] if grid else []
     cells, out = [], []
     for (y, x), s in np.ndenumerate(table.states):
+        if (x, y) in walls:
+            continue
         if not reachable[s]:
             out.append((x, y))
         elif lost[s] >= LEAST * lost.sum():
@@ -95,9 +100,18 @@ def _map(one: Explained, losses: Losses, table: Panel) -> Map:
                 else (short_number(float(lost[s])),)
             )
             cells.append(Cell(x, y, float(lost[s] / lost.max()), lines, about))
-    if isinstance(one.env, Grid):
-        ends = ((one.env.start, "S"), (one.env.goal, "G"))
-        return Map("", table.states.shape, (), (), "", "", cells, out, ends)
+    if grid:
+        letters = [(divmod(s, grid.shape[1]), letter) for s, letter in grid.letters.items()]
+        return Map("", table.states.shape, (), (), "", "", cells, out, walls, letters)
     return Map(
-        table.title, table.states.shape, table.rows, table.columns, table.down, table.along, cells, out, ()
+        table.title,
+        table.states.shape,
+        table.rows,
+        table.columns,
+        table.down,
+        table.along,
+        cells,
+        out,
+        [],
+        [],
     )

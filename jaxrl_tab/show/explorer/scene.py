@@ -93,10 +93,11 @@ def _panel(table: Panel, place: dict[int, int]) -> dict[str, Any]:
 
 
 def _grid(env: Grid) -> dict[str, Any]:
-    """What a grid has beside its cells: the goal, the wind of each column, and where each action leads."""
+    """What a grid has beside its cells: letters, walls, the wind of each column, and where each action leads."""
     moves, wind = Moves.of(env), of_environment(env).wind
     return {
-        "goal": env.state(env.goal),
+        "letters": [[s, letter] for s, letter in env.letters.items()],
+        "walls": [env.state(cell) for cell in env.walls],
         "wind": [] if wind is None else np.asarray(wind, float).tolist(),
         "next": moves.successor.tolist(),
         "stochastic": moves.stochastic,

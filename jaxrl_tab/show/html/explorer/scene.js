@@ -97,7 +97,7 @@ function panelStage(c, box, m, tables) {
   const n = scene.states.length;
   const terminal = new Set(scene.terminal);
   const unreachable = new Set(scene.unreachable);
-  const starts = new Set(scene.start);
+  const walls = new Set(grid ? grid.walls : []);
   const cells = [];
   const exact = c.exact && ((s) => worth(c.exactOf(s)));
   const letters = lettersOf(scene.actions);
@@ -142,7 +142,8 @@ function panelStage(c, box, m, tables) {
         const y = top + i * size;
         const g = el("g", { class: "cell", tabindex: -1, role: "radio", "data-s": s }, svg);
         const rect = el("rect", { class: "box", x, y, width: size, height: size, rx: 4 }, g);
-        if (unreachable.has(s))
+        if (walls.has(s)) el("rect", { x, y, width: size, height: size, rx: 4, class: "wall over" }, g);
+        else if (unreachable.has(s))
           el("rect", { x, y, width: size, height: size, fill: `url(#${hatch})`, class: "over" }, g);
         const cell = {
           s,
@@ -176,7 +177,7 @@ function panelStage(c, box, m, tables) {
           "text",
           { class: "tick", x: left + (k + 0.5) * size, y: top + rows * size + 18, "text-anchor": "middle" },
           svg,
-          (k ? "" : "wind ") + "↑".repeat(w),
+          (k ? "" : "wind ") + (w < 0 ? "↓" : "↑").repeat(Math.abs(w)),
         ),
       );
     else {
@@ -201,9 +202,8 @@ function panelStage(c, box, m, tables) {
     if (grid) cells.path = el("path", { class: "way", style: { stroke: colourOf(m) } }, svg);
     svg.append(above);
     if (grid)
-      for (const cell of cells) {
-        const letter = starts.has(cell.s) ? "S" : cell.s === grid.goal ? "G" : null;
-        if (!letter) continue;
+      for (const [s, letter] of grid.letters) {
+        const cell = cells.find((one) => one.s === s);
         const at = (part) => part - size / 2 + badge + 3;
         el("circle", { class: "badge", cx: at(cell.x), cy: at(cell.y), r: badge }, above);
         el("text", { class: "badge-text", x: at(cell.x), y: at(cell.y) + badge / 2 }, above, letter);
@@ -257,26 +257,24 @@ function panelStage(c, box, m, tables) {
       const acts = q.length > 1 && !untouched ? `, ${best.map((a) => scene.actions[a]).join(" or ")}` : "";
       cell.g.setAttribute(
         "aria-label",
-        over ? "an episode ends here" : `${nameOf(c, s)}: ${fixed(v, tables.decimals)}${acts}`,
+        walls.has(s) ? "a wall" : over ? "an episode ends here" : `${nameOf(c, s)}: ${fixed(v, tables.decimals)}${acts}`,
       );
     }
-    const way =
-      grid && tables.q(view, moment, 0).length > 1 ? greedyWay(c, (s) => tables.greedy(view, moment, s)) : null;
+    const ways =
+      grid && tables.q(view, moment, 0).length > 1 ? greedyWays(c, (s) => tables.greedy(view, moment, s)) : [];
     if (cells.path) {
       const at = (s) => cells.find((cell) => cell.s === s);
-      cells.path.setAttribute(
-        "d",
-        way ? way.states.map((s, i) => `${i ? "L" : "M"}${at(s).x} ${at(s).y}`).join("") : "",
-      );
-      cells.path.setAttribute("stroke-dasharray", way && way.ends ? "" : "2 9");
+      const furthest = 1 + Math.max(0, ...grid.wind.map(Math.abs)); // further lead doors alone
+      const isNear = (a, b) => Math.max(Math.abs(a.i - b.i), Math.abs(a.k - b.k)) <= furthest;
+      const draw = (cell, i, way) => `${i && isNear(way[i - 1], cell) ? "L" : "M"}${cell.x} ${cell.y}`;
+      cells.path.setAttribute("d", ways.flatMap((way) => way.states.map(at).map(draw)).join(""));
+      cells.path.setAttribute("stroke-dasharray", ways.every((way) => way.ends) ? "" : "2 9");
     }
     bar.style.background = range.bar;
     const several = view === "mean" || view === "median";
     meaning.textContent =
       range.words +
-      (way
-        ? ` The greedy way ${way.ends ? `takes ${way.states.length - 1} steps${grid.stochastic ? " by the likeliest outcomes" : ""}` : "does not arrive"}.`
-        : "") +
+      (ways.length ? ` ${sentence(waysInWords(ways, grid.stochastic))}.` : "") +
       (grid ? "" : letters.words) +
       (several ? (grid ? " The fainter an arrow, the fewer seeds agree." : " Bold: 9 of 10 seeds agree.") : "");
     cell();

@@ -105,8 +105,11 @@ function arrowsPath({ x, y }, moves, several) {
   return d;
 }
 
-// The greedy way from the start: of several greedy actions the one that ends soonest.
-function greedyWay(c, greedy) {
+// The greedy way from each start, of several greedy actions by the one that ends soonest. There are none where there
+// are many starts, or where nothing ends.
+const MOST_STARTS = 4;
+
+function greedyWays(c, greedy) {
   const { scene } = c;
   const next = scene.grid.next;
   const terminal = new Set(scene.terminal);
@@ -121,15 +124,30 @@ function greedyWay(c, greedy) {
         for (const a of best[s])
           if (steps[next[s][a]] + 1 < steps[s]) ((steps[s] = steps[next[s][a]] + 1), (changed = true));
   }
-  let s = scene.start[0];
-  const states = [s];
-  const seen = new Set();
-  while (!terminal.has(s) && !seen.has(s) && best[s].length) {
-    seen.add(s);
-    s = best[s].map((a) => next[s][a]).reduce((p, q) => (steps[q] < steps[p] ? q : p));
-    states.push(s);
-  }
-  return { states, ends: terminal.has(s) };
+  const way = (s) => {
+    const states = [s];
+    const seen = new Set();
+    while (!terminal.has(s) && !seen.has(s) && best[s].length) {
+      seen.add(s);
+      s = best[s].map((a) => next[s][a]).reduce((p, q) => (steps[q] < steps[p] ? q : p));
+      states.push(s);
+    }
+    return { states, ends: terminal.has(s) };
+  };
+  const ends = scene.terminal.some((s) => !scene.unreachable.includes(s));
+  return ends && scene.start.length <= MOST_STARTS ? scene.start.map(way) : [];
+}
+
+function waysInWords(ways, stochastic) {
+  const arrive = ways.filter((way) => way.ends);
+  if (arrive.length < ways.length)
+    return ways.length === 1
+      ? "the greedy way does not arrive"
+      : `of ${ways.length} greedy ways ${ways.length - arrive.length} do not arrive`;
+  const lengths = arrive.map((way) => way.states.length - 1);
+  const [least, most] = [Math.min(...lengths), Math.max(...lengths)];
+  const takes = ways.length === 1 ? "the greedy way takes" : "the greedy ways take";
+  return `${takes} ${least === most ? least : `${least} to ${most}`} steps${stochastic ? " by the likeliest outcomes" : ""}`;
 }
 
 function nameOf(c, s) {
@@ -159,9 +177,11 @@ function cellTable(c, box, tables, view, moment) {
     {},
     box,
     sentence(name) +
-      (scene.terminal.includes(s)
-        ? ": an episode ends here"
-        : scene.unreachable.includes(s)
+      (scene.grid?.walls.includes(s)
+        ? ": a wall"
+        : scene.terminal.includes(s)
+          ? ": an episode ends here"
+          : scene.unreachable.includes(s)
           ? " (out of reach from the start)"
           : ""),
   );
