@@ -267,19 +267,20 @@ class Store:
 
     def read(self, number: int) -> dict[str, np.ndarray]:
         """The arrays of a shard that is there."""
-        file = self.path / SHARDS / _name(number)
-        with as_run_error(file, "read"):
-            arrays = _load(file)
-        if arrays is None:
-            raise RunError(f"{file} was damaged while it was in use")
-        return {name: array for name, array in arrays.items() if name != ABOUT}
+        return self._of_arrays(number)
 
     def shapes(self, number: int) -> dict[str, tuple[Any, Any]]:
         """(shape, dtype) of each array of a shard that is there, by its name."""
+        return self._of_arrays(number, _shape)
+
+    def _of_arrays(self, number: int, *of: Any) -> dict[str, Any]:
+        """What `_load` gives of each array of a shard that is there."""
         file = self.path / SHARDS / _name(number)
         with as_run_error(file, "read"):
-            shapes = _load(file, _shape) or {}
-        return {name: x for name, x in shapes.items() if name != ABOUT}
+            found = _load(file, *of)
+        if found is None:
+            raise RunError(f"{file} was damaged while it was in use")
+        return {name: x for name, x in found.items() if name != ABOUT}
 
     def leave_out(self, number: int) -> None:
         """Sets a shard aside that is whole, and holds what is not of use here."""
