@@ -325,6 +325,7 @@ def test_the_command_shows_both_sides_of_each_equation(capsys):
     assert [row["methods"] for row in found["rows"]] == [list(row.methods) for row in bridge.TABLE]
 
 
+@pytest.mark.slow
 def test_the_command_compares_what_a_method_has_learned(capsys, tmp_path):
     """Of two actions one is not there in A; the full backup by hand. Broken once: `there` is all -> fails."""
     command = "bridge maximization-bias expected-sarsa --actions 3 --epsilon 0.5 --gamma 0.5 --steps 50"

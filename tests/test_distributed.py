@@ -89,6 +89,7 @@ def test_both_compute_and_the_results_are_the_same_to_the_last_bit(start, tmp_pa
     shards.same(((task, np.load(tmp_path / f"{task}.npz")) for task in range(4)), range(4))
 
 
+@pytest.mark.slow
 def test_an_error_ends_both(start, tmp_path):
     first, second = start("fail")
     _, errors = first.communicate(timeout=120)

@@ -48,6 +48,7 @@ epsilons = st.floats(0.01, 1.0)
 gammas = st.sampled_from([0.0, 0.5, 0.9, 1.0])
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(tasks(), st.data(), epsilons, gammas)
 def test_the_epsilon_greedy_policy_is_nowhere_worse(env, data, epsilon, gamma):

@@ -216,6 +216,7 @@ def test_what_does_not_fit_is_refused(grid, monkeypatch):
         grid(memory="4GB")
 
 
+@pytest.mark.slow
 def test_a_sweep_streams_through_in_bounded_memory():
     """200 000 runs, in a process of its own: 260 MB of results, and at its peak it takes no 96 MB for them.
 

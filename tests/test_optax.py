@@ -117,6 +117,7 @@ def test_numbers_depend_on_the_version_of_optax():
     assert provenance.installed()["optax"] == optax.__version__
 
 
+@pytest.mark.slow
 def test_from_the_command_line_to_the_results_and_back(tmp_path):
     """Bitwise the runs with optax's own functions; a folder holds them, and `resume` computes what is missing.
 

@@ -340,6 +340,7 @@ def test_paths_in_a_file_start_from_its_folder(here):
     refused(lambda: rl.Experiment.load("deep/x.toml"), "deep/x.toml, line 4: there is no file deep/nine.py")
 
 
+@pytest.mark.slow
 def test_classes_and_instances(here):
     """What is given in Python is the same as what is named. Broken once: an instance's fields are left out."""
     coin, hasty = (names.find(k, f"mine.py:{c}").cls for k, c in ((ENVIRONMENT, "Coin"), (METHOD, "Hasty")))

@@ -235,6 +235,7 @@ def without(name, folder, *numbers):
     (folder / "manifest.json").unlink()
 
 
+@pytest.mark.slow
 def test_what_earlier_versions_did_not_record_is_not_missed(tmp_path):
     """Broken once: shards compared by all of their arrays -> called damaged, and set aside, even by `explain`."""
     folder = tmp_path / "run"

@@ -125,6 +125,7 @@ def test_how_many_rows_are_measured_at_once_changes_nothing(backend, length, mon
         np.testing.assert_array_equal(x, y)
 
 
+@pytest.mark.slow
 def test_what_stands_in_the_state_is_recorded_without_xla(monkeypatch):
     """Nothing is worked out, so `lanes` copies it. Broken once: XLA is called -> fails."""
     forget()

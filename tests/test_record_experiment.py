@@ -63,6 +63,7 @@ def check_the_same(ds, other):
         assert x.values.tobytes() == other[name].values.tobytes(), name
 
 
+@pytest.mark.slow
 def test_numbers_are_those_of_the_learner_at_the_end_of_each_row(here):
     """Those of a row are the final ones of a run that ends with it, for a run is the same however long it is.
 

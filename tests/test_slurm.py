@@ -84,6 +84,7 @@ def test_what_is_under_way_is_given_up(tmp_path):
     assert not (tmp_path / "jobs").exists()
 
 
+@pytest.mark.slow
 def test_an_array_gives_the_same_to_the_last_bit(tmp_path, monkeypatch):
     programs = tmp_path / "bin"
     programs.mkdir()
