@@ -16,7 +16,6 @@ from rich.table import Table
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import words
 from jaxrl_tab.experiment import files, storage
-from jaxrl_tab.show.rows import early_in_words
 from jaxrl_tab.show.words import (
     cell,
     decimals_for,
@@ -216,6 +215,8 @@ def _notes(methods: "Methods", choice: bool, digits: Any) -> Iterator[str]:
                 "~ This setting is not told apart from the best: these seeds do not say which of the two is better."
             )
     if methods.early:
+        from jaxrl_tab.show.rows import early_in_words  # here, for it imports xarray and the statistics
+
         yield early_in_words(methods, digits)
     if tells("unfinished"):
         yield (
