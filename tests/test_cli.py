@@ -743,6 +743,13 @@ def test_a_reader_that_goes_away_ends_it_quietly(command):
     assert running.returncode == 1
 
 
+def test_a_command_that_shows_no_table_does_not_import_what_tables_need():
+    """As `--dry-run`. Broken once: the sentence on early learning imported with the rest -> fails."""
+    code = "import sys, jaxrl_tab.cli.sweep; print({'xarray', 'pandas', 'scipy'} & {*sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "set()", done.stderr
+
+
 def test_listing_imports_nothing_heavy():
     code = (
         "import sys; from jaxrl_tab.cli import main; main(['list', '--json']);"
