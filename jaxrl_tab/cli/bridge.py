@@ -10,14 +10,12 @@ from rich.table import Table
 
 from jaxrl_tab.algorithms import bridge
 from jaxrl_tab.cli.common import (
-    ENVIRONMENT,
     OF_ONE_METHOD,
     build_named,
-    named_in,
+    groups_in,
     new_folder,
     prepare,
     start_jax,
-    with_own,
 )
 from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import console, print_json
@@ -103,11 +101,7 @@ class Compared(NamedTuple):
 
 def bridge_command(argv: list[str]) -> int:
     prepare()
-    for_environment, for_method = named_in(argv)
-    groups = {
-        "hyperparameters": with_own(OF_ONE_METHOD, for_method),
-        "environment": with_own(ENVIRONMENT, for_environment),
-    }
+    groups = groups_in(argv, OF_ONE_METHOD)
     options, typed = parse(Bridge, argv, **groups)
     compared = None
     of_learning = {"--steps", "--seed"} & set(typed["options"])

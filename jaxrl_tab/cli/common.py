@@ -76,6 +76,15 @@ def named_in(argv: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
     return words, words
 
 
+def groups_in(argv: Sequence[str], methods: Classes) -> dict[str, Classes]:
+    """The options of `methods` and of environments, with the classes from outside that are named."""
+    for_environment, for_methods = named_in(argv)
+    return {
+        "hyperparameters": with_own(methods, for_methods),
+        "environment": with_own(ENVIRONMENT, for_environment),
+    }
+
+
 def find(group: Classes, name: str) -> type:
     """The class that a word names, which must be of the kind of this group."""
     assert group.kind

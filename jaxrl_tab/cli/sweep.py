@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from jaxrl_tab.cli.common import (
-    ENVIRONMENT,
     EXECUTOR,
     HYPERPARAMETERS,
     SEEDS,
     STEPS,
     find,
-    named_in,
+    groups_in,
     prepare,
     start_jax,
-    with_own,
 )
 from jaxrl_tab.cli.interrupt import interruptible
 from jaxrl_tab.cli.options import Typed, checked_name
@@ -163,11 +161,7 @@ OF_EXPERIMENT = (
 
 def sweep_command(argv: list[str]) -> int:
     prepare()
-    for_environment, for_methods = named_in(argv)
-    groups = {
-        "hyperparameters": with_own(HYPERPARAMETERS, for_methods),
-        "environment": with_own(ENVIRONMENT, for_environment),
-    }
+    groups = groups_in(argv, HYPERPARAMETERS)
     options, typed = parse(Sweep, argv, **groups, executor=EXECUTOR)
     if options.write_template:
         return _write_template(options.env)

@@ -14,13 +14,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.cli.common import (
-    ENVIRONMENT,
     OF_ONE_METHOD,
     build_named,
-    named_in,
+    groups_in,
     prepare,
     start_jax,
-    with_own,
 )
 from jaxrl_tab.cli.screen import busy
 from jaxrl_tab.cli.streams import console
@@ -79,11 +77,7 @@ class Watch:
 
 def watch_command(argv: list[str]) -> int:
     prepare()
-    for_environment, for_method = named_in(argv)
-    groups = {
-        "hyperparameters": with_own(OF_ONE_METHOD, for_method),
-        "environment": with_own(ENVIRONMENT, for_environment),
-    }
+    groups = groups_in(argv, OF_ONE_METHOD)
     options, typed = parse(Watch, argv, **groups)
     env, method = build_named(groups, typed, environment=options.env, hyperparameters=options.method)
     files = _files(options, env)

@@ -54,6 +54,11 @@ class Budget:
         object.__setattr__(self, "exact", self.exact or self.exact_every is not None)
 
     @property
+    def exact_row(self) -> int:
+        """Of how many rows one has exact values, where they are recorded: of one, by default."""
+        return self.exact_every or 1
+
+    @property
     def row(self) -> int:
         """How many steps, or episodes, a row of the log sums up: 100 steps, or 1 episode, by default."""
         return self.log_every or (1 if self.num_steps is None else 100)

@@ -115,9 +115,9 @@ class _Measured(NamedTuple):
 
 def _measured(algorithm: Any, budget: Budget) -> list[_Measured]:
     """What is measured in a run: all together, but exact values apart where fewer rows have them."""
-    if budget.exact and (budget.exact_every or 1) > 1 and _solves(algorithm):
+    if budget.exact and budget.exact_row > 1 and _solves(algorithm):
         own = [_Measured(False, budget.record)] if budget.record else []
-        return [*own, _Measured(True, None, budget.exact_every or 1)]
+        return [*own, _Measured(True, None, budget.exact_row)]
     return [_Measured(budget.exact, budget.record)] if budget.exact or budget.record else []
 
 

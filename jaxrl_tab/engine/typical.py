@@ -71,7 +71,7 @@ def typical(part: Part) -> Typical:
     if budget.exact:
         # A system of equations for each policy that is judged; an error of prediction is a sum.
         solving = 0.01 * states**3 + 12.5 * states**2 + 370 * states
-        row += 2 * solving / (budget.exact_every or 1) if learns is Learns.ACTIONS else 130 * states
+        row += 2 * solving / budget.exact_row if learns is Learns.ACTIONS else 130 * states
         compiling, starting = compiling + EXACT[learns], starting + KEPT * EXACT[learns]
     of_steps = steps * step * (BY_XLA if by == "xla" else 1)
     return Typical(1e-9 * (of_steps + rows * row), compiling, starting)

@@ -305,9 +305,11 @@ def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[
     for name in names:
         part, results, seconds = job.parts[name], None, np.zeros(2)
         own = {number: shard for number, shard in enumerate(job.shards) if shard.part == name}
-        in_all = set.intersection(*(set(store.shapes(number)) for number in own))
+        # Only these may be lacking: for others no shard is opened twice.
+        later = LATER & _shapes(part, next(iter(own.values()))).keys()
+        lacking = {key for key in later if any(key not in store.shapes(number) for number in own)}
         for number, shard in own.items():
-            arrays = {key: x for key, x in store.read(number).items() if key in in_all}
+            arrays = {key: x for key, x in store.read(number).items() if key not in lacking}
             seconds += arrays.pop("seconds")
             if results is None:
                 like = {key: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for key, x in arrays.items()}

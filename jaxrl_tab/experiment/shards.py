@@ -144,7 +144,7 @@ def shard_runs(part: Part) -> int:
     rows = -(-length // budget.row)
     steps = budget.num_steps or length * EPISODE_STEPS
     if budget.exact:  # a system of equations in rows, a hundred multiply-adds in the time of a step
-        steps += rows // (budget.exact_every or 1) * states**3 // 300
+        steps += rows // budget.exact_row * states**3 // 300
     recorded = sum(x.size for x in jax.tree.leaves(recorded_shapes(budget.record, part.configs[0], part.env)))
     # A table; and in each row some 7 numbers (sums, and exact values), and those of the recorder. They are 8 with
     # `policy_value`; but what is split otherwise than it was cannot be put together with what folders have.
