@@ -73,6 +73,16 @@ PLAIN = {
     "q-learning": ({}, lambda key: reference.OffPolicy(*SHARED, target=greedy)),
     "expected-sarsa": ({}, lambda key: reference.OffPolicy(*SHARED, target=soft)),
     "n-step-sarsa": ({"n": 3}, lambda key: reference.NStepSarsa(*SHARED, n=3)),
+    "n-step-expected-sarsa": (
+        {"n": 3},
+        lambda key: reference.NStepOffPolicy(*SHARED, n=3, expected=True),
+    ),
+    "n-step-off-policy-sarsa": (
+        {"n": 3},
+        lambda key: reference.NStepOffPolicy(*SHARED, n=3, expected=False, target=greedy),
+    ),
+    "tree-backup": ({"n": 3}, lambda key: reference.Branching(*SHARED, n=3, target=greedy)),
+    "q-sigma": ({"n": 3}, lambda key: reference.Branching(*SHARED, n=3, sigma=lambda *_: 0.5)),
     "double-q-learning": (
         {},
         lambda key: reference.DoubleQLearning(*SHARED, heads=heads(key), words=target_words(key)),
@@ -96,8 +106,21 @@ PLAIN = {
         ),
     ),
     "sarsa-lambda": ({"trace": "dutch"}, lambda key: reference.Traces(*SHARED, lam=0.9, trace="dutch")),
+    "true-online-sarsa-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, trace="dutch")),
+    "expected-sarsa-lambda": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: 1),
+    ),
+    "tree-backup-lambda": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: pi, target=greedy),
+    ),
+    "retrace": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: min(1, pi / b), target=greedy),
+    ),
     "sarsa-lambda-forward": ({}, lambda key: reference.ForwardView(*SHARED, view=summed)),
-    "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, watkins=True)),
+    "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, version="watkins")),
 }
 
 

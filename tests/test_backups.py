@@ -100,6 +100,9 @@ SHAPES = {
     "expected-sarsa": ("action, state, each action",),
     "monte-carlo": ("action, state, action, ..., end",),
     "n-step-sarsa": ("action, state, action, ..., state, action",),
+    "n-step-expected-sarsa": ("action, state, action, ..., state, each action",),
+    "n-step-off-policy-sarsa": ("action, state, action, ..., state, action",),
+    "tree-backup": ("action, state, each action, ..., state, each action",),
     "double-q-learning": ("action, state, max action",),
     "q-learning-target": SARSA,
     "off-policy-monte-carlo": ("action, state, action, ..., end",),
@@ -109,14 +112,29 @@ SHAPES = {
     "off-policy-td": TD0,
     "off-policy-monte-carlo-prediction": ("state, action, state, ..., end",),
 }
-SHAPES["sarsa-lambda"] = SHAPES["sarsa-lambda-forward"] = (
+SHAPES["q-sigma"] = SHAPES["tree-backup"]
+SHAPES["sarsa-lambda"] = SHAPES["sarsa-lambda-forward"] = SHAPES["true-online-sarsa-lambda"] = (
     "action, state, action",
     "action, state, action, state, action",
     "action, state, action, state, action, state, action",
     "",
     "action, state, action, ..., end",
 )
-SHAPES["td-lambda"] = (
+SHAPES["expected-sarsa-lambda"] = SHAPES["retrace"] = (
+    "action, state, each action",
+    "action, state, action, state, each action",
+    "action, state, action, state, action, state, each action",
+    "",
+    "action, state, action, ..., end",
+)
+SHAPES["tree-backup-lambda"] = (
+    "action, state, each action",
+    "action, state, each action, state, each action",
+    "action, state, each action, state, each action, state, each action",
+    "",
+    "action, state, each action, ..., end",
+)
+SHAPES["td-lambda"] = SHAPES["true-online-td-lambda"] = SHAPES["offline-lambda-return"] = (
     "state, action, state",
     "state, action, state, action, state",
     "state, action, state, action, state, action, state",
@@ -134,6 +152,10 @@ SHAPES["q-lambda"] = (
 IN_WORDS = {  # what no circle shows
     "double-q-learning": "one table chooses the action, the other gives its value",
     "q-learning-target": "A' is drawn from the target policy",
+    "n-step-expected-sarsa": "over the actions between",
+    "n-step-off-policy-sarsa": "over the actions after A_t",
+    "q-sigma": "σ = 1 samples, σ = 0 is tree backup",
+    "retrace": "goes on by min(1, π(A | S) / b(A | S))",
     "off-policy-monte-carlo": "over the actions after A_t",
     "off-policy-td": "multiplied by the ratio",
     "off-policy-monte-carlo-prediction": "over the actions from A_t on",

@@ -27,6 +27,7 @@ def test_what_is_learned_from_is_a_text_with_two_consequences():
         ("itself", False, False),
         ("transitions", False, False),
         ("transitions of b", True, False),
+        ("episodes", False, True),
         ("episodes of b", True, True),
     ]
 

@@ -26,6 +26,7 @@ OUTSIDE = {
     "epsilon": [-0.1, 1.1],
     "gamma": [-0.1, 1.5],
     "lam": [-0.1, 1.1],
+    "sigma": [-0.1, 1.1],
     "temperature": [0],
     "c": [-0.5],
     "power": [0],

@@ -6,17 +6,25 @@ class only.
 
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
+from jaxrl_tab.algorithms.expected_sarsa_lambda import ExpectedSarsaLambda
 from jaxrl_tab.algorithms.many_targets import ManyTargets
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
+from jaxrl_tab.algorithms.n_step_expected_sarsa import NStepExpectedSarsa
+from jaxrl_tab.algorithms.n_step_off_policy_sarsa import NStepOffPolicySarsa
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
+from jaxrl_tab.algorithms.q_sigma import QSigma
+from jaxrl_tab.algorithms.retrace import Retrace
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.target_q_learning import TargetQLearning
 from jaxrl_tab.algorithms.td import TDControl, TDState
+from jaxrl_tab.algorithms.tree_backup import TreeBackup
+from jaxrl_tab.algorithms.tree_backup_lambda import TreeBackupLambda
+from jaxrl_tab.algorithms.true_online_sarsa_lambda import TrueOnlineSarsaLambda
 
 ALGORITHMS: dict[str, type] = {
     "sarsa": Sarsa,
@@ -24,9 +32,17 @@ ALGORITHMS: dict[str, type] = {
     "expected-sarsa": ExpectedSarsa,
     "monte-carlo": MonteCarlo,
     "n-step-sarsa": NStepSarsa,
+    "n-step-expected-sarsa": NStepExpectedSarsa,
+    "n-step-off-policy-sarsa": NStepOffPolicySarsa,
+    "tree-backup": TreeBackup,
+    "q-sigma": QSigma,
     "sarsa-lambda": SarsaLambda,
+    "true-online-sarsa-lambda": TrueOnlineSarsaLambda,
     "sarsa-lambda-forward": SarsaLambdaForward,
+    "expected-sarsa-lambda": ExpectedSarsaLambda,
     "q-lambda": QLambda,
+    "tree-backup-lambda": TreeBackupLambda,
+    "retrace": Retrace,
     "double-q-learning": DoubleQLearning,
     "q-learning-target": TargetQLearning,
     "off-policy-monte-carlo": OffPolicyMonteCarlo,
@@ -36,16 +52,24 @@ __all__ = [
     "ALGORITHMS",
     "DoubleQLearning",
     "ExpectedSarsa",
+    "ExpectedSarsaLambda",
     "ManyTargets",
     "MonteCarlo",
+    "NStepExpectedSarsa",
+    "NStepOffPolicySarsa",
     "NStepSarsa",
     "OffPolicyMonteCarlo",
     "QLambda",
     "QLearning",
+    "QSigma",
+    "Retrace",
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",
     "TDControl",
     "TDState",
     "TargetQLearning",
+    "TreeBackup",
+    "TreeBackupLambda",
+    "TrueOnlineSarsaLambda",
 ]
