@@ -2,15 +2,20 @@
 
 from functools import partial
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 import reference
-from marks import slow_but
+from marks import slow_but, slow_but_first
 from test_monte_carlo import ALPHAS, EPSILON, FIXED, GAMMAS, check, played, task_apart
 from test_off_policy import eighths
+from test_reference import random_mdp
 
 import jaxrl_tab as rl
 from jaxrl_tab import schedules
-from jaxrl_tab.core.policies import EpsilonGreedy, Table
+from jaxrl_tab.core.policies import EpsilonGreedy, Greedy, Table
+from jaxrl_tab.core.types import Transition
 
 N, LAM = 3, 0.75
 greedy = lambda row, s: reference.soft(row, 0)
@@ -112,3 +117,68 @@ def test_every_step_agrees_with_the_plain_loop(kind):
         rates = reference.Rates(plain_alpha, FIXED(EPSILON))
         agent = plain((env.num_states, env.num_actions), rates, gamma, 0.5)
         check(agent, task, words, state, log, i, tolerance=1e-8)
+
+
+# --- against one another -----------------------------------------------------------------------------
+
+
+def q_of(method):
+    with jax.enable_x64():
+        run = jax.jit(lambda key: rl.train(key, method, random_mdp(), num_steps=400, log_every=400)[0].q)
+        return run(jax.random.key(5))
+
+
+SAME = {
+    "one step of tree backup": (rl.TreeBackup(n=1), rl.QLearning()),
+    "sigma 0": (rl.QSigma(n=3, sigma=0.0, target=Greedy()), rl.TreeBackup(n=3)),
+    "one expected step": (rl.NStepExpectedSarsa(n=1), rl.ExpectedSarsa()),
+    "one step, any sigma": (rl.QSigma(n=1), rl.ExpectedSarsa()),
+    "on-policy": (rl.Retrace(target=EpsilonGreedy(0.1)), rl.ExpectedSarsaLambda()),
+    "lambda 0": (rl.TreeBackupLambda(lam=0.0), rl.QLearning()),
+    "another name": (rl.TrueOnlineSarsaLambda(), rl.SarsaLambda(trace="dutch")),
+}
+
+
+@pytest.mark.parametrize("name", slow_but_first(SAME, 2))
+def test_at_the_ends_of_the_scale_they_are_others(name):
+    one, other = map(q_of, SAME[name])
+    np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
+def test_ratios_undo_what_the_behaviour_does():
+    """Two states in a row, two actions: the mean over what b does of the first update is that under pi.
+
+    (S_0, A_0) leads to S_1, where A_1 pays 1 or 3 and ends; from Q = 0 and with alpha = 1 the mean of what Q(S_0, A_0)
+    becomes is v_pi(S_1) = 1 pi(0) + 3 pi(1), by importance sampling in both its forms and by a tree backup with the
+    values of S_1 known.
+    """
+    pi, b = np.array([0.25, 0.75]), np.array([0.5, 0.5])
+    tables = {"target": Table(np.tile(pi, (3, 1))), "behaviour": Table(np.tile(b, (3, 1)))}
+
+    @jax.jit
+    @jax.vmap
+    def first(a, method):
+        state, _ = method.update(jax.random.key(0), method.init(3, 2), transition(0, 0, 0.0, 1))
+        return method.update(jax.random.key(0), state, transition(1, a, 1.0 + 2 * a, 2, over=True))[0].q[0, 0]
+
+    mean = lambda method: b @ first(jnp.arange(2), jax.tree.map(lambda x: jnp.stack([x, x]), method))
+    assert mean(rl.NStepExpectedSarsa(n=2, alpha=1.0, **tables)) == 2.5
+    assert mean(rl.QSigma(n=2, alpha=1.0, sigma=1.0, **tables)) == 2.5
+    assert mean(rl.QSigma(n=2, alpha=1.0, sigma=0.0, **tables)) == 0.5 * (0.25 * 1 + 0.75 * 3)  # others are 0
+    known = np.array([[0.0, 0.0], [1.0, 3.0], [0.0, 0.0]])
+    assert mean(rl.TreeBackup(n=2, alpha=1.0, q0=known, **tables)) == 2.5
+
+
+def transition(s, a, r, s_next, over=False):
+    return Transition(*map(jnp.asarray, (s, a, r, s_next, 0.0 if over else 1.0, over)))
+
+
+@pytest.mark.parametrize(
+    "cls", [rl.NStepOffPolicySarsa, rl.QSigma, rl.NStepExpectedSarsa, rl.ExpectedSarsaLambda]
+)
+def test_a_behaviour_that_leaves_out_what_the_target_takes_is_refused(cls):
+    with pytest.raises(
+        rl.InputError, match=f"{cls.__name__}: behaviour leaves out actions that target can take"
+    ):
+        cls(target=EpsilonGreedy(0.1), behaviour=Greedy())
+    cls(behaviour=Greedy(), target=Greedy())
