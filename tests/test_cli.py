@@ -245,7 +245,8 @@ def test_policies_and_mixed_rates_make_grids_beside_the_mean_optimum_over_proble
 
 def test_values_of_an_environment_are_environments_of_their_own(asked):
     """Names may stand after the values of an option. Broken once: only the first value taken -> fails."""
-    main(["sweep", "--moves", "four", "king", "windy-gridworld", "--alpha", "0.5", "sarsa", "--steps", "50", "--seeds", "2", "q-learning"])
+    argv = "sweep --moves four king windy-gridworld --alpha 0.5 sarsa --steps 50 --seeds 2 q-learning"
+    main(argv.split())
     main(["sweep", "cliff-walking", "--shape", "3", "5", "sarsa"])  # several numbers are one shape
     (two, methods), (cliff, _) = [(data["environment"], data["method"]) for data in asked]
     assert [env["label"] for env in two] == ["windy-gridworld,moves=four", "windy-gridworld,moves=king"]
