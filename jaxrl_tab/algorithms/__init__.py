@@ -5,6 +5,7 @@ class only.
 """
 
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
+from jaxrl_tab.algorithms.dyna_q import DynaQ, DynaQPlus
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.expected_sarsa_lambda import ExpectedSarsaLambda
 from jaxrl_tab.algorithms.many_targets import ManyTargets
@@ -13,6 +14,7 @@ from jaxrl_tab.algorithms.n_step_expected_sarsa import NStepExpectedSarsa
 from jaxrl_tab.algorithms.n_step_off_policy_sarsa import NStepOffPolicySarsa
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
+from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.q_sigma import QSigma
@@ -46,11 +48,16 @@ ALGORITHMS: dict[str, type] = {
     "double-q-learning": DoubleQLearning,
     "q-learning-target": TargetQLearning,
     "off-policy-monte-carlo": OffPolicyMonteCarlo,
+    "dyna-q": DynaQ,
+    "dyna-q-plus": DynaQPlus,
+    "prioritized-sweeping": PrioritizedSweeping,
 }
 
 __all__ = [
     "ALGORITHMS",
     "DoubleQLearning",
+    "DynaQ",
+    "DynaQPlus",
     "ExpectedSarsa",
     "ExpectedSarsaLambda",
     "ManyTargets",
@@ -59,6 +66,7 @@ __all__ = [
     "NStepOffPolicySarsa",
     "NStepSarsa",
     "OffPolicyMonteCarlo",
+    "PrioritizedSweeping",
     "QLambda",
     "QLearning",
     "QSigma",
