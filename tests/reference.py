@@ -524,11 +524,14 @@ class NStepOffPolicy(TwoPolicies):
 
 
 class Branching(TwoPolicies):
-    """Q(sigma) by its equation 7.17, and n-step tree backup by 7.16 (sigma None); they act after their update."""
+    """Q(sigma) by its equation 7.17, or as in De Asis et al. 2018, and n-step tree backup by 7.16 (sigma None).
 
-    def __init__(self, *args, n, sigma=None, **kwargs):
+    They act after their update.
+    """
+
+    def __init__(self, *args, n, sigma=None, control_variates=True, **kwargs):
         super().__init__(*args, **kwargs)
-        self.n, self.sigma = n, sigma
+        self.n, self.sigma, self.control_variates = n, sigma, control_variates
 
     def g(self, k, beyond):
         """The return of step k, as far as there are steps."""
@@ -537,9 +540,12 @@ class Branching(TwoPolicies):
             return r + beyond()
         s, a, *_, (pi, b), sigma = self.steps[k + 1]
         now, longer = self.pi(s), self.g(k + 1, beyond)
+        others = sum(p * q for i, (p, q) in enumerate(zip(now, self.q[s], strict=True)) if p and i != a)
+        backup = others + now[a] * longer
         if sigma is None:
-            others = sum(p * q for i, (p, q) in enumerate(zip(now, self.q[s], strict=True)) if p and i != a)
-            return r + self.gamma * others + self.gamma * now[a] * longer
+            return r + self.gamma * backup
+        if not self.control_variates:
+            return r + self.gamma * (sigma * pi / b * longer + (1 - sigma) * backup)
         weight = sigma * pi / b + (1 - sigma) * now[a]
         return r + self.gamma * weight * (longer - self.q[s, a]) + self.gamma * self.mean(s)
 

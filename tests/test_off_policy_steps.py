@@ -75,6 +75,12 @@ KINDS = {
         partial(reference.Branching, n=N, sigma=lambda t, k: 0.75, target=of_table),
         "visit",
     ),
+    "sigma, as drawn": (
+        rl.QSigma,
+        {"n": N, "sigma": 0.25, "control_variates": False, **SOFTER},
+        partial(reference.Branching, n=N, sigma=lambda t, k: 0.25, control_variates=False, target=softer),
+        "constant",
+    ),
     "retrace": (
         rl.Retrace,
         {"lam": LAM, **OF_TABLE},

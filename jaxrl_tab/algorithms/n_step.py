@@ -18,6 +18,7 @@ from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
 
 Returns = Callable[..., Callable[..., Float[Array, ""]]]
+Follow = Callable[[Array, Array, Array, Array, Any], Array]
 
 
 class NStepState(NamedTuple):
@@ -164,27 +165,25 @@ class Beyond(NamedTuple):
 class Branching(OffPolicyControl, NStepControl):
     """n-step methods whose returns branch at every state, into all actions, and follow the one that was taken.
 
-    G_{t:h} = R_{t+1} + gamma [sum_a pi(a | S_{t+1}) Q(S_{t+1}, a)
-                               + c_{t+1} (G_{t+1:h} - Q(S_{t+1}, A_{t+1}))]
+    G_{t:h} = R_{t+1} + gamma U_{t+1},  where U is made of G_{t+1:h} and of the mean of Q(S_{t+1}, .) under pi
 
-    A method says how far it follows the action, c. Beyond the last step there is the mean alone; Q and pi are
-    those of the moment of the update.
+    Beyond the last step U is the mean alone; Q and pi are those of the moment of the update.
     """
 
-    @staticmethod
-    def followed(probs: Float[Array, " A"], step: Any) -> Float[Array, ""]:
-        """c, where pi(. | S) is `probs`, for a step that is remembered. (A method of the class, for `lane_by_lane`.)"""
-        raise NotImplementedError
+    def branched(self, state: NStepState, t: Transition, follow: Follow, **numbers: Any) -> NStepState:
+        """The learner after a step, of which besides S, A, alpha and R these numbers are remembered.
 
-    def branched(self, state: NStepState, t: Transition, **numbers: Any) -> NStepState:
-        """The learner after a step, of which besides S, A, alpha and R these numbers are remembered."""
+        `follow(expected, q, pi, g, step)` gives U of a state in which a step was made that is remembered: `expected` is
+        the mean of Q(S, .), q and pi are Q(S, A) and pi(A | S), and g is the return from there, each []. It must not
+        close over anything that is traced.
+        """
         memory = self.remember(state, t, r=t.r, **numbers)
         filled = jnp.minimum(state.filled + 1, self.n)
         beyond = Beyond(t.s_next, t.discount, filled, self.pi, state.clock, self.gamma)
-        return self.learned(state, t, memory, partial(_walk_back, self.followed), beyond)
+        return self.learned(state, t, memory, partial(_walk_back, follow), beyond)
 
 
-def _walk_back(followed: Callable[..., Float[Array, ""]], lane, read, beyond: Beyond):
+def _walk_back(follow: Follow, lane, read, beyond: Beyond):
     """The returns of `Branching`, as `NStepControl.learned` asks for them."""
     s_next, discount, filled, pi, clock, gamma = jax.tree.map(lambda x: x[lane], beyond)
 
@@ -197,8 +196,8 @@ def _walk_back(followed: Callable[..., Float[Array, ""]], lane, read, beyond: Be
         def back(k, rest):
             later = read(filled - 1 - k)
             expected, row, probs = mean(q, later.s)
-            surprise = later.r + rest - tables.entry(row, later.a)
-            return gamma * (expected + followed(probs, later) * surprise)
+            q_taken, pi_taken = tables.entry(row, later.a), tables.entry(probs, later.a)
+            return gamma * follow(expected, q_taken, pi_taken, later.r + rest, later)
 
         rest = discount * mean(q, s_next)[0]
         return step.r + lax.fori_loop(jnp.int32(0), filled - 1 - i, back, rest)

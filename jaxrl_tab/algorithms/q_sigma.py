@@ -1,17 +1,16 @@
 """Q(sigma): from tree backup to sampling, step by step (book, section 7.6; De Asis et al. 2018)."""
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.n_step import Branching, NStepState
-from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Rate, exploration
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Policy
-from jaxrl_tab.core.pytree import field, pytree
+from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Transition
 
 
@@ -37,8 +36,14 @@ class QSigma(Branching):
 
     sigma = 0 is tree backup; sigma = 1 is n-step Sarsa with ratios for each decision and control variates (equation
     7.14). pi is the behaviour policy (on-policy, the default: rho = 1), or any other `target`, with rho = pi(A | S) /
-    b(A | S) as it was when A was chosen. The last state counts by its mean, whatever sigma is, so that n = 1 is
-    Expected Sarsa; in the paper sigma = 1 ends with the value of the action drawn, as n-step Sarsa does.
+    b(A | S) as it was when A was chosen.
+
+    The paper has no control variates: what is sampled counts as it was drawn, and {...} above is
+
+    sigma rho G + (1 - sigma) [sum_a pi(a | S) Q(S, a) + pi(A | S) (G - Q(S, A))]
+
+    The last state counts by its mean, whatever sigma is, so that n = 1 is Expected Sarsa; in the paper it too is drawn
+    by a part sigma.
 
     pi and Q are those of the moment of the update; steps learn as in `NStepSarsa`, and A' is drawn from the
     behaviour policy after the update.
@@ -50,6 +55,11 @@ class QSigma(Branching):
         at_most=1,
         help="How much it samples: 0 is tree backup, 1 is Sarsa. A schedule gives what it was when the action was "
         'chosen; the dynamic one of the paper, .95 times as much with each episode, is "exponential:1:0.95:episode".',
+    )
+
+    control_variates: bool = static(
+        default=True,
+        help="Count what is sampled by how far it is from its mean (the book), or as it is (the paper).",
     )
 
     remembers: ClassVar[type] = Steps
@@ -75,12 +85,17 @@ class QSigma(Branching):
     def rates(self) -> tuple[Rate, ...]:
         return (*super().rates, self.sigma)
 
-    @staticmethod
-    def followed(probs: Float[Array, " A"], step: Any) -> Float[Array, ""]:
-        return step.sigma * step.ratio + (1 - step.sigma) * tables.entry(probs, step.a)
-
     def update(self, key, state: NStepState, t: Transition):
         ratio = 1.0 if self.target is None else self.ratio(state, t.s, t.a)
         sigma = exploration(self.sigma, state.clock, t.s)
-        state = self.branched(self.begin(state, t), t, ratio=ratio, sigma=sigma)
+        follow = _with_control_variates if self.control_variates else _as_drawn
+        state = self.branched(self.begin(state, t), t, follow, ratio=ratio, sigma=sigma)
         return state, self.policy(key, state, t.s_next)
+
+
+def _with_control_variates(expected, q, pi, g, step):
+    return expected + (step.sigma * step.ratio + (1 - step.sigma) * pi) * (g - q)
+
+
+def _as_drawn(expected, q, pi, g, step):
+    return step.sigma * step.ratio * g + (1 - step.sigma) * (expected + pi * (g - q))

@@ -1,11 +1,10 @@
 """n-step tree backup: off-policy learning without importance sampling (book, section 7.5; Precup et al. 2000)."""
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.n_step import Branching, NStepState
-from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.policies import Greedy, Policy
@@ -50,10 +49,11 @@ class TreeBackup(Branching):
     def pi(self) -> Policy:
         return Greedy() if self.target is None else self.target
 
-    @staticmethod
-    def followed(probs: Float[Array, " A"], step: Any) -> Float[Array, ""]:
-        return tables.entry(probs, step.a)
-
     def update(self, key, state: NStepState, t: Transition):
-        state = self.branched(self.begin(state, t), t)
+        state = self.branched(self.begin(state, t), t, _follow)
         return state, self.policy(key, state, t.s_next)
+
+
+def _follow(expected, q, pi, g, step):
+    """The values of all actions, and G in place of that of the one that was taken."""
+    return expected + pi * (g - q)
