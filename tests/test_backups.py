@@ -103,6 +103,10 @@ SHAPES = {
     "double-q-learning": ("action, state, max action",),
     "q-learning-target": SARSA,
     "off-policy-monte-carlo": ("action, state, action, ..., end",),
+    "gradient-bandit": ("action, end",),
+    "reinforce": ("action, state, action, ..., end",),
+    "reinforce-baseline": ("action, state, action, ..., end",),
+    "actor-critic": ("action, state",),
     "td": TD0,
     "n-step-td": ("state, action, state, ..., action, state",),
     "monte-carlo-prediction": ("state, action, state, ..., end",),
@@ -113,6 +117,13 @@ SHAPES["sarsa-lambda"] = SHAPES["sarsa-lambda-forward"] = (
     "action, state, action",
     "action, state, action, state, action",
     "action, state, action, state, action, state, action",
+    "",
+    "action, state, action, ..., end",
+)
+SHAPES["actor-critic-lambda"] = (
+    "action, state",
+    "action, state, action, state",
+    "action, state, action, state, action, state",
     "",
     "action, state, action, ..., end",
 )

@@ -4,14 +4,18 @@ ALGORITHMS holds those that can be made from their name alone; `ManyTargets` nee
 class only.
 """
 
+from jaxrl_tab.algorithms.actor_critic import ActorCritic, ActorCriticLambda
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
+from jaxrl_tab.algorithms.gradient_bandit import GradientBandit
 from jaxrl_tab.algorithms.many_targets import ManyTargets
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
+from jaxrl_tab.algorithms.policy_gradient import PolicyGradient
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
+from jaxrl_tab.algorithms.reinforce import Reinforce, ReinforceBaseline
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
@@ -30,18 +34,29 @@ ALGORITHMS: dict[str, type] = {
     "double-q-learning": DoubleQLearning,
     "q-learning-target": TargetQLearning,
     "off-policy-monte-carlo": OffPolicyMonteCarlo,
+    "gradient-bandit": GradientBandit,
+    "reinforce": Reinforce,
+    "reinforce-baseline": ReinforceBaseline,
+    "actor-critic": ActorCritic,
+    "actor-critic-lambda": ActorCriticLambda,
 }
 
 __all__ = [
     "ALGORITHMS",
+    "ActorCritic",
+    "ActorCriticLambda",
     "DoubleQLearning",
     "ExpectedSarsa",
+    "GradientBandit",
     "ManyTargets",
     "MonteCarlo",
     "NStepSarsa",
     "OffPolicyMonteCarlo",
+    "PolicyGradient",
     "QLambda",
     "QLearning",
+    "Reinforce",
+    "ReinforceBaseline",
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",
