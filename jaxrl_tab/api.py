@@ -6,6 +6,8 @@ from typing import Any
 from jaxrl_tab import algorithms, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
+    DifferentialQLearning,
+    DifferentialSarsa,
     DoubleQLearning,
     ExpectedSarsa,
     ManyTargets,
@@ -14,6 +16,7 @@ from jaxrl_tab.algorithms import (
     OffPolicyMonteCarlo,
     QLambda,
     QLearning,
+    RLearning,
     Sarsa,
     SarsaLambda,
     SarsaLambdaForward,
@@ -41,6 +44,7 @@ from jaxrl_tab.engine.train import train
 from jaxrl_tab.engine.watch import Watched, watch
 from jaxrl_tab.envs import (
     ENVS,
+    AccessControl,
     Blackjack,
     CliffWalking,
     Easy21,
@@ -85,9 +89,12 @@ __all__ = [
     "ALGORITHMS",
     "ENVS",
     "PREDICTION",
+    "AccessControl",
     "Blackjack",
     "Choice",
     "CliffWalking",
+    "DifferentialQLearning",
+    "DifferentialSarsa",
     "DoubleQLearning",
     "Easy21",
     "ExpectedSarsa",
@@ -112,6 +119,7 @@ __all__ = [
     "Outcome",
     "QLambda",
     "QLearning",
+    "RLearning",
     "RandomWalk",
     "RunError",
     "Sarsa",

@@ -87,6 +87,11 @@ CASES = {
     "double-q-learning": Case("maximization-bias", "double-q-learning", episodes=20),
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
+    "r-learning": Case("access-control", "r-learning", ALPHAS),
+    "differential-q-learning": Case(
+        "access-control", "differential-q-learning", ALPHAS | {"eta": [0.1, 0.37]}
+    ),
+    "differential-sarsa": Case("access-control", "differential-sarsa", ALPHAS),
     "td": Case("random-walk", "td", ALPHAS, episodes=8),
     "n-step-td": Case("random-walk", "n-step-td", ALPHAS | {"n": 4}),
     "td-lambda": Case("random-walk", "td-lambda", ALPHAS, exact=True),
