@@ -65,7 +65,7 @@ def test_the_best_rate_is_learned_while_exploring():
     best = planning.relative_value_iteration(ENV)[0]
     grid = {"alpha": "power:0.8:visit", "epsilon": 0.5, "eta": 1.0}
     result = rl.sweep(ENV, "differential-q-learning", grid, num_seeds=40, num_steps=40_000, log_every=40_000)
-    rate = result.(log.recorded or {})["rate"][..., -1].ravel()
+    rate = (result.log.recorded or {})["rate"][..., -1].ravel()
     assert abs(rate.mean() - best) < 4 * rate.std() / np.sqrt(40) + 2e-3
     assert np.isnan(result.optimal_value)  # for there is no best return
 
@@ -104,7 +104,9 @@ def test_the_average_reward_of_any_policy():
     assert planning.average_reward(ENV, policy) == pytest.approx(long_sum(policy), abs=1e-9)
     assert planning.average_reward(APART, np.ones((2, 1))) == pytest.approx(2.5)
     walk, policy = rl.RandomWalk(states=5, left_reward=0), np.full((7, 2), 0.5)
-    assert planning.average_reward(walk, policy) == pytest.approx(0.5 / 9)  # 9 steps in an episode, half of a reward
+    assert planning.average_reward(walk, policy) == pytest.approx(
+        0.5 / 9
+    )  # 9 steps in an episode, half of a reward
 
 
 @pytest.mark.parametrize(
@@ -139,8 +141,13 @@ def test_exact_values_beside_a_run_are_rates():
     far = tables - (R + P @ h - best)
     np.testing.assert_allclose(np.asarray(log.q_error), (far.max((1, 2)) - far.min((1, 2))) / 2, rtol=1e-5)
     rate = lambda policies: [planning.average_reward(ENV, policy) for policy in policies]
-    of_greedy, of_acting = rate(planning.greedy_policy(tables)), rate(planning.epsilon_greedy_policy(tables, 0.25))
-    np.testing.assert_allclose(np.asarray([log.greedy_value, log.policy_value]), [of_greedy, of_acting], atol=2e-7)
+    of_greedy, of_acting = (
+        rate(planning.greedy_policy(tables)),
+        rate(planning.epsilon_greedy_policy(tables, 0.25)),
+    )
+    np.testing.assert_allclose(
+        np.asarray([log.greedy_value, log.policy_value]), [of_greedy, of_acting], atol=2e-7
+    )
 
 
 # --- access control ----------------------------------------------------------------------------------

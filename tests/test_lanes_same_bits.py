@@ -86,6 +86,9 @@ CASES = {
     "q-lambda": Case("frozen-lake", "q-lambda", ALPHAS),
     "double-q-learning": Case("maximization-bias", "double-q-learning", episodes=20),
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
+    "dyna-q": Case("maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
+    "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
+    "prioritized-sweeping": Case("maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
     "r-learning": Case("access-control", "r-learning", ALPHAS),
     "differential-q-learning": Case(

@@ -8,11 +8,13 @@ from jaxrl_tab.algorithms.average_reward import AverageReward
 from jaxrl_tab.algorithms.differential_q_learning import DifferentialQLearning
 from jaxrl_tab.algorithms.differential_sarsa import DifferentialSarsa
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
+from jaxrl_tab.algorithms.dyna_q import DynaQ, DynaQPlus
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.many_targets import ManyTargets
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
+from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.r_learning import RLearning
@@ -37,6 +39,9 @@ ALGORITHMS: dict[str, type] = {
     "r-learning": RLearning,
     "differential-q-learning": DifferentialQLearning,
     "differential-sarsa": DifferentialSarsa,
+    "dyna-q": DynaQ,
+    "dyna-q-plus": DynaQPlus,
+    "prioritized-sweeping": PrioritizedSweeping,
 }
 
 __all__ = [
@@ -45,11 +50,14 @@ __all__ = [
     "DifferentialQLearning",
     "DifferentialSarsa",
     "DoubleQLearning",
+    "DynaQ",
+    "DynaQPlus",
     "ExpectedSarsa",
     "ManyTargets",
     "MonteCarlo",
     "NStepSarsa",
     "OffPolicyMonteCarlo",
+    "PrioritizedSweeping",
     "QLambda",
     "QLearning",
     "RLearning",
