@@ -103,7 +103,7 @@ def test_the_average_reward_of_any_policy():
     policy = np.random.default_rng(1).dirichlet(np.ones(3), 5)
     assert planning.average_reward(ENV, policy) == pytest.approx(long_sum(policy), abs=1e-9)
     assert planning.average_reward(APART, np.ones((2, 1))) == pytest.approx(2.5)
-    walk, policy = rl.RandomWalk(states=5, left_reward=0), np.full((7, 2), 0.5)
+    walk, policy = rl.RandomWalk(states=5, left_reward=0), np.ones((7, 1))
     assert planning.average_reward(walk, policy) == pytest.approx(
         0.5 / 9
     )  # 9 steps in an episode, half of a reward

@@ -54,7 +54,7 @@ def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
     assert q.shape == (200, env.num_states, env.num_actions)
     assert q.dtype == jnp.float32
     assert np.isfinite(q).all()
-    assert all(x.shape == (200, 2) for x in log if x is not None)
+    assert all(x.shape == (200, 2) for x in jax.tree.leaves(log))
     assert [x.dtype for x in log[:5]] == [jnp.int32, jnp.int32, jnp.float32, jnp.int32, jnp.float32]
     assert (log.steps == 100).all()
     assert any(not np.array_equal(x[0], x[1]) for x in jax.tree.leaves((q, log)))
