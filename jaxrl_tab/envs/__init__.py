@@ -11,6 +11,7 @@ from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.errors import nearest, shown
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
+from jaxrl_tab.envs.changing_mazes import BlockingMaze, ShortcutMaze
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.easy21 import Easy21
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
@@ -35,6 +36,8 @@ ENVS: dict[str, type] = {
     "infinite-variance": InfiniteVariance,
     "trace-gridworld": TraceGridworld,
     "maze": Maze,
+    "blocking-maze": BlockingMaze,
+    "shortcut-maze": ShortcutMaze,
     "frozen-lake": FrozenLake,
 }
 
@@ -92,6 +95,7 @@ __all__ = [
     "ENVIRONMENT",
     "ENVS",
     "Blackjack",
+    "BlockingMaze",
     "CliffWalking",
     "Easy21",
     "Finite",
@@ -104,6 +108,7 @@ __all__ = [
     "MaximizationBias",
     "Maze",
     "RandomWalk",
+    "ShortcutMaze",
     "TraceGridworld",
     "TwoDoors",
     "WindyGridworld",
