@@ -62,6 +62,8 @@ class OfMethod(NamedTuple):
         multiplies_returns: whether returns are multiplied by ratios of importance sampling. What is learned may
             then be greater than any return, and is no sign that the method diverges.
         exploring_starts: whether episodes start in any state with any action.
+        in_the_long_run: whether it learns about the average reward of a step, in tasks that do not end.
+        records: names of fields of its state that are recorded at the end of every row of the log.
         behaviour: the policy that acts, where the method was given one.
         backup: the diagram of what `update` looks ahead to, a `Backup` or its levels as text; None where nobody has
             drawn it. The class that defines `update` declares it, or a subclass without an `update` of its own.
@@ -72,6 +74,8 @@ class OfMethod(NamedTuple):
     acts_after_update: bool = False
     multiplies_returns: bool = False
     exploring_starts: bool = False
+    in_the_long_run: bool = False
+    records: tuple[str, ...] = ()
     behaviour: Any = None
     backup: Backup | None = None
 

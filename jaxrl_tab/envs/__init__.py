@@ -9,6 +9,7 @@ from typing import Any
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.errors import nearest, shown
+from jaxrl_tab.envs.access_control import AccessControl
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
 from jaxrl_tab.envs.changing_mazes import BlockingMaze, ShortcutMaze
@@ -35,6 +36,7 @@ ENVS: dict[str, type] = {
     "maximization-bias": MaximizationBias,
     "infinite-variance": InfiniteVariance,
     "trace-gridworld": TraceGridworld,
+    "access-control": AccessControl,
     "maze": Maze,
     "blocking-maze": BlockingMaze,
     "shortcut-maze": ShortcutMaze,
@@ -94,6 +96,7 @@ ENVIRONMENT = names.Kind(
 __all__ = [
     "ENVIRONMENT",
     "ENVS",
+    "AccessControl",
     "Blackjack",
     "BlockingMaze",
     "CliffWalking",
