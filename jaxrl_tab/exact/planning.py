@@ -30,17 +30,19 @@ from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.accelerated import Sweeps, accelerated_value_iteration
+from jaxrl_tab.exact.average import average_reward, check_goes_on, relative_value_iteration
 from jaxrl_tab.exact.double import doubled, has_double, in_turn
 from jaxrl_tab.exact.given import checked_policy, checked_table, checked_values
 from jaxrl_tab.exact.hardness import Gaps, Hardness, Mixing, action_gaps, diameter, hardness, mixing
 from jaxrl_tab.exact.horizon import FiniteHorizon, finite_horizon
 from jaxrl_tab.exact.iterates import Iterates, generalized_policy_iteration
 from jaxrl_tab.exact.linear import LinearProgram, linear_programming
-from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
+from jaxrl_tab.exact.measure import Measure, long_run_measurer, measurer, value_measurer
 from jaxrl_tab.exact.model import (
     Model,
     backup,
     check_finite,
+    check_lasting,
     enumerate_model,
     exact_model,
     from_state_to_state,
@@ -75,8 +77,11 @@ __all__ = [
     "accelerated_value_iteration",
     "action_gaps",
     "action_regret_map",
+    "average_reward",
     "backup",
     "check_finite",
+    "check_goes_on",
+    "check_lasting",
     "checked_values",
     "diameter",
     "doubled",
@@ -97,6 +102,7 @@ __all__ = [
     "in_turn",
     "largest_return",
     "linear_programming",
+    "long_run_measurer",
     "measurer",
     "mixing",
     "occupancy",
@@ -105,6 +111,7 @@ __all__ = [
     "policy_value",
     "reachable",
     "regret_map",
+    "relative_value_iteration",
     "soft_value_iteration",
     "sparse_solver",
     "spread",
