@@ -40,6 +40,8 @@ OUTSIDE = {
     "steps": [0.5],
     "planning_steps": [-1],
     "kappa": [-0.1],
+    "change_at": [-1],
+    "changed": [-0.1, 1.1],
     "theta": [-0.1],
     "rate": [0, 1],
     "n": [0],

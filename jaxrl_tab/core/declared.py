@@ -92,10 +92,11 @@ class OfMethod(NamedTuple):
 
 
 class OfEnvironment(NamedTuple):
-    """What an environment declares beyond `types.Environment`, whose docstring explains the first three.
+    """What an environment declares beyond `types.Environment`, whose docstring explains the first four.
 
     Attributes:
         instance: draws the problem of one run; None where all runs have the same one.
+        at: what it is in a step of a run, from the number of that; None where it is the same in all.
         mean_optimal_value: the mean over problems of v* from the start; None where it is not known.
         available: which actions a state has; None where each has all.
         panels: the tables in which people see the states, as `envs.base.Panel`; none where they are a list.
@@ -104,11 +105,19 @@ class OfEnvironment(NamedTuple):
     """
 
     instance: Callable[..., Any] | None = None
+    at: Callable[..., Any] | None = None
     mean_optimal_value: Callable[[float], float] | None = None
     available: Callable[..., Any] | None = None
     panels: Callable[[], tuple[Any, ...]] = tuple
     action_names: tuple[str, ...] = ()
     wind: Any = None
+
+    @property
+    def differs(self) -> str:
+        """How it differs between runs or their steps, in words; empty where it is the same in all."""
+        if self.instance is not None:
+            return "each run has a problem of its own"
+        return "" if self.at is None else "the task changes while a run goes on"
 
 
 def of_method(method: Any) -> OfMethod:

@@ -142,7 +142,7 @@ def prepare(
     check_pytree("env", env)
     check_held(env)
     if budget.exact:
-        planning.check_finite(env)
+        planning.check_lasting(env)
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
@@ -282,7 +282,8 @@ def _judge(env: Environment, config: Any) -> float:
     if declared.instance is not None:  # a problem for each run: an environment may know the mean over them
         mean = declared.mean_optimal_value
         return np.nan if mean is None or of_states else mean(config.gamma)
-    if not isinstance(env, FiniteEnvironment) or of_method(config).in_the_long_run:
+    in_the_long_run = of_method(config).in_the_long_run
+    if declared.at is not None or in_the_long_run or not isinstance(env, FiniteEnvironment):
         return np.nan
     if of_states:
         return config.exact_value(env)
