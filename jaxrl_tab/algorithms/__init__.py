@@ -4,20 +4,28 @@ ALGORITHMS holds those that can be made from their name alone; `ManyTargets` nee
 class only.
 """
 
+from jaxrl_tab.algorithms.actor_critic import ActorCritic, ActorCriticLambda
+from jaxrl_tab.algorithms.average_reward import AverageReward
+from jaxrl_tab.algorithms.differential_q_learning import DifferentialQLearning
+from jaxrl_tab.algorithms.differential_sarsa import DifferentialSarsa
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.dyna_q import DynaQ, DynaQPlus
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.expected_sarsa_lambda import ExpectedSarsaLambda
+from jaxrl_tab.algorithms.gradient_bandit import GradientBandit
 from jaxrl_tab.algorithms.many_targets import ManyTargets
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.n_step_expected_sarsa import NStepExpectedSarsa
 from jaxrl_tab.algorithms.n_step_off_policy_sarsa import NStepOffPolicySarsa
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
+from jaxrl_tab.algorithms.policy_gradient import PolicyGradient
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.q_sigma import QSigma
+from jaxrl_tab.algorithms.r_learning import RLearning
+from jaxrl_tab.algorithms.reinforce import Reinforce, ReinforceBaseline
 from jaxrl_tab.algorithms.retrace import Retrace
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
@@ -48,6 +56,14 @@ ALGORITHMS: dict[str, type] = {
     "double-q-learning": DoubleQLearning,
     "q-learning-target": TargetQLearning,
     "off-policy-monte-carlo": OffPolicyMonteCarlo,
+    "gradient-bandit": GradientBandit,
+    "reinforce": Reinforce,
+    "reinforce-baseline": ReinforceBaseline,
+    "actor-critic": ActorCritic,
+    "actor-critic-lambda": ActorCriticLambda,
+    "r-learning": RLearning,
+    "differential-q-learning": DifferentialQLearning,
+    "differential-sarsa": DifferentialSarsa,
     "dyna-q": DynaQ,
     "dyna-q-plus": DynaQPlus,
     "prioritized-sweeping": PrioritizedSweeping,
@@ -55,21 +71,31 @@ ALGORITHMS: dict[str, type] = {
 
 __all__ = [
     "ALGORITHMS",
+    "ActorCritic",
+    "ActorCriticLambda",
+    "AverageReward",
+    "DifferentialQLearning",
+    "DifferentialSarsa",
     "DoubleQLearning",
     "DynaQ",
     "DynaQPlus",
     "ExpectedSarsa",
     "ExpectedSarsaLambda",
+    "GradientBandit",
     "ManyTargets",
     "MonteCarlo",
     "NStepExpectedSarsa",
     "NStepOffPolicySarsa",
     "NStepSarsa",
     "OffPolicyMonteCarlo",
+    "PolicyGradient",
     "PrioritizedSweeping",
     "QLambda",
     "QLearning",
     "QSigma",
+    "RLearning",
+    "Reinforce",
+    "ReinforceBaseline",
     "Retrace",
     "Sarsa",
     "SarsaLambda",

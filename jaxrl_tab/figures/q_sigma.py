@@ -48,9 +48,7 @@ def _rms_error(learner):
 
 def _after(form, sigma, episodes):
     """The error of each seed after so many episodes."""
-    ds = lambda datasets: (
-        datasets[f"{form}, dynamic"] if sigma is None else datasets[form].sel(sigma=sigma)
-    )
+    ds = lambda datasets: datasets[f"{form}, dynamic"] if sigma is None else datasets[form].sel(sigma=sigma)
     return lambda datasets: ds(datasets).rms.isel(row=min(episodes, ds(datasets).sizes["row"]) - 1)
 
 
@@ -74,7 +72,11 @@ def _draw(datasets):
         plot.tidy(ax, "episodes", "RMS error of Q" if ax is axes[0] else "")
         ax.set(xlim=(0, None), ylim=(0, None))
         plot.legend(ax)
-    plot.head(canvas, f"Random walk, 19 states, two actions: {N}-step Q(σ), α = {ALPHA}", datasets[AS_DRAWN].sizes["seed"])
+    plot.head(
+        canvas,
+        f"Random walk, 19 states, two actions: {N}-step Q(σ), α = {ALPHA}",
+        datasets[AS_DRAWN].sizes["seed"],
+    )
     return canvas
 
 

@@ -131,6 +131,10 @@ TITLES = {
     "q-lambda": "Q(λ)",
     "monte-carlo": "Monte Carlo",
     "off-policy-monte-carlo": "Off-policy Monte Carlo",
+    "reinforce": "REINFORCE",
+    "reinforce-baseline": "REINFORCE with baseline",
+    "actor-critic": "Actor-critic",
+    "actor-critic-lambda": "Actor-critic(λ)",
     "td": "TD(0)",
     "n-step-td": "n-step TD",
     "td-lambda": "TD(λ)",
@@ -141,7 +145,16 @@ TITLES = {
     "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
     "k-armed-testbed": "k-armed testbed",
 }
-SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ", "sigma": "σ"}
+SYMBOLS = {
+    "alpha": "α",
+    "epsilon": "ε",
+    "gamma": "γ",
+    "lam": "λ",
+    "sigma": "σ",
+    "alpha_v": "α_v",
+    "lam_v": "λ_v",
+    "theta0": "θ0",
+}
 
 
 def title_of(name: str) -> str:
