@@ -32,6 +32,7 @@ from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.double import doubled, has_double, in_turn
 from jaxrl_tab.exact.given import checked_policy, checked_table, checked_values
 from jaxrl_tab.exact.iterates import Iterates, generalized_policy_iteration
+from jaxrl_tab.exact.linear import sparse_solver
 from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
 from jaxrl_tab.exact.model import (
     Model,
@@ -54,7 +55,6 @@ from jaxrl_tab.exact.values import (
     greedy_to,
     largest,
     policy_values,
-    sparse_solver,
 )
 from jaxrl_tab.exact.visits import entered, occupancy, regret, stationary_distribution
 

@@ -15,6 +15,7 @@ from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.given import checked_policy
+from jaxrl_tab.exact.linear import sparse_solver
 from jaxrl_tab.exact.model import (
     Model,
     ending_at,
@@ -24,7 +25,7 @@ from jaxrl_tab.exact.model import (
     spread,
     terminal_states,
 )
-from jaxrl_tab.exact.values import fate, sparse_solver
+from jaxrl_tab.exact.values import fate
 
 DENSE = 200  # states, up to which a matrix with all its zeros is the quicker one
 
