@@ -14,13 +14,13 @@ def test_random_successors_need_no_elimination(spread, monkeypatch):
     Broken once: what BiCGSTAB gives at first is taken -> fails.
     """
     n, gamma, rng = 4000, 0.9, np.random.default_rng(0)
-    successors, prob = rng.integers(n, size=(n, 3)), rng.dirichlet(np.ones(3), n).astype(np.longdouble)
+    successors, prob = rng.integers(n, size=(n, 5)), rng.dirichlet(np.ones(5), n).astype(np.longdouble)
     constant = rng.normal(size=n) * 10.0 ** rng.uniform(-spread, spread, n)
     expected = size = np.zeros(n, np.longdouble)
     for _ in range(500):
         expected = constant + gamma * (prob * expected[successors]).sum(1)
         size = abs(constant) + gamma * (prob * size[successors]).sum(1)
-    entries = (gamma * prob.astype(float)).ravel(), (np.repeat(np.arange(n), 3), successors.ravel())
+    entries = (gamma * prob.astype(float)).ravel(), (np.repeat(np.arange(n), 5), successors.ravel())
     monkeypatch.setattr(linear, "_eliminating", lambda matrix: pytest.fail("it was eliminated"))
     x = linear.sparse_solver(sparse.csc_array(entries, shape=(n, n)))(constant)
     assert (abs(x - expected) <= 1e-13 * size).all()
