@@ -85,6 +85,8 @@ class OfEnvironment(NamedTuple):
         available: which actions a state has; None where each has all.
         panels: the tables in which people see the states, as `envs.base.Panel`; none where they are a list.
         action_names: a short name of each action, for pictures; their numbers where there are none.
+        discount: the discount rate that its source states; None where it states none. What counts is gamma, which
+            belongs to the method: this is what the command mentions.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
     """
 
@@ -94,6 +96,7 @@ class OfEnvironment(NamedTuple):
     panels: Callable[[], tuple[Any, ...]] = tuple
     action_names: tuple[str, ...] = ()
     wind: Any = None
+    discount: float | None = None
 
 
 def of_method(method: Any) -> OfMethod:
