@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+import reference_one_step as plain
 from marks import slow_but
+from test_models import planning_words
 from test_one_step import heads, target_words
 from test_reference import STEPS, task_of, words_of
 
@@ -97,7 +99,25 @@ PLAIN = {
     ),
     "sarsa-lambda": ({"trace": "dutch"}, lambda key: reference.Traces(*SHARED, lam=0.9, trace="dutch")),
     "sarsa-lambda-forward": ({}, lambda key: reference.ForwardView(*SHARED, view=summed)),
+    "dyna-q": ({}, lambda key: reference.DynaQ(*SHARED, words=planning_words(key))),
+    "dyna-q-plus": (
+        {"kappa": 0.25},
+        lambda key: reference.DynaQ(*SHARED, words=planning_words(key), kappa=0.25),
+    ),
+    "prioritized-sweeping": ({}, lambda key: reference.PrioritizedSweeping(*SHARED)),
     "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, watkins=True)),
+    "r-learning": (
+        {"gamma": 1.0, "beta": 0.25},
+        lambda key: plain.RLearning(*SHARED[:2], 1.0, SHARED[3], beta=0.25),
+    ),
+    "differential-q-learning": (
+        {"gamma": 1.0, "eta": 0.5},
+        lambda key: plain.DifferentialQLearning(*SHARED[:2], 1.0, SHARED[3], beta=0.5),
+    ),
+    "differential-sarsa": (
+        {"gamma": 1.0, "beta": 0.25},
+        lambda key: plain.DifferentialSarsa(*SHARED[:2], 1.0, SHARED[3], beta=0.25),
+    ),
 }
 
 

@@ -73,6 +73,27 @@ def test_a_number_that_is_not_there_is_off(relation):
     assert not number([1.0, np.nan], 1.0, 1.0, relation).check({}).ok
 
 
+@pytest.mark.parametrize(
+    ("got", "standard_error", "published", "published_error", "reproduces"),
+    [
+        (-1.75, 0.0, "−1.7", 0.0, True),  # as far as its digits go: half a unit of the last one
+        (-1.76, 0.0, "−1.7", 0.0, False),
+        (25.94, 0.01, "17", 0.0, False),
+        (17.6, 0.05, "17", 0.0, True),  # two standard errors beyond the digits
+        (17.6, 0.01, "17", 0.0, False),
+        (-0.2772042, 0.0, "-0.27726", 0.0, False),
+        (-0.2772042, 0.0, "-0.27726", 9e-5, True),  # the source says how far it may be off
+        (0.1, 0.0, None, 0.0, None),
+    ],
+)
+def test_a_published_number_comes_out_within_its_digits_and_both_errors(
+    got, standard_error, published, published_error, reproduces
+):
+    """Broken once: a whole unit of the last digit; the error of the source left out -> fails."""
+    check = Check("x", got, standard_error, "is", got, 0.0, 0.0, published, published_error)
+    assert check.reproduces is reproduces
+
+
 # With these budgets, where they are not the figure's own.
 IN_FULL = {
     "windy-gridworld": {},
@@ -136,7 +157,7 @@ def test_the_numbers_of_the_figure_come_out(name, tmp_path):
 def test_the_expected_numbers_are_those_known():
     """They are the point of the figures: a change of one is a change of what is claimed."""
     known = {name: [(n.expected, n.standard_error) for n in f.numbers] for name, f in FIGURES.items()}
-    assert known["windy-gridworld"] == [(160.15, 0.1), (15, 1e-6), (7, 1e-6)]
+    assert known["windy-gridworld"] == [(160.15, 0.1), (25.941, 0.012), (15, 1e-6), (7, 1e-6)]
     assert known["cliff-walking"] == [(-26.79, 0.1), (-49.94, 0.11), (-13, 1e-6), (-20.7077, 5e-5)]
     best, *learned = known["k-armed-testbed"][:4]
     assert best == (1.538753, 1e-6)
@@ -151,8 +172,8 @@ def two_figures(monkeypatch):
     windy, cliff = FIGURES["windy-gridworld"], FIGURES["cliff-walking"]
     for name in list(FIGURES):
         monkeypatch.delitem(FIGURES, name)
-    bad = Number("episodes", 500, 0.1, windy.numbers[0].measure)
-    monkeypatch.setitem(FIGURES, "windy-gridworld", small(windy, numbers=(bad, windy.numbers[1])))
+    bad, optimum = Number("episodes", 500, 0.1, windy.numbers[0].measure), windy.numbers[2]
+    monkeypatch.setitem(FIGURES, "windy-gridworld", small(windy, numbers=(bad, optimum)))
     monkeypatch.setitem(
         FIGURES, "cliff-walking", small(cliff, numbers=cliff.numbers[2:], title="Sarsa <b> & the [cliff]")
     )
@@ -204,6 +225,10 @@ def test_all_figures_are_made_with_a_page_that_shows_them(two_figures, tmp_path,
     printed = capsys.readouterr().out
     assert "Sarsa on the windy gridworld" in printed
     assert "Sarsa <b> & the [cliff]" in printed
+    *_, summary = printed.partition("All figures")
+    assert re.search("windy-gridworld .* 1 of 2 .* 1 of 1", summary)
+    assert re.search("cliff-walking .* 2 of 2 ", summary)
+    assert "All numbers that the sources print come out." in summary
     pictures = ["windy-gridworld.png", "cliff-walking.png"]
     sharp = ["windy-gridworld.pdf", "cliff-walking.pdf"]
     assert {file.name for file in out.iterdir()} == {"results.nc", "index.html", *pictures, *sharp}
@@ -234,11 +259,12 @@ def test_a_name_and_all_figures_exclude_each_other(capsys):
 
 def test_the_page_says_how_a_number_came_out():
     checks = [
-        Check("mean", 1.5, 0.1, "is", 1.0, 0.05, 4.47),
+        Check("mean", 1.5, 0.1, "is", 1.0, 0.05, 4.47, published="2.3"),
         Check("exact", -13.0, 0.0, "is", -13.0, 1e-6, 0.0),
         Check("bound", 0.0019, 0.0, "at most", 0.005, 0.0, 0.0),
     ]
     text = " ".join(Tags(page({"a": (FIGURES["cliff-walking"], checks)}, "0")).text.split())
-    assert "mean1.50.110.054.47off" in text
+    assert "mean2.31.50.110.054.47off" in text
+    assert "Published, and does not come out" in text and "mean2.31.50.1" in text.split("Published, and")[1]
     assert "exact-13exact-13exactequalok" in text
     assert "bound0.0019exact≤ 0.005exactholdsok" in text

@@ -1,9 +1,9 @@
 """`jaxrl-tab figure`: published figures again, and their numbers checked."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 from rich.table import Table
@@ -14,13 +14,13 @@ from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import PROG, console, print_json
 from jaxrl_tab.cli.typed import parse, word
 from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.netcdf import save
 from jaxrl_tab.core.pytree import checked_dataclass
 from jaxrl_tab.core.version import __version__
-from jaxrl_tab.engine.results import save
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure
-from jaxrl_tab.figures.page import cells, page
+from jaxrl_tab.figures.page import cells, differing, page
 from jaxrl_tab.show.progress import reporting
 
 if TYPE_CHECKING:
@@ -53,8 +53,9 @@ def make_runs(
 class Figure:
     """Runs the setting of a published figure again, draws it, and checks its numbers; or of all figures.
 
-    Prints what was got beside what is expected: from enumeration, or from long simulations with plain loops.
-    The exit code is 1 if any number is off by more than four standard errors.
+    Prints what was got beside what is expected, from enumeration or from long simulations with plain loops, and what
+    the source printed, where that does not come out as well. With --all, a table of all figures is the end. The exit
+    code is 1 if any number is off what is expected by more than four standard errors.
 
     Examples:
       jaxrl-tab figure windy-gridworld --out runs/windy-figure
@@ -99,15 +100,21 @@ def figure_command(argv: list[str]) -> int:
         if folder and options.all:
             (folder / "index.html").write_text(page(checked, __version__), encoding="utf-8")
 
+    if options.all and not options.json:
+        console().print(*_all_tables(checked), sep="\n")
     if options.json:
         results = [
-            {"figure": name, "numbers": [c._asdict() | {"ok": c.ok} for c in checks]}
+            {"figure": name, "numbers": [_as_json(check) for check in checks]}
             for name, (_, checks) in checked.items()
         ]
         print_json({"figures": results} if options.all else results[0])
     elif options.out:
         say_where(options.out, groups[0])
     return 0 if all(c.ok for _, checks in checked.values() for c in checks) else 1
+
+
+def _as_json(check: Check) -> dict[str, Any]:
+    return check._asdict() | {"ok": check.ok, "reproduces": check.reproduces}
 
 
 def _draw_figure(figure: PublishedFigure, datasets: "Mapping[str, xr.Dataset]", file: Path) -> None:
@@ -122,8 +129,36 @@ def _draw_figure(figure: PublishedFigure, datasets: "Mapping[str, xr.Dataset]", 
 def _check_table(figure: PublishedFigure, checks: Sequence[Check]) -> Table:
     title = escape(f"{figure.title} ({figure.source})")
     caption = "expected: from long simulations with plain loops; what is exact, from enumeration"
-    table = Table("number", "got", "± SE", "expected", "± SE", "SEs apart", title=title, caption=caption)
+    printed = any(check.published for check in checks)
+    columns = ("number", *(["published"] if printed else []), "got", "± SE", "expected", "± SE", "SEs apart")
+    table = Table(*columns, title=title, caption=caption)
     for check in checks:
-        *row, apart = map(escape, cells(check))
-        table.add_row(*row, apart if check.ok else f"[bold red]{apart}, off[/]")
+        what, published, *row, apart = map(escape, cells(check))
+        published = f"[yellow]{published}[/]" if check.reproduces is False else published
+        apart = apart if check.ok else f"[bold red]{apart}, off[/]"
+        table.add_row(what, *([published] if printed else []), *row, apart)
     return table
+
+
+def _all_tables(checked: Mapping[str, tuple[PublishedFigure, Sequence[Check]]]) -> Iterator[Table | str]:
+    """What all figures came to: of each how many numbers are right; what was published and does not come out."""
+    table = Table("figure", "source", "numbers", "published", title="All figures")
+    for name, (figure, checks) in checked.items():
+        right, count = _counted([check.ok for check in checks])
+        published = [check.reproduces for check in checks if check.published]
+        row = (escape(name), escape(figure.source), f"{right} of {count}")
+        table.add_row(*row, "{} of {}".format(*_counted(published)) if published else "")
+    table.caption = "numbers: as expected; published: those that the source prints, which come out"
+    yield table
+    if not (differ := differing(checked)):
+        yield "All numbers that the sources print come out."
+        return
+    table = Table("figure", "number", "published", "here", "± SE", title="Published, and does not come out")
+    for name, check in differ:
+        what, published, got, error, *_ = cells(check)
+        table.add_row(*map(escape, (name, what, published, got, error)))
+    yield table
+
+
+def _counted(good: Sequence[bool | None]) -> tuple[int, int]:
+    return sum(map(bool, good)), len(good)

@@ -93,6 +93,14 @@ def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
     return reduce(jnp.add, ((u * total >= edge).astype(jnp.int32) for edge in edges), jnp.int32(0))
 
 
+def below(key: Key[Array, ""], count: Int[Array, ""]) -> Int[Array, ""]:
+    """Draws one of the whole numbers from 0 to below `count`, all equally likely, int32 []; as `sample`, by 24 bits."""
+    u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(jnp.result_type(float)) * 2**-24
+    return (u * count.astype(u.dtype)).astype(
+        jnp.int32
+    )  # never `count` itself, however the product is rounded
+
+
 def coin(key: Key[Array, ""]) -> Bool[Array, ""]:
     """A fair coin, bool [], from the lowest bit of the key's word.
 

@@ -221,6 +221,10 @@ class FiniteMDP(Finite):
     def num_actions(self) -> int:
         return self.successors.shape[-2]
 
+    @property
+    def continuing(self) -> bool:
+        return not np.any(self.is_terminal)
+
     def initial(self) -> Float[Array, " S"]:
         start_prob = jnp.asarray(self.start_prob, float)
         return jnp.zeros(self.num_states, dtype=float).at[self.start_states].set(start_prob)

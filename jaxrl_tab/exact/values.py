@@ -9,7 +9,6 @@ from jaxtyping import Array, Bool, Float
 
 from jaxrl_tab.core import policies
 from jaxrl_tab.exact.double import in_turn
-from jaxrl_tab.exact.linear import sparse_solver
 from jaxrl_tab.exact.model import (
     Model,
     array_module,
@@ -21,9 +20,11 @@ from jaxrl_tab.exact.model import (
     while_loop,
     with_sizes,
 )
+from jaxrl_tab.exact.systems import sparse_solver
 
 ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
+NEARLY = 1 - 2.0**-20  # a discount rate at which what is best is best in the long run, too
 ANYTHING = -1  # the number of the round in which any action is taken, before the first policy is known
 BLOCK, MAX_BLOCKS = 16, 6  # states that are taken out of a dense chain at once, and how many times
 
@@ -267,14 +268,19 @@ def _first_policy(model: Model, v: Float[Any, " S"], caught: Bool[Any, " S"]) ->
         v, caught: of the policy that takes any action.
     """
     where, anything = array_module(model).where, any_action(model)
-    free = ((model.prob == 0) | (model.reward == 0)).all(-1)
-    home = _home(model, free)
-    staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
-    staying = (staying & (anything > 0)).astype(model.prob.dtype)
-    staying = staying / staying.sum(-1, keepdims=True)
+    home, staying = waiting(model)
     mixed = where((home & (v < 0))[:, None], staying, anything)
     lost = caught.any() | fate(model, mixed)[1].any()
     return where(lost, staying, mixed)
+
+
+def waiting(model: Model) -> tuple[Bool[Any, " S"], Float[Any, "S A"]]:
+    """Where one can stay for ever for nothing, bool [S]; and a policy [S, A] that does, and elsewhere takes any."""
+    free = ((model.prob == 0) | (model.reward == 0)).all(-1)
+    home = _home(model, free)
+    staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
+    staying = (staying & (any_action(model) > 0)).astype(model.prob.dtype)
+    return home, staying / staying.sum(-1, keepdims=True)
 
 
 def from_start(model: Model, v: Float[Any, " S"]) -> Any:

@@ -15,7 +15,6 @@ from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.given import checked_policy
-from jaxrl_tab.exact.linear import sparse_solver
 from jaxrl_tab.exact.model import (
     Model,
     ending_at,
@@ -25,6 +24,7 @@ from jaxrl_tab.exact.model import (
     spread,
     terminal_states,
 )
+from jaxrl_tab.exact.systems import sparse_solver
 from jaxrl_tab.exact.values import fate
 
 DENSE = 200  # states, up to which a matrix with all its zeros is the quicker one
@@ -199,6 +199,13 @@ def stationary_distribution(env: Environment, policy_probs: ArrayLike) -> Float[
         share += chance * _of_set(chain, member == one)
     share = np.where(terminal_states(model), 0, share[:-1])  # what lies between episodes takes no time
     return share / share.sum()
+
+
+def long_run(model: Model, probs: Float[np.ndarray, "S A"]) -> list[Float[np.ndarray, " S"]]:
+    """The stationary distributions of all sets of states that a policy never leaves, whatever it comes from."""
+    chain = _chain(model, probs, 1.0)
+    member = _closed_sets(chain, ~terminal_states(model))
+    return [_of_set(chain, member == one) for one in range(member.max() + 1)]
 
 
 def _without_end(model: Model, probs: Float[np.ndarray, "S A"]) -> _Chain:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from decimal import Decimal
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -33,6 +34,8 @@ class Check(NamedTuple):
         relation: whether `expected` is the number itself, or a bound.
         expected, expected_standard_error: the same of the published or computed number.
         apart: how many standard errors of the difference lie between them; 0 on the right side of a bound.
+        published: the number as its source printed it; None where it prints none.
+        published_standard_error: of that, where the source estimated it and says how well; else 0.
     """
 
     what: str
@@ -42,10 +45,22 @@ class Check(NamedTuple):
     expected: float
     expected_standard_error: float
     apart: float
+    published: str | None = None
+    published_standard_error: float = 0.0
 
     @property
     def ok(self) -> bool:
         return self.apart <= MOST_APART
+
+    @property
+    def reproduces(self) -> bool | None:
+        """Whether the published number comes out, as far as its digits and both errors tell; None without one."""
+        if self.published is None:
+            return None
+        printed = Decimal(self.published.replace("−", "-"))
+        rounding = 0.5 * 10.0 ** int(printed.as_tuple().exponent)
+        noise = MOST_APART * math.hypot(self.standard_error, self.published_standard_error)
+        return abs(self.got - float(printed)) <= rounding * (1 + 1e-9) + noise
 
 
 @dataclass(frozen=True)
@@ -59,6 +74,10 @@ class Number:
         measure: gives the number from the datasets of the figure: one for each seed, [seeds], or an exact
             one, [].
         relation: "is", or "at most" or "at least" where `expected` is a bound.
+        published: the number as the source prints it, digit by digit: "−14", "0.36". None where it prints none, as
+            where there is only a curve. It need not be `expected`: where a right implementation shows another number,
+            that one is expected, and the figure says that what was published does not reproduce.
+        published_standard_error: of that, where the source estimated it and says from how many runs.
     """
 
     what: str
@@ -66,6 +85,8 @@ class Number:
     standard_error: float
     measure: "Callable[[Datasets], Any]"
     relation: Relation = "is"
+    published: str | None = None
+    published_standard_error: float = 0.0
 
     def check(self, datasets: "Datasets") -> Check:
         """Compares what `measure` gives with what is expected."""
@@ -77,7 +98,10 @@ class Number:
         unit = math.hypot(error, self.standard_error)
         distance = float(wrong[self.relation])
         apart = distance / unit if unit else (0.0 if distance == 0 else math.inf)
-        return Check(self.what, mean, error, self.relation, self.expected, self.standard_error, apart)
+        of_source = self.published, self.published_standard_error
+        return Check(
+            self.what, mean, error, self.relation, self.expected, self.standard_error, apart, *of_source
+        )
 
 
 @dataclass(frozen=True)

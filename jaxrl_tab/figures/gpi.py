@@ -169,14 +169,14 @@ FIGURE = Figure(
     experiment=_experiment,
     numbers=(
         # By hand, or from plain loops; the book prints them with one decimal.
-        Number("random policy, 2 sweeps: v beside the end", -1.75, EXACT, _v(2, NEAR)),
-        Number("3 sweeps: v beside the end", -2.4375, EXACT, _v(3, NEAR)),
-        Number("3 sweeps: v two cells from it", -2.9375, EXACT, _v(3, FAR)),
-        Number("10 sweeps: v beside the end", -6.137970, EXACT, _v(10, NEAR)),
-        Number("10 sweeps: v in the far corner", -8.967316, EXACT, _v(10, CORNER)),
-        Number("v_π beside the end", -14, EXACT, _v(np.inf, NEAR)),
-        Number("v_π two cells from it", -20, EXACT, _v(np.inf, FAR)),
-        Number("v_π in the far corner", -22, EXACT, _v(np.inf, CORNER)),
+        Number("random policy, 2 sweeps: v beside the end", -1.75, EXACT, _v(2, NEAR), published="−1.7"),
+        Number("3 sweeps: v beside the end", -2.4375, EXACT, _v(3, NEAR), published="−2.4"),
+        Number("3 sweeps: v two cells from it", -2.9375, EXACT, _v(3, FAR), published="−2.9"),
+        Number("10 sweeps: v beside the end", -6.137970, EXACT, _v(10, NEAR), published="−6.1"),
+        Number("10 sweeps: v in the far corner", -8.967316, EXACT, _v(10, CORNER), published="−9.0"),
+        Number("v_π beside the end", -14, EXACT, _v(np.inf, NEAR), published="−14"),
+        Number("v_π two cells from it", -20, EXACT, _v(np.inf, FAR), published="−20"),
+        Number("v_π in the far corner", -22, EXACT, _v(np.inf, CORNER), published="−22"),
         Number("greedy to 2 sweeps: mean value", -15 / 7, EXACT, _worth(2)),
         Number("greedy to 3 sweeps: mean value, the best", -2, EXACT, _worth(3)),
         # From plain loops over the rules of Easy21.

@@ -12,17 +12,28 @@ def page(checked: Mapping[str, tuple[Figure, Sequence[Check]]], version: str) ->
 
     The page needs nothing else: no script, no font, no style sheet.
     """
-    return render("figures.html", figures=checked, version=version, cells=cells)
+    return render("figures.html", figures=checked, differ=differing(checked), version=version, cells=cells)
+
+
+def differing(checked: Mapping[str, tuple[Figure, Sequence[Check]]]) -> list[tuple[str, Check]]:
+    """What was published and does not come out, each with the name of its figure."""
+    return [
+        (name, check)
+        for name, (_, checks) in checked.items()
+        for check in checks
+        if check.reproduces is False
+    ]
 
 
 def cells(check: Check) -> tuple[str, ...]:
-    """A check as text: number, got, its standard error, expected, its standard error, apart."""
+    """A check as text: number, published, got, its standard error, expected, its standard error, apart."""
     bound = {"is": "", "at most": "≤ ", "at least": "≥ "}[check.relation]
     apart = f"{check.apart:.2f}"
     if check.ok and not check.standard_error:
         apart = "equal" if check.relation == "is" else "holds"
     return (
         check.what,
+        check.published or "",
         six_digits(check.got),
         _error(check.standard_error),
         bound + six_digits(check.expected),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from jaxrl_tab.exact import linear
+from jaxrl_tab.exact import systems
 
 
 @pytest.mark.parametrize("spread", [0, 6])
@@ -21,8 +21,8 @@ def test_random_successors_need_no_elimination(spread, monkeypatch):
         expected = constant + gamma * (prob * expected[successors]).sum(1)
         size = abs(constant) + gamma * (prob * size[successors]).sum(1)
     entries = (gamma * prob.astype(float)).ravel(), (np.repeat(np.arange(n), 5), successors.ravel())
-    monkeypatch.setattr(linear, "_eliminating", lambda matrix: pytest.fail("it was eliminated"))
-    x = linear.sparse_solver(sparse.csc_array(entries, shape=(n, n)))(constant)
+    monkeypatch.setattr(systems, "_eliminating", lambda matrix: pytest.fail("it was eliminated"))
+    x = systems.sparse_solver(sparse.csc_array(entries, shape=(n, n)))(constant)
     assert (abs(x - expected) <= 1e-13 * size).all()
 
 
@@ -30,5 +30,5 @@ def test_a_corridor_is_eliminated_and_so_is_what_does_not_converge():
     """A walk of 6000 steps, of which BiCGSTAB takes some hundred."""
     n = 6000
     corridor = sparse.csc_array((np.ones(n - 1), (np.arange(n - 1), np.arange(1, n))), shape=(n, n))
-    assert linear._is_narrow(corridor)
-    np.testing.assert_array_equal(linear._iterating(corridor)(np.ones(n)), np.arange(n, 0, -1))
+    assert systems._is_narrow(corridor)
+    np.testing.assert_array_equal(systems._iterating(corridor)(np.ones(n)), np.arange(n, 0, -1))
