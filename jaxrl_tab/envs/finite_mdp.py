@@ -223,7 +223,8 @@ class FiniteMDP(Finite):
 
     @property
     def continuing(self) -> bool:
-        return not np.any(self.is_terminal)
+        """Whether no state is terminal; False inside a compiled program, which does not look."""
+        return isinstance(self.is_terminal, np.ndarray) and not self.is_terminal.any()
 
     def initial(self) -> Float[Array, " S"]:
         start_prob = jnp.asarray(self.start_prob, float)
