@@ -93,6 +93,11 @@ CASES = {
     "monte-carlo-prediction": Case("blackjack", "monte-carlo-prediction", episodes=20),
     "off-policy-td": Case("random-walk", "off-policy-td", ALPHAS),
     "off-policy-monte-carlo-prediction": Case("two-doors", "off-policy-monte-carlo-prediction", episodes=20),
+    "the taxi": Case("taxi", "sarsa", ALPHAS),
+    "the gambler": Case("gamblers-problem", "q-learning", ALPHAS, episodes=20),
+    "the cars": Case("jacks-car-rental", "expected-sarsa", ALPHAS),
+    "the race": Case("racetrack", "q-learning", ALPHAS),
+    "the robot": Case("recycling-robot", "sarsa", ALPHAS | {"gamma": 0.9}),
     # policies and schedules
     "greedy": Case("k-armed-testbed", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
     "softmax": Case("two-doors", "expected-sarsa", {"behaviour": policies.Softmax(0.3)}),
