@@ -13,6 +13,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning
 from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.envs.racetrack import TRACKS
+from jaxrl_tab.show.states import state_names
 
 
 def optimum(name, gamma=1.0, **parameters):
@@ -45,16 +46,14 @@ def ours(env):
     return merged(*model.prob.shape[:2], zip(*(x.ravel() for x in (*places, *columns)), strict=True))
 
 
+RAIN = {"is_rainy": True, "rainy_probability": 0.7}
+
+
 @pytest.mark.parametrize(
     ("name", "parameters", "of_gymnasium", "given"),
     [
         ("taxi", {}, "Taxi-v4", {}),
-        (
-            "taxi",
-            *[{"is_rainy": True, "rainy_probability": 0.7}] * 1,
-            "Taxi-v4",
-            {"is_rainy": True, "rainy_probability": 0.7},
-        ),
+        ("taxi", RAIN, "Taxi-v4", RAIN),
         ("cliff-walking", {}, "CliffWalking-v1", {}),
         ("cliff-walking", {"is_slippery": True}, "CliffWalkingSlippery-v1", {}),
     ],
@@ -116,10 +115,8 @@ def test_the_fickle_passenger_is_gymnasiums():
                 expected[(500 + changed[0], *changed[1:])] = 0.1
         else:
             expected[(500 * settled + stays[0], *stays[1:3])] = 1.0
-        got = {}
-        for p, *outcome in zip(
-            *(x[s, a].tolist() for x in (model.prob, model.s_next, model.reward, model.terminal)), strict=True
-        ):
+        got, columns = {}, (model.prob, model.s_next, model.reward, model.terminal)
+        for p, *outcome in zip(*(x[s, a].tolist() for x in columns), strict=True):
             got[tuple(outcome)] = got.get(tuple(outcome), 0) + p
         assert {x: p for x, p in got.items() if p} == pytest.approx(expected)
 
@@ -132,25 +129,11 @@ def test_optimal_values_of_the_taxi_and_the_cliff():
 def test_the_taxi_is_seen_in_its_town():
     env = rl.make("taxi")
     assert [panel.title for panel in env.panels()][:4:3] == ["passenger at R, to G", "passenger at G, to R"]
-    names = rl.show.states.state_names(env) if hasattr(rl, "show") else None
-    assert names is None or names(((3 * 5 + 1) * 5 + 2) * 4) == "row 3, column 1, passenger at Y, to R"
+    assert state_names(env)(((3 * 5 + 1) * 5 + 2) * 4) == "row 3, column 1, passenger at Y, to R"
     assert len({int(s) for panel in env.panels() for s in panel.states.ravel()}) == 400
 
 
 # --- the gambler -------------------------------------------------------------------------------------
-
-
-def bold(p, goal):
-    """v of who stakes all, or all that is missing: by halves of the goal, each from the one before."""
-    v = {0: 0.0, goal: 1.0}
-
-    def value(s):
-        if s not in v:
-            v[s] = math.nan  # of a capital that comes back to itself
-            v[s] = p * value(2 * s) if 2 * s <= goal else p + (1 - p) * value(2 * s - goal)
-        return v[s]
-
-    return [value(s) for s in (0, goal // 4, goal // 2, 3 * goal // 4, goal)]
 
 
 def test_the_gambler_is_bold_where_the_coin_is_not_fair():
@@ -164,8 +147,8 @@ def test_the_gambler_is_bold_where_the_coin_is_not_fair():
             expected[s] = 0.4 * expected[2 * s] if s <= 32 else 0.4 + 0.6 * expected[2 * s - 64]
     np.testing.assert_allclose(v[:-1], expected[:-1], atol=1e-9)
     stakes = [np.flatnonzero(row >= row.max() - 1e-9) for row in q]
-    assert all(min(s, 64 - s) in stakes[s] and 0 in stakes[s] for s in range(1, 64))
-    assert q[10, 11] == UNAVAILABLE and q[10, 10] > 0
+    assert all(min(s, 64 - s) in stakes[s] for s in range(1, 64))
+    assert q[10, 11] == q[10, 0] == UNAVAILABLE and q[10, 10] > 0
     v = planning.value_iteration(rl.make("gamblers-problem"))[0]
     np.testing.assert_allclose(v[[0, 25, 50, 75, 100]], [0, 0.16, 0.4, 0.64, 0], atol=1e-9)
 
@@ -300,10 +283,8 @@ def test_the_car_goes_where_a_plain_loop_says(track):
 
 
 def test_the_tracks_are_those_of_the_book():
-    sizes = {
-        name: (len(rows), len(rows[0]), rows[-1].count("S"), "".join(rows).count("G"))
-        for name, rows in TRACKS.items()
-    }
+    count = lambda rows: (rows[-1].count("S"), "".join(rows).count("G"))
+    sizes = {name: (len(rows), len(rows[0]), *count(rows)) for name, rows in TRACKS.items()}
     assert sizes == {"left": (32, 17, 6, 6), "right": (30, 32, 23, 9)}
     assert {name: rl.make("racetrack", track=name).num_states for name in TRACKS} == {
         "left": 2361,

@@ -14,15 +14,16 @@ from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT, Finite
 class GamblersProblem(Finite):
     """Bet on heads until there are 100 dollars, or none; only the 100 give a reward, of 1.
 
-    A state is the capital, an action the stake, of which there are those from 0 to the capital, or to what is missing.
+    A state is the capital, an action the stake, of which there are those from 1 to the capital, or to what is missing.
     Where heads come up the gambler wins the stake, else loses it. Capitals 0 and 100 are terminal. The book does not
     say with how much an episode starts: here with any of 1 to 99 dollars, each equally likely. Undiscounted, a value is
     the probability to get to the 100.
 
-    To stake nothing changes nothing, so it is as good as the best, and every state has several optimal actions. Where
-    p_h < 1/2, to stake all that one has, or all that is missing, is one of them: v*(s) is p_h v*(2 s) up to half of the
-    goal, and p_h + (1 - p_h) v*(2 s - goal) from there (Dubins and Savage 1965, How to gamble if you must). Where
-    p_h > 1/2, a dollar at a time is, and with r = (1 - p_h) / p_h v*(s) is (1 - r^s) / (1 - r^goal).
+    The book has the stake of 0 as well, which changes nothing and so is as good as the best; here it is left out, for
+    who has learned a little may like it best, and stay for ever. Where p_h < 1/2 it is optimal to stake all that one
+    has, or all that is missing, among other stakes: v*(s) is p_h v*(2 s) up to half of the goal, and
+    p_h + (1 - p_h) v*(2 s - goal) from there (Dubins and Savage 1965, How to gamble if you must). Where p_h > 1/2 it is
+    to stake a dollar at a time, and with r = (1 - p_h) / p_h v*(s) is (1 - r^s) / (1 - r^goal).
     """
 
     p_h: float = field(default=0.4, at_least=0, at_most=1, help="Probability of heads.")
@@ -38,8 +39,9 @@ class GamblersProblem(Finite):
         return self.goal // 2 + 1
 
     def available(self, s: Int[Array, ""]) -> Bool[Array, " A"]:
-        """The stakes that there are with capital `s`, bool [A]."""
-        return jnp.arange(self.num_actions) <= jnp.minimum(s, self.goal - s)
+        """The stakes that there are with capital `s`, bool [A]; where it is over, 0."""
+        stakes, most = jnp.arange(self.num_actions), jnp.minimum(s, self.goal - s)
+        return (stakes <= most) & ((stakes > 0) | (most == 0))
 
     def initial(self) -> Float[Array, " S"]:
         return jnp.zeros(self.num_states, dtype=float).at[1 : self.goal].set(1 / (self.goal - 1))
