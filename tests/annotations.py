@@ -1,7 +1,7 @@
 """Has every call within jaxrl_tab checked against its annotations, by jaxtyping and beartype.
 
-Of a function that is called hundreds of times, as those of the lane compiler are, one call of many is checked, unless
-`every_call` is set: `pytest --slow` does that.
+Of a function that is called hundreds of times, as those of the lane compiler are, one call of `one_of` is checked:
+more of them with `pytest --slow`.
 
 Many tests give bad values on purpose. An annotation that excludes a value is right where the function refuses it
 by itself, with an InputError or a RunError: then that error is raised, as it is without this. Everything else
@@ -36,8 +36,8 @@ class WrongArgument(BeartypeCallHintParamViolation):
     called = False
 
 
-OFTEN, ONE_OF = 500, 64  # after so many calls of a function, one of so many is checked
-every_call = False
+OFTEN = 500  # calls of a function, each of which is checked; after them one of so many:
+one_of = 64
 DIMENSIONS = jaxtyping.jaxtyped("context")  # in which the name of a dimension stands for one size
 
 
@@ -68,7 +68,7 @@ def checked(definition: Any) -> Any:
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal strict, calls
         calls += 1
-        if calls > OFTEN and calls % ONE_OF and not every_call:
+        if calls > OFTEN and calls % one_of:
             return definition(*args, **kwargs)
         strict = strict or _strict_of(definition)  # made in the first call: then all that it names exists
         try:

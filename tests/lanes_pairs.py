@@ -35,15 +35,17 @@ class Unloaded:
 
 
 def pairs(env: str) -> Iterator[tuple[str, str]]:
-    """(method, budget): Sarsa and every third of the others, in the next environment the next ones; in one all.
+    """(method, budget): Sarsa and some of the others, in the next environment the next ones; in one all.
 
-    Every other one by episodes, where not by both.
+    So that each is in three environments besides that one, whatever their number. Every other one by episodes, where
+    not by both.
     """
+    every = max(1, len(ENVS) // 3)
     for k, method in enumerate(METHODS, list(ENVS).index(env)):
         if env == "random-walk" or method == "sarsa":
             yield from ((method, by) for by in BUDGETS)
-        elif k % 3 == 0:
-            yield method, list(BUDGETS)[k % 2]
+        elif k % every == 0:
+            yield method, list(BUDGETS)[k // every % 2]
 
 
 def problems(runs: Runs) -> Iterator[str]:

@@ -220,6 +220,69 @@ class NStepSarsa(Agent):
         return a_next
 
 
+class DynaQ(Agent):
+    """The box of section 8.2; with kappa Dyna-Q+, section 8.3. words: two for each planning step, [steps, n, 2]."""
+
+    def __init__(self, *args, words, kappa=None, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.words, self.kappa = words, kappa
+        self.model, self.tried_at = {}, {}
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        self.improve(s, a, r, self.discount(terminal), s_next)
+        if s not in self.model:
+            self.model[s] = {}
+        self.model[s][a] = r, self.discount(terminal), s_next
+        self.tried_at[s, a] = self.t
+        for of_state, of_action in self.words[self.t - 1]:
+            s_past = list(self.model)[int(F(of_state) * F(len(self.model)))]
+            tried = self.model[s_past]
+            there = [
+                q > -np.inf if self.kappa is not None else a in tried for a, q in enumerate(self.q[s_past])
+            ]
+            a_past = draw(there, of_action)
+            r_past, discount, next_past = tried.get(a_past, (F(0), F(self.gamma), s_past))
+            if self.kappa is not None:
+                r_past += F(self.kappa) * np.sqrt(F(self.t - self.tried_at.get((s_past, a_past), 0)))
+            self.improve(s_past, a_past, r_past, discount, next_past)
+        return self.act(s_next, u)
+
+    def improve(self, s, a, r, discount, s_next):
+        self.q[s, a] += self.alpha(s, a) * (r + discount * max(self.q[s_next]) - self.q[s, a])
+
+
+class PrioritizedSweeping(Agent):
+    """The box of section 8.4, with the queue as a dict of priorities."""
+
+    def __init__(self, *args, n=5, theta=1e-4, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.n, self.theta = n, F(theta)
+        self.model, self.queue = {}, {}
+
+    def error(self, s, a):
+        r, discount, s_next = self.model[s, a]
+        return r + discount * max(self.q[s_next]) - self.q[s, a]
+
+    def insert(self, s, a):
+        priority = abs(self.error(s, a))
+        if priority > self.theta:
+            self.queue[s, a] = max(priority, self.queue.get((s, a), F(0)))
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        self.model[s, a] = r, self.discount(terminal), s_next
+        self.insert(s, a)
+        for _ in range(self.n):
+            if not self.queue:
+                break
+            first = max(sorted(self.queue), key=self.queue.__getitem__)
+            del self.queue[first]
+            self.q[first] += self.alpha(*first) * self.error(*first)
+            for pair, (_, _, leads_to) in self.model.items():
+                if leads_to == first[0]:
+                    self.insert(*pair)
+        return self.act(s_next, u)
+
+
 class MonteCarlo(Agent):
     """Every visit, in order, towards its return (book, equation 6.1), with its own step size."""
 

@@ -75,10 +75,10 @@ def test_what_a_function_refuses_it_refuses_in_its_own_words():
 
 
 def test_of_a_function_that_is_called_often_some_calls_are_checked(monkeypatch):
-    """All are with --slow. Broken once: all or none after the first ones -> fails."""
-    calls = annotations.OFTEN + 10 * annotations.ONE_OF
-    for every_call, refused in ((False, annotations.OFTEN + 10), (True, calls)):
-        monkeypatch.setattr(annotations, "every_call", every_call)
+    """More of them with --slow. Broken once: all or none after the first ones -> fails."""
+    calls = annotations.OFTEN + 640
+    for one_of, refused in ((64, annotations.OFTEN + 10), (8, annotations.OFTEN + 80), (1, calls)):
+        monkeypatch.setattr(annotations, "one_of", one_of)
 
         @checked
         def same(x: int) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import reference
 from marks import slow_but
+from test_models import planning_words
 from test_one_step import heads, target_words
 from test_reference import STEPS, task_of, words_of
 
@@ -97,6 +98,12 @@ PLAIN = {
     ),
     "sarsa-lambda": ({"trace": "dutch"}, lambda key: reference.Traces(*SHARED, lam=0.9, trace="dutch")),
     "sarsa-lambda-forward": ({}, lambda key: reference.ForwardView(*SHARED, view=summed)),
+    "dyna-q": ({}, lambda key: reference.DynaQ(*SHARED, words=planning_words(key))),
+    "dyna-q-plus": (
+        {"kappa": 0.25},
+        lambda key: reference.DynaQ(*SHARED, words=planning_words(key), kappa=0.25),
+    ),
+    "prioritized-sweeping": ({}, lambda key: reference.PrioritizedSweeping(*SHARED)),
     "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, watkins=True)),
 }
 

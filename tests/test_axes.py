@@ -6,6 +6,7 @@ import xarray as xr
 from scipy import stats
 
 import jaxrl_tab as rl
+from jaxrl_tab import export
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.sweep import configurations
@@ -129,11 +130,10 @@ def test_a_sweep_over_draws_has_them_as_coordinates(windy, tmp_path):
     budget = {"num_seeds": 2, "num_steps": 300, "log_every": 100}
     result = rl.sweep(windy, "sarsa", grid | {"gamma": rl.Choice([0.5, 1.0])}, num_draws=4, **budget)
     assert repr(result) == "<SweepResult of sarsa in windy-gridworld: 2 q0, 4 draw, 2 seeds>"
-    result.to_xarray().to_netcdf(tmp_path / "x.nc", engine="h5netcdf")
-    with xr.open_dataset(tmp_path / "x.nc", engine="h5netcdf") as ds:
+    with export.load(export.save(result.to_xarray(), tmp_path / "x.nc"))["sarsa"] as ds:
         assert ds.episodes.dims == ("q0", "draw", "seed", "row")
         assert all(ds[name].dims == ("draw",) for name in ("alpha", "epsilon", "gamma", "optimum"))
-        assert set(ds.epsilon.values) == {"0.5", "glie"} and set(ds.gamma.values) == {0.5, 1}
+        assert set(ds.epsilon.values) == {0.5, "glie"} and set(ds.gamma.values) == {0.5, 1}
         np.testing.assert_allclose(ds.optimum.where(ds.gamma == 1, drop=True), -15)
         assert ds.attrs["fixed"] == "{}"
         alpha = float(ds.alpha[3])
@@ -141,6 +141,23 @@ def test_a_sweep_over_draws_has_them_as_coordinates(windy, tmp_path):
     assert trial["alpha"] == alpha
     alone = rl.sweep(windy, "sarsa", trial | {"q0": -1}, **budget)
     np.testing.assert_array_equal(result.q[1, 3], alone.q)
+
+
+def test_numbers_beside_schedules_stay_numbers_in_memory_and_in_files(windy, tmp_path):
+    """Broken once: all as text, or the file not read back -> fails."""
+    grid = {"alpha": [0.5, rl.schedules.sample_average()], "epsilon": [0.1, rl.schedules.glie(), 0]}
+    ds = rl.sweep(windy, "sarsa", grid, num_seeds=2, num_steps=300).to_xarray()
+    alone = rl.sweep(windy, "sarsa", {"alpha": 0.5, "epsilon": 0.1}, num_seeds=2, num_steps=300)
+    read = export.load(export.save(ds, tmp_path / "x.nc"))["sarsa"]
+    xr.testing.assert_identical(read.load(), ds)
+    for found in (ds, read):
+        assert found.epsilon.values.tolist() == [0.1, "glie", 0]
+        np.testing.assert_array_equal(found.sel(alpha=0.5, epsilon=0.1).q, alone.q)
+        assert found.sel(epsilon="glie", alpha="sample-average").episodes.dims == ("seed", "row")
+    frame = export.to_pandas(ds, per="seed")
+    assert frame.epsilon.unique().tolist() == ["0.1", "glie", "0"]
+    with xr.open_datatree(tmp_path / "x.nc", engine="h5netcdf") as tree:  # without us they are texts
+        assert tree["sarsa"].epsilon.values.tolist() == ["0.1", "glie", "0"]
 
 
 @pytest.mark.parametrize(

@@ -102,6 +102,9 @@ SHAPES = {
     "n-step-sarsa": ("action, state, action, ..., state, action",),
     "double-q-learning": ("action, state, max action",),
     "q-learning-target": SARSA,
+    "dyna-q": ("action, state, max action",),
+    "dyna-q-plus": ("action, state, max action",),
+    "prioritized-sweeping": ("action, state, max action",),
     "off-policy-monte-carlo": ("action, state, action, ..., end",),
     "td": TD0,
     "n-step-td": ("state, action, state, ..., action, state",),
@@ -137,6 +140,9 @@ IN_WORDS = {  # what no circle shows
     "off-policy-monte-carlo": "over the actions after A_t",
     "off-policy-td": "multiplied by the ratio",
     "off-policy-monte-carlo-prediction": "over the actions from A_t on",
+    "dyna-q": "from what the model remembers",
+    "dyna-q-plus": "from what the model remembers",
+    "prioritized-sweeping": "the most urgent",
     "q-lambda": "the first action A_t+n that is not greedy",
 }
 

@@ -237,10 +237,22 @@ def test_policies_and_mixed_rates_make_grids_beside_the_mean_optimum_over_proble
     command = "sweep k-armed-testbed q-learning --alpha 0.1 sample-average --behaviour softmax:0.5"
     assert call(command, "--steps", "50", "--log-every", "50", "--seeds", "2", "--json") == 0
     summary = json.loads(capsys.readouterr().out)["summary"]
-    assert [row["alpha"] for row in summary] == ["0.1", "sample-average"]
+    assert [row["alpha"] for row in summary] == [0.1, "sample-average"]
     assert [row["optimum"] for row in summary] == pytest.approx([1.538753] * 2)
     assert {row["behaviour"] for row in summary} == {"softmax:0.5"}
     assert "epsilon" not in summary[0]  # it is not looked at where the behaviour is given
+
+
+def test_values_of_an_environment_are_environments_of_their_own(asked):
+    """Names may stand after the values of an option. Broken once: only the first value taken -> fails."""
+    argv = "sweep --moves four king windy-gridworld --alpha 0.5 sarsa --steps 50 --seeds 2 q-learning"
+    main(argv.split())
+    main(["sweep", "cliff-walking", "--shape", "3", "5", "sarsa"])  # several numbers are one shape
+    (two, methods), (cliff, _) = [(data["environment"], data["method"]) for data in asked]
+    assert [env["label"] for env in two] == ["windy-gridworld,moves=four", "windy-gridworld,moves=king"]
+    assert [env["moves"] for env in two] == ["four", "king"]
+    assert [method["name"] for method in methods] == ["sarsa", "q-learning"]
+    assert [env["shape"] for env in cliff] == [[3, 5]]
 
 
 def test_options_of_some_methods_go_to_those(asked):

@@ -6,9 +6,10 @@ import tomllib
 import jax
 import numpy as np
 import pytest
+import quick
 
 import jaxrl_tab as rl
-from jaxrl_tab import planning
+from jaxrl_tab import planning, plot
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli import main
 from jaxrl_tab.core.errors import InputError
@@ -457,8 +458,9 @@ def test_the_template_is_a_file_that_runs(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_the_template_gives_results(tmp_path):
-    """As it is, but with shorter runs, and fewer."""
+def test_the_template_gives_results(tmp_path, monkeypatch):
+    """As it is, but with shorter runs, and fewer; and without its pictures, which others draw."""
+    monkeypatch.setattr(plot, "save_all", quick.picture)
     short = template().replace("seeds = 20 ", "seeds = 2 ").replace("steps = 4000 ", "steps = 200 ")
     (tmp_path / "x.toml").write_text(short)
     assert main(["sweep", str(tmp_path / "x.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0

@@ -189,7 +189,7 @@ def copied(page, explored, tmp_path, monkeypatch):
     """Runs the lines of Python of a card beside the results, and gives the axes that they draw."""
     import matplotlib.pyplot as plt
 
-    from jaxrl_tab.engine.results import save
+    from jaxrl_tab.core.netcdf import save
 
     for name, ds in explored[1].datasets.items():
         save(ds, name.partition("/")[2], tmp_path / "results.nc", {})

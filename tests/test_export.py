@@ -108,7 +108,7 @@ def test_a_file_of_a_sweep_is_read_by_names(two, tmp_path):
 
 
 def test_what_is_wrong_is_said_in_a_line(two, tmp_path, monkeypatch):
-    with pytest.raises(rl.InputError, match=r"must end in \.csv or \.parquet, not 't\.xlsx'"):
+    with pytest.raises(rl.InputError, match=r"must end in \.csv, \.parquet or \.nc, not 't\.xlsx'"):
         export.save(two, tmp_path / "t.xlsx")
     with pytest.raises(rl.InputError, match='per must be "row" or "seed"'):
         export.to_pandas(two, "seeds")  # pyright: ignore[reportArgumentType]

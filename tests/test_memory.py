@@ -274,13 +274,13 @@ def test_results_in_files_are_written_some_at_a_time(tmp_path):
     code = """if True:
         import pathlib, resource, sys, jax, numpy as np, xarray as xr
         from jaxrl_tab.core import memory
-        from jaxrl_tab.engine import results
+        from jaxrl_tab.core import netcdf
         peak = lambda: 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         def save(runs, name):
             like = {"q": jax.ShapeDtypeStruct((70, 4), np.float32)}
             q = memory.Results(like, runs, on_disk=True).arrays["q"].reshape(2, runs // 2, 70, 4)
             ds = xr.Dataset({"q": (("alpha", "seed", "state", "action"), q)})
-            results.save(ds, "sarsa", pathlib.Path(sys.argv[1]) / name, {})
+            netcdf.save(ds, "sarsa", pathlib.Path(sys.argv[1]) / name, {})
         save(20_000, "few.nc")
         before = peak()
         save(100_000, "many.nc")

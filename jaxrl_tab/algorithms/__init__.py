@@ -5,11 +5,13 @@ class only.
 """
 
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
+from jaxrl_tab.algorithms.dyna_q import DynaQ, DynaQPlus
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.many_targets import ManyTargets
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
+from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.sarsa import Sarsa
@@ -30,16 +32,22 @@ ALGORITHMS: dict[str, type] = {
     "double-q-learning": DoubleQLearning,
     "q-learning-target": TargetQLearning,
     "off-policy-monte-carlo": OffPolicyMonteCarlo,
+    "dyna-q": DynaQ,
+    "dyna-q-plus": DynaQPlus,
+    "prioritized-sweeping": PrioritizedSweeping,
 }
 
 __all__ = [
     "ALGORITHMS",
     "DoubleQLearning",
+    "DynaQ",
+    "DynaQPlus",
     "ExpectedSarsa",
     "ManyTargets",
     "MonteCarlo",
     "NStepSarsa",
     "OffPolicyMonteCarlo",
+    "PrioritizedSweeping",
     "QLambda",
     "QLearning",
     "Sarsa",

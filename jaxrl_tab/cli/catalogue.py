@@ -34,7 +34,7 @@ COMMANDS = {
     "sweep": (
         "sweep",
         "Sweep",
-        {"hyperparameters": ("methods", "methods"), "environment": _ENVIRONMENT, "executor": _EXECUTOR},
+        {"hyperparameters": ("methods", "methods"), "environment": ("grids", "env"), "executor": _EXECUTOR},
     ),
     "resume": ("sweep", "Resume", {"executor": _EXECUTOR}),
     "moments": (
@@ -52,8 +52,8 @@ class Catalogue(NamedTuple):
 
     Attributes:
         commands: by their names.
-        groups: "environments", "methods", "one method" (of which each option has one value), "exact methods" (of
-            `moments`) and "executors".
+        groups: "environments", "grids" (of environments), "methods", "one method" (of which each option has one value),
+            "exact methods" (of `moments`) and "executors".
         listed: for `list`: "environments", "methods" (of control) and "prediction" -> name -> entry, with the
             defaults of the classes.
         facts: the same as JSON: name -> summary, parameters, those included that cannot be typed, and of methods the
@@ -101,7 +101,7 @@ def live() -> Catalogue:
     from jaxrl_tab import interop  # noqa: F401  which adds its libraries
     from jaxrl_tab.algorithms import ALGORITHMS
     from jaxrl_tab.algorithms.prediction import PREDICTION
-    from jaxrl_tab.cli.common import ENVIRONMENT, EXECUTOR, HYPERPARAMETERS, OF_ONE_METHOD
+    from jaxrl_tab.cli.common import ENVIRONMENT, ENVIRONMENTS, EXECUTOR, HYPERPARAMETERS, OF_ONE_METHOD
     from jaxrl_tab.cli.moments import EXACT
     from jaxrl_tab.cli.typed import Classes, command_of
     from jaxrl_tab.core import names
@@ -118,6 +118,7 @@ def live() -> Catalogue:
         {name: command_of(cls) for name, cls in classes.items()},
         {
             "environments": ENVIRONMENT.group,
+            "grids": ENVIRONMENTS.group,
             "methods": HYPERPARAMETERS.group,
             "one method": OF_ONE_METHOD.group,
             "exact methods": EXACT.group,

@@ -24,6 +24,10 @@ from jaxrl_tab.experiment import executors, storage
 ALPHAS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # the step sizes of a sweep that names none
 SEEDS, STEPS = 100, 8000
 ENVIRONMENT = Classes(ENVS, "Parameters of the environment.", kind=envs.ENVIRONMENT)
+ENVIRONMENTS = ENVIRONMENT._replace(
+    help="Parameters of the environment; where one has several values, each is an environment of its own.",
+    grids=True,
+)
 HYPERPARAMETERS = Classes(
     METHODS,
     "Of the methods; several values make a grid.",
@@ -76,12 +80,14 @@ def named_in(argv: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
     return words, words
 
 
-def groups_in(argv: Sequence[str], methods: Classes) -> dict[str, Classes]:
-    """The options of `methods` and of environments, with the classes from outside that are named."""
+def groups_in(
+    argv: Sequence[str], methods: Classes, environments: Classes = ENVIRONMENT
+) -> dict[str, Classes]:
+    """The options of methods and of environments, with the classes from outside that are named."""
     for_environment, for_methods = named_in(argv)
     return {
         "hyperparameters": with_own(methods, for_methods),
-        "environment": with_own(ENVIRONMENT, for_environment),
+        "environment": with_own(environments, for_environment),
     }
 
 

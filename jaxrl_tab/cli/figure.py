@@ -14,9 +14,9 @@ from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import PROG, console, print_json
 from jaxrl_tab.cli.typed import parse, word
 from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.netcdf import save
 from jaxrl_tab.core.pytree import checked_dataclass
 from jaxrl_tab.core.version import __version__
-from jaxrl_tab.engine.results import save
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.figures import FIGURES, Check
 from jaxrl_tab.figures import Figure as PublishedFigure

@@ -81,7 +81,8 @@ class Group(NamedTuple):
         entries: name -> entry.
         help: what they are, one line.
         noun: what an entry is called, with its article.
-        grids: whether every option takes any number of values, to be tried one by one.
+        grids: whether every option takes any number of values, to be tried one by one; of an option whose value is made
+            of several words they are one.
         parts: what people call parts of the registry -> the names in it.
         entry_points: the group of entry points by which other packages add entries; empty where they cannot.
     """
@@ -136,8 +137,10 @@ def parse(
     parser, flags = _parser(command, own | dict(groups))
     # As people type them: --log_every=10 is --log-every 10.
     spelled = [re.sub("^--[^=]*", lambda flag: flag[0].replace("_", "-"), word) for word in argv]
+    many = [flag for title, group in groups.items() if group.grids for flag in flags[title]]
+    entries = [name for group in groups.values() for name in group.entries]
     try:
-        namespace, rest = parser.parse_known_intermixed_args(spelled)
+        namespace, rest = parser.parse_known_intermixed_args(_names_before(spelled, many, entries))
     except argparse.ArgumentError as error:
         raise InputError(f"{error.argument_name}: {one_line(error.message)}") from None
     if "--help" in namespace:
@@ -155,6 +158,23 @@ def parse(
         for group, of_group in flags.items()
     }
     return {key: tuple(x) if isinstance(x, list) else x for key, x in read.items() if "-" not in key}, typed
+
+
+def _names_before(words: Sequence[str], many: Collection[str], entries: Collection[str]) -> list[str]:
+    """The words, where the name of an entry after an option that takes `many` values goes before all such options.
+
+    No name is such a value: `sweep cliff-walking --alpha 0.1 0.2 sarsa` is `sweep cliff-walking sarsa --alpha 0.1 0.2`.
+    """
+    before, names, after, option = [], [], [], ""
+    for word in words:
+        option = word if word.startswith("--") else option
+        if option in many and word in entries:
+            names.append(word)
+        elif option in many or after:
+            after.append(word)
+        else:
+            before.append(word)
+    return before + names + after
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):

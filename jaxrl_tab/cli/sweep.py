@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxrl_tab.cli.common import (
+    ENVIRONMENTS,
     EXECUTOR,
     HYPERPARAMETERS,
     SEEDS,
@@ -21,7 +22,7 @@ from jaxrl_tab.cli.interrupt import interruptible
 from jaxrl_tab.cli.options import Typed, checked_name
 from jaxrl_tab.cli.screen import busy, say_where, show_outcome
 from jaxrl_tab.cli.streams import PROG, print_json
-from jaxrl_tab.cli.typed import Classes, parse, values, values_of, word
+from jaxrl_tab.cli.typed import Classes, parse, several_of, values, values_of, word
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.names import is_from_outside
@@ -161,7 +162,7 @@ OF_EXPERIMENT = (
 
 def sweep_command(argv: list[str]) -> int:
     prepare()
-    groups = groups_in(argv, HYPERPARAMETERS)
+    groups = groups_in(argv, HYPERPARAMETERS, ENVIRONMENTS)
     options, typed = parse(Sweep, argv, **groups, executor=EXECUTOR)
     if options.write_template:
         return _write_template(options.env)
@@ -206,7 +207,7 @@ def _experiment(
             )
         return Experiment.load(options.env)
     find(environment, options.env)
-    env = {"name": options.env} | values_of(options.env, typed["environment"], environment)
+    env = {"name": options.env} | several_of(options.env, typed["environment"], environment)
     names = options.methods or ("",)
     for name in names:
         find(hyperparameters, name)

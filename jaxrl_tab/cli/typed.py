@@ -142,6 +142,20 @@ def values_of(name: str, typed: Typed, classes: Classes) -> dict[str, Any]:
     }
 
 
+def several_of(name: str, typed: Typed, classes: Classes) -> dict[str, Any]:
+    """The parameters of one entry of a registry that were typed, as in a file: a value, or a list of several."""
+    found, types = values_of(name, typed, classes), {p.name: p for p in parameters(classes.registry[name])}
+    for key, tried in values([name], typed, classes)[name].items():
+        if len(tried) < 2 or _is_several(types[key]):
+            continue
+        if types[key].type == describe.Plain:
+            raise InputError(
+                f"{key} of {name} takes one value here; in a file there may be several environments"
+            )
+        found[key] = [[x] for x in tried] if types[key].type == describe.Lines else tried
+    return found
+
+
 def _values(
     by_flag: Mapping[str, describe.Parameter], typed: Typed, classes: Classes
 ) -> dict[str, list[Any]]:

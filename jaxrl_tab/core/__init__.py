@@ -28,4 +28,5 @@ Its modules, from the ground up:
     experience  logged experience, as arrays, checked
     steps       an episode step by step, with what was learned in each step
     memory      how many bytes things take, and where large results go
+    netcdf      datasets in netCDF files
 """

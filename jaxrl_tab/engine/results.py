@@ -2,8 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -14,7 +13,6 @@ from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.core.errors import one_line
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.policies import UNAVAILABLE, Policy
-from jaxrl_tab.core.schedules import typed
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.axes import DRAW
@@ -28,8 +26,6 @@ if TYPE_CHECKING:
     from jaxrl_tab.show.explained import Explanation
     from jaxrl_tab.show.report import Page
     from jaxrl_tab.stats.columns import Methods
-
-CHUNK = 2**20  # bytes of the pieces in which a file holds a large variable
 
 
 @dataclasses.dataclass(frozen=True)
@@ -215,56 +211,21 @@ def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
     return diverged
 
 
-def save(ds: "xr.Dataset", group: str, file: Path, about: Mapping[str, Any]) -> None:
-    """Adds a dataset to a netCDF file, as a group. Where there is no file it is made, with attributes."""
-    import xarray as xr
-
-    if not file.exists():
-        xr.Dataset(attrs=about).to_netcdf(file, engine="h5netcdf")
-    # xarray encodes bool in a way of its own, which it alone reads again.
-    large = [name for name, x in ds.items() if x.nbytes > memory.BLOCK and x.dtype != bool]
-    rest = ds.drop_vars(large)
-    encoding = {name: {"zlib": True, "complevel": 1, "shuffle": True} for name, x in rest.items() if x.ndim}
-    rest.to_netcdf(file, mode="a", group=group, engine="h5netcdf", encoding=encoding)
-    for name in large:
-        _save_large(ds[name], file, group)
-
-
-def _save_large(x: "xr.DataArray", file: Path, group: str) -> None:
-    """Adds a variable [*hyperparameters, seed, ...] of numbers to a group, some seeds at a time."""
-    import h5netcdf
-
-    before, seeds = x.dims.index("seed"), x.sizes["seed"]
-    # The bytes of one seed in one setting.
-    each = max(1, x.nbytes // (x.size // int(np.prod(x.shape[before + 1 :], dtype=int))))
-    with h5netcdf.File(file, "a") as whole:
-        to = whole[group]
-        for dim, size in x.sizes.items():
-            if dim not in to.dimensions:
-                to.dimensions[dim] = size
-        chunks = (*(1,) * before, min(seeds, max(1, CHUNK // each)), *x.shape[before + 1 :])
-        missing = np.nan if x.dtype.kind == "f" else None
-        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "chunks": chunks}
-        variable = to.create_variable(x.name, x.dims, x.dtype, fillvalue=missing, **packed)
-        # As xarray writes it, or what was drawn would be no coordinate when the file is read.
-        if drawn := [str(name) for name in x.coords if name not in x.dims]:
-            variable.attrs["coordinates"] = " ".join(drawn)
-        for setting in np.ndindex(x.shape[:before]):
-            for block in memory.blocks(seeds, each):
-                variable[*setting, block] = x.values[*setting, block]
-
-
 def label(value: Any) -> Any:
     """A hyperparameter as a coordinate: a number as it is, a schedule or a policy as it is typed."""
     return str(value) if isinstance(value, Schedule | Policy) else value
 
 
-def labels(values: Iterable[Any]) -> list[Any]:
-    """The coordinates of an axis. Where any is a schedule or a policy all are as typed: text like "0.1"."""
+def labels(values: Iterable[Any]) -> Any:
+    """The coordinates of an axis: numbers, or texts; where both are among them, an array of objects, of which each
+    number is still one: `ds.sel(epsilon=0.1)` finds it beside a schedule."""
     coordinates = [label(value) for value in values]
-    if any(isinstance(x, str) for x in coordinates):
-        return [typed(x) if isinstance(x, float) else str(x) for x in coordinates]
-    return coordinates
+    kinds = {isinstance(x, str) for x in coordinates}
+    if len(kinds) == 1:
+        return coordinates
+    mixed = np.empty(len(coordinates), object)
+    mixed[:] = [x if isinstance(x, str) else np.asarray(x).item() for x in coordinates]
+    return mixed
 
 
 def parameters(obj: Any) -> dict[str, Any]:

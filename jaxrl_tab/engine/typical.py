@@ -11,7 +11,9 @@ import numpy as np
 
 from jaxrl_tab.algorithms import prediction
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
+from jaxrl_tab.algorithms.dyna_q import DynaQ
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
+from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.algorithms.whole_returns import WholeReturns
@@ -31,6 +33,8 @@ METHODS: list[tuple[tuple[type, ...], float, float]] = [
     ((TraceControl, prediction.TDLambda), 8, 0.1),
     ((NStepSarsa, prediction.NStepTD), 13, 0),
     ((DoubleQLearning,), 9, 0),
+    ((DynaQ,), 60, 0),
+    ((PrioritizedSweeping,), 30, 4),
     ((object,), 6, 0),
 ]
 LARGE, LARGEST = 0.002, 12.0  # nanoseconds more for each entry, as a large table is further away; and at most

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 from jaxrl_tab.core.checks import is_list
 from jaxrl_tab.core.errors import RunError, check_choice, one_line, unfit
 from jaxrl_tab.core.memory import words
+from jaxrl_tab.core.netcdf import save
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine import provenance
-from jaxrl_tab.engine.results import save
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import painter, storage
 from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp

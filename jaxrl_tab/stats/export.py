@@ -1,13 +1,15 @@
-"""Results as plain tables, for other programs: pandas, CSV, Parquet.
+"""Results in files, and as plain tables for other programs: pandas, CSV, Parquet.
 
     from jaxrl_tab import export
 
     datasets = export.load("runs/windy/results.nc")  # or {"sarsa": result.to_xarray()}
     export.to_pandas(datasets, per="seed")
     export.save(datasets, "windy.parquet")
+    export.save(datasets, "windy.nc")  # all of it, for `load`
 
 A table is in long form: a row for each row of the log of each seed of each setting, or for each seed. Arrays
-such as the final Q are left out; netCDF keeps everything: `SweepResult.to_xarray` and its `to_netcdf`.
+such as the final Q are left out. A netCDF file keeps everything, and `load` reads it: also an axis with numbers and
+schedules, which `to_netcdf` of a dataset cannot write.
 """
 
 import importlib.util
@@ -20,6 +22,7 @@ import pandas as pd
 import xarray as xr
 
 from jaxrl_tab import stats
+from jaxrl_tab.core import netcdf
 from jaxrl_tab.core.errors import InputError, nearest
 from jaxrl_tab.stats.measures import has_errors
 
@@ -42,7 +45,8 @@ def load(file: Path | str) -> dict[str, xr.Dataset]:
         raise InputError(f"there is no file {file}") from None
     except OSError as error:
         raise InputError(f"{file} cannot be read as netCDF: {error}") from None
-    return {node.path.strip("/"): node.to_dataset() for node in tree.subtree if "episodes" in node.data_vars}
+    runs = [node for node in tree.subtree if "episodes" in node.data_vars]
+    return {node.path.strip("/"): netcdf.numbers_again(node.to_dataset()) for node in runs}
 
 
 def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
@@ -95,14 +99,21 @@ def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
 
 
 def save(datasets: Datasets, file: Path | str, per: Per = "row") -> Path:
-    """Writes the table of `to_pandas` to a `file` that ends in .csv or .parquet, replacing one that exists.
+    """Writes a file, replacing one that exists: the table of `to_pandas`, .csv or .parquet; or all there is, .nc.
+
+    Args:
+        datasets: a dataset of `SweepResult.to_xarray`, or several by their names, as in `load`.
+        file: its ending says what it is.
+        per: what a row of the table is; netCDF has no table.
 
     Raises:
         InputError: another ending, or Parquet is not installed; and as `to_pandas`.
     """
     file = Path(file)
-    if file.suffix not in (".csv", ".parquet"):
-        raise InputError(f"the name of a table must end in .csv or .parquet, not {file.name!r}")
+    if file.suffix not in (".csv", ".parquet", ".nc"):
+        raise InputError(f"the name of the file must end in .csv, .parquet or .nc, not {file.name!r}")
+    if file.suffix == ".nc":
+        return _save_all(datasets, file)
     if file.suffix == ".parquet" and importlib.util.find_spec("pyarrow") is None:
         raise InputError("Parquet needs pyarrow: python -m pip install 'jaxrl-tab[parquet]'")
     table = to_pandas(datasets, per)
@@ -110,6 +121,16 @@ def save(datasets: Datasets, file: Path | str, per: Per = "row") -> Path:
         table.to_csv(file, index=False)
     else:
         table.to_parquet(file, index=False)
+    return file
+
+
+def _save_all(datasets: Datasets, file: Path) -> Path:
+    named = {datasets.attrs["algorithm"]: datasets} if isinstance(datasets, xr.Dataset) else datasets
+    unfinished = file.with_name(f".{file.name}.unfinished")
+    unfinished.unlink(missing_ok=True)
+    for name, ds in named.items():
+        netcdf.save(ds, name, unfinished, {})
+    unfinished.replace(file)
     return file
 
 

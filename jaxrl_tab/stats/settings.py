@@ -76,7 +76,7 @@ class Settings:
         """The best setting, fit for `ds.sel`: see the function of this name."""
         mean = self.merit.mean("seed").where(self.lost == self.lost.min()).fillna(-np.inf)
         place = dict(zip(mean.dims, np.unravel_index(np.argmax(mean.values), mean.shape), strict=True))
-        return {name: self.ds[name].values[place[name]].item() for name in hyperparameters(self.ds)}
+        return {name: self.ds[name].values.tolist()[place[name]] for name in hyperparameters(self.ds)}
 
     @cached_property
     def at_best(self) -> "Settings":

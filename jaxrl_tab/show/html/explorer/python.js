@@ -3,7 +3,7 @@
 const quoted = (x) => JSON.stringify(x);
 
 function opened(method, setting) {
-  const lines = [`ds = xr.open_dataset("results.nc", group=${quoted(method.data.group)}, engine="h5netcdf")`];
+  const lines = [`ds = export.load("results.nc")[${quoted(method.data.group)}]`];
   if (setting !== undefined && method.data.axes.length) {
     const places = method.places(setting);
     const parts = method.data.axes.map((a, k) => `${quoted(a.name)}: ${quoted(a.values[places[k]])}`);
@@ -15,9 +15,8 @@ function opened(method, setting) {
 const START = [
   "import matplotlib.pyplot as plt",
   "import numpy as np",
-  "import xarray as xr",
   "",
-  "from jaxrl_tab import stats",
+  "from jaxrl_tab import export, stats",
   "",
   "figure, ax = plt.subplots()",
 ];
