@@ -47,7 +47,7 @@ class GamblersProblem(Finite):
         return jnp.zeros(self.num_states, dtype=float).at[1 : self.goal].set(1 / (self.goal - 1))
 
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        return 1 + policies.any_of(self.goal - 1, key)
+        return 1 + policies.below(key, self.goal - 1)
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
         heads = unbatched(self, "p_h", ndim=0)

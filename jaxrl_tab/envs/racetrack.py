@@ -140,7 +140,7 @@ class Racetrack(Finite):
 
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
         starts = tabulated(self.rows).starts
-        return jnp.asarray(starts)[policies.any_of(len(starts), key)]
+        return jnp.asarray(starts)[policies.below(key, len(starts))]
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
         """To obey, not to, and to begin again in each cell of the starting line: K = 2 + M."""

@@ -108,7 +108,7 @@ class Taxi(Finite):
         return jnp.zeros(self.num_states, dtype=float).at[STARTS].set(1 / len(STARTS))
 
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        return jnp.asarray(STARTS)[policies.any_of(len(STARTS), key)]
+        return jnp.asarray(STARTS)[policies.below(key, len(STARTS))]
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
         s = jnp.asarray(s, jnp.int32)
