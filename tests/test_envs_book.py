@@ -314,6 +314,13 @@ def test_mistakes_in_a_track(parameters, message):
     assert str(error.value).startswith(message)
 
 
+def test_a_state_says_where_the_car_is_and_how_fast():
+    """Broken once: the name not asked for -> fails."""
+    env = rl.make("racetrack")
+    names = state_names(env)
+    assert names(env.state(20, 3, 2, 1)) == "(20, 3), speed ↑2 →1" and names(env.num_states - 1) == "finish"
+
+
 def test_no_car_is_off_the_track():
     with pytest.raises(rl.InputError, match=r"Racetrack: no car can come to \(0, 0\) with velocity \(0, 0\)"):
         rl.make("racetrack").state(0, 0)

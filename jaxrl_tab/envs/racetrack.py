@@ -134,6 +134,13 @@ class Racetrack(Finite):
             raise InputError(problem, who=type(self).__name__)
         return int(found[0])
 
+    def state_name(self, s: int) -> str:
+        """Where a car is in state `s`, and how fast."""
+        if s == len(self.places):
+            return "finish"
+        row, column, up, right = self.places[s]
+        return f"({row}, {column}), speed ↑{up} →{right}"
+
     def initial(self) -> Float[Array, " S"]:
         starts = tabulated(self.rows).starts
         return jnp.zeros(self.num_states, dtype=float).at[starts].set(1 / len(starts))

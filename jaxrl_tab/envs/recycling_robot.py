@@ -44,7 +44,7 @@ class RecyclingRobot(FixedStart):
         return "search", "wait", "recharge"
 
     def panels(self) -> tuple[Panel, ...]:
-        return (Panel("", np.array([[HIGH], [LOW]]), ("high", "low"), ("",), "battery", ""),)
+        return (Panel("", np.array([[HIGH, LOW]]), ("",), ("high", "low"), "", "battery"),)
 
     def available(self, s: Int[Array, ""]) -> Bool[Array, " A"]:
         """The actions that there are in `s`, bool [3]: to recharge only where the battery is low."""
