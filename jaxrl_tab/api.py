@@ -6,6 +6,8 @@ from typing import Any
 from jaxrl_tab import algorithms, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
+    DifferentialQLearning,
+    DifferentialSarsa,
     DoubleQLearning,
     DynaQ,
     DynaQPlus,
@@ -17,6 +19,7 @@ from jaxrl_tab.algorithms import (
     PrioritizedSweeping,
     QLambda,
     QLearning,
+    RLearning,
     Sarsa,
     SarsaLambda,
     SarsaLambdaForward,
@@ -44,6 +47,7 @@ from jaxrl_tab.engine.train import train
 from jaxrl_tab.engine.watch import Watched, watch
 from jaxrl_tab.envs import (
     ENVS,
+    AccessControl,
     Blackjack,
     CliffWalking,
     Easy21,
@@ -88,9 +92,12 @@ __all__ = [
     "ALGORITHMS",
     "ENVS",
     "PREDICTION",
+    "AccessControl",
     "Blackjack",
     "Choice",
     "CliffWalking",
+    "DifferentialQLearning",
+    "DifferentialSarsa",
     "DoubleQLearning",
     "DynaQ",
     "DynaQPlus",
@@ -118,6 +125,7 @@ __all__ = [
     "PrioritizedSweeping",
     "QLambda",
     "QLearning",
+    "RLearning",
     "RandomWalk",
     "RunError",
     "Sarsa",

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from lanes_runs import runs_of
 
 from jaxrl_tab.algorithms.prediction import METHODS
+from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes
 from jaxrl_tab.engine.budget import Budget
@@ -26,6 +27,8 @@ BUDGETS = {
     "episodes": Budget(None, 5, 2, exact=False),
 }
 
+GOES_ON = "access-control"
+
 
 class Unloaded:
     """A kernel that nobody calls."""
@@ -38,11 +41,13 @@ def pairs(env: str) -> Iterator[tuple[str, str]]:
     """(method, budget): Sarsa and some of the others, in the next environment the next ones; in one all.
 
     So that each is in three environments besides that one, whatever their number. Every other one by episodes, where
-    not by both.
+    not by both. Methods of the average reward are in `GOES_ON` alone.
     """
     every = max(1, len(ENVS) // 3)
     for k, method in enumerate(METHODS, list(ENVS).index(env)):
-        if env == "random-walk" or method == "sarsa":
+        if of_method(METHODS[method]).in_the_long_run:
+            yield from ((method, by) for by in BUDGETS if env == GOES_ON)
+        elif env == "random-walk" or method == "sarsa":
             yield from ((method, by) for by in BUDGETS)
         elif k % every == 0:
             yield method, list(BUDGETS)[k // every % 2]

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+import reference_one_step as plain
 from marks import slow_but
 from test_models import planning_words
 from test_one_step import heads, target_words
@@ -105,6 +106,18 @@ PLAIN = {
     ),
     "prioritized-sweeping": ({}, lambda key: reference.PrioritizedSweeping(*SHARED)),
     "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, watkins=True)),
+    "r-learning": (
+        {"gamma": 1.0, "beta": 0.25},
+        lambda key: plain.RLearning(*SHARED[:2], 1.0, SHARED[3], beta=0.25),
+    ),
+    "differential-q-learning": (
+        {"gamma": 1.0, "eta": 0.5},
+        lambda key: plain.DifferentialQLearning(*SHARED[:2], 1.0, SHARED[3], beta=0.5),
+    ),
+    "differential-sarsa": (
+        {"gamma": 1.0, "beta": 0.25},
+        lambda key: plain.DifferentialSarsa(*SHARED[:2], 1.0, SHARED[3], beta=0.25),
+    ),
 }
 
 

@@ -12,7 +12,7 @@ from scipy import stats
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import FiniteEnvironment, Outcome
-from jaxrl_tab.envs import ENVS, CliffWalking, FiniteMDP, RandomWalk, WindyGridworld, make
+from jaxrl_tab.envs import ENVS, AccessControl, CliffWalking, FiniteMDP, RandomWalk, WindyGridworld, make
 from jaxrl_tab.envs.base import Finite
 
 # of the book's four moves, the king's four more, and the one to stay
@@ -30,6 +30,7 @@ START = (0.125, 0, 0.875, 0)
 
 ENVIRONMENTS = {
     **{name: make(name) for name in ENVS},
+    "access-control": AccessControl(servers=2, free=0.5),  # of ten, many outcomes are too rare to be counted
     "king": WindyGridworld(moves="king"),
     "king+stay": WindyGridworld(moves="king+stay"),
     "stochastic": WindyGridworld(moves="king+stay", stochastic=True),
@@ -44,7 +45,7 @@ ENVIRONMENTS = {
     "racetrack": make("racetrack", map=["#..G", "...G", "SS##"]),
     "gamblers-problem": make("gamblers-problem", goal=9, p_h=0.3),
 }
-ENDLESS = {"jacks-car-rental", "recycling-robot"}
+CONTINUING = {"access-control", "jacks-car-rental", "recycling-robot"}
 every_environment = pytest.mark.parametrize("name", ENVIRONMENTS)
 
 
@@ -415,7 +416,7 @@ def test_outcomes_are_distributions_over_states(name):
 def test_terminal_states_absorb_with_reward_0(name):
     prob, outcome = table(name)
     _, _, is_terminal = merged(prob, outcome)
-    assert is_terminal.any() == (name not in ENDLESS)
+    assert is_terminal.any() == (name not in CONTINUING)
     np.testing.assert_array_equal(outcome.terminal, is_terminal[outcome.s_next])
     for s in np.flatnonzero(is_terminal):
         possible = prob[s] > 0

@@ -86,10 +86,15 @@ CASES = {
     "q-lambda": Case("frozen-lake", "q-lambda", ALPHAS),
     "double-q-learning": Case("maximization-bias", "double-q-learning", episodes=20),
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
-    "dyna-q": Case("maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
+    "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
-    "prioritized-sweeping": Case("maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
+    "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
+    "r-learning": Case("access-control", "r-learning", ALPHAS),
+    "differential-q-learning": Case(
+        "access-control", "differential-q-learning", ALPHAS | {"eta": [0.1, 0.37]}
+    ),
+    "differential-sarsa": Case("access-control", "differential-sarsa", ALPHAS),
     "td": Case("random-walk", "td", ALPHAS, episodes=8),
     "n-step-td": Case("racetrack", "n-step-td", ALPHAS | {"n": 4}),
     "td-lambda": Case("random-walk", "td-lambda", ALPHAS, exact=True),

@@ -130,7 +130,11 @@ def test_logs_can_be_made_and_learned_from_in_a_batch():
 
 # --- learning from somebody else ---------------------------------------------------------------------
 
-FROM_TRANSITIONS = [n for n, m in rl.ALGORITHMS.items() if of_method(m).learns_from is LearnsFrom.TRANSITIONS]
+FROM_TRANSITIONS = [
+    n
+    for n, m in rl.ALGORITHMS.items()
+    if of_method(m).learns_from is LearnsFrom.TRANSITIONS and not of_method(m).in_the_long_run
+]
 FROM_OWN = [n for n, m in rl.ALGORITHMS.items() if of_method(m).learns_from is LearnsFrom.ITSELF]
 
 

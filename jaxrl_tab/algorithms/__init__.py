@@ -4,6 +4,9 @@ ALGORITHMS holds those that can be made from their name alone; `ManyTargets` nee
 class only.
 """
 
+from jaxrl_tab.algorithms.average_reward import AverageReward
+from jaxrl_tab.algorithms.differential_q_learning import DifferentialQLearning
+from jaxrl_tab.algorithms.differential_sarsa import DifferentialSarsa
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.dyna_q import DynaQ, DynaQPlus
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
@@ -14,6 +17,7 @@ from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
+from jaxrl_tab.algorithms.r_learning import RLearning
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
@@ -32,6 +36,9 @@ ALGORITHMS: dict[str, type] = {
     "double-q-learning": DoubleQLearning,
     "q-learning-target": TargetQLearning,
     "off-policy-monte-carlo": OffPolicyMonteCarlo,
+    "r-learning": RLearning,
+    "differential-q-learning": DifferentialQLearning,
+    "differential-sarsa": DifferentialSarsa,
     "dyna-q": DynaQ,
     "dyna-q-plus": DynaQPlus,
     "prioritized-sweeping": PrioritizedSweeping,
@@ -39,6 +46,9 @@ ALGORITHMS: dict[str, type] = {
 
 __all__ = [
     "ALGORITHMS",
+    "AverageReward",
+    "DifferentialQLearning",
+    "DifferentialSarsa",
     "DoubleQLearning",
     "DynaQ",
     "DynaQPlus",
@@ -50,6 +60,7 @@ __all__ = [
     "PrioritizedSweeping",
     "QLambda",
     "QLearning",
+    "RLearning",
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",

@@ -62,6 +62,8 @@ class OfMethod(NamedTuple):
         multiplies_returns: whether returns are multiplied by ratios of importance sampling. What is learned may
             then be greater than any return, and is no sign that the method diverges.
         exploring_starts: whether episodes start in any state with any action.
+        in_the_long_run: whether it learns about the average reward of a step, in tasks that do not end.
+        records: names of fields of its state that are recorded at the end of every row of the log.
         behaviour: the policy that acts, where the method was given one.
         backup: the diagram of what `update` looks ahead to, a `Backup` or its levels as text; None where nobody has
             drawn it. The class that defines `update` declares it, or a subclass without an `update` of its own.
@@ -72,15 +74,18 @@ class OfMethod(NamedTuple):
     acts_after_update: bool = False
     multiplies_returns: bool = False
     exploring_starts: bool = False
+    in_the_long_run: bool = False
+    records: tuple[str, ...] = ()
     behaviour: Any = None
     backup: Backup | None = None
 
 
 class OfEnvironment(NamedTuple):
-    """What an environment declares beyond `types.Environment`, whose docstring explains the first three.
+    """What an environment declares beyond `types.Environment`, whose docstring explains the first four.
 
     Attributes:
         instance: draws the problem of one run; None where all runs have the same one.
+        at: what it is in a step of a run, from the number of that; None where it is the same in all.
         mean_optimal_value: the mean over problems of v* from the start; None where it is not known.
         available: which actions a state has; None where each has all.
         panels: the tables in which people see the states, as `envs.base.Panel`; none where they are a list.
@@ -90,12 +95,20 @@ class OfEnvironment(NamedTuple):
     """
 
     instance: Callable[..., Any] | None = None
+    at: Callable[..., Any] | None = None
     mean_optimal_value: Callable[[float], float] | None = None
     available: Callable[..., Any] | None = None
     panels: Callable[[], tuple[Any, ...]] = tuple
     state_name: Callable[[int], str] | None = None
     action_names: tuple[str, ...] = ()
     wind: Any = None
+
+    @property
+    def differs(self) -> str:
+        """How it differs between runs or their steps, in words; empty where it is the same in all."""
+        if self.instance is not None:
+            return "each run has a problem of its own"
+        return "" if self.at is None else "the task changes while a run goes on"
 
 
 def of_method(method: Any) -> OfMethod:

@@ -158,5 +158,7 @@ LIMITS = {
 def in_words(limits: Mapping[str, float]) -> str:
     """What the limits of a field say: "between 0 and 1", "greater than 0"; empty where there are none."""
     if limits.keys() == {"at_least", "at_most"}:
+        if limits["at_least"] == limits["at_most"]:
+            return f"exactly {limits['at_least']}"
         return f"between {limits['at_least']} and {limits['at_most']}"
     return " and ".join(f"{words} {limits[name]}" for name, (words, _) in LIMITS.items() if name in limits)

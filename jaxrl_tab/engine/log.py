@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError, reason, shown
 from jaxrl_tab.core.types import Environment, init_learner
 from jaxrl_tab.engine.axes import DRAW
@@ -62,6 +63,19 @@ class Log(NamedTuple):
         return cls(**{name: x for name, x in named.items() if name in cls._fields}, recorded=own or None)
 
 
+def record_of(record: Record | None, algorithm: Any) -> Record | None:
+    """What is recorded of a run: what the method declares, and what `record` says; None where that is nothing."""
+    if not (names := of_method(algorithm).records):
+        return record
+
+    def both(learner: Any) -> dict[str, Array]:
+        own = {name: getattr(learner, name) for name in names}
+        more = {} if record is None else record(learner)
+        return own | more if isinstance(more, dict) else more
+
+    return both
+
+
 def recorded(record: Record, algorithm: Any, learner: Any) -> dict[str, Array]:
     """What `record` says of the learner, as arrays.
 
@@ -87,9 +101,9 @@ def recorded_shapes(
     record: Record | None, algorithm: Any, env: Environment
 ) -> dict[str, jax.ShapeDtypeStruct]:
     """The shapes of what `record` says of a learner; nothing is computed. Raises InputError as `recorded`."""
-    if record is None:
+    if (whole := record_of(record, algorithm)) is None:
         return {}
-    return jax.eval_shape(lambda: recorded(record, algorithm, init_learner(algorithm, env)))
+    return jax.eval_shape(lambda: recorded(whole, algorithm, init_learner(algorithm, env)))
 
 
 def _as_array(name: Any, x: Any) -> Array:

@@ -89,7 +89,7 @@ class Part:
         """
         budget, env = self.budget, self.env
         steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps
-        of_outcomes = samples_outcomes(env) and of_environment(env).instance is None
+        of_outcomes = samples_outcomes(env) and not of_environment(env).differs
 
         @functools.cache
         def largest_return(gamma: float, anywhere: bool) -> float:

@@ -25,6 +25,7 @@ from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.part import Computed, Part, compute
 from jaxrl_tab.engine.results import SweepResult, label, parameters
+from jaxrl_tab.engine.train import check_goes_on
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.progress import Progress, Report, reporting
@@ -141,10 +142,11 @@ def prepare(
     check_pytree("env", env)
     check_held(env)
     if budget.exact:
-        planning.check_finite(env)
+        planning.check_lasting(env)
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
+    check_goes_on(cls, env)
     axes, configs = configurations(cls, {} if grid is None else grid, num_draws, seed)
     check_pytree(cls.__name__, configs[0])
     if len(configs) * num_seeds >= 2**31:
@@ -280,7 +282,8 @@ def _judge(env: Environment, config: Any) -> float:
     if declared.instance is not None:  # a problem for each run: an environment may know the mean over them
         mean = declared.mean_optimal_value
         return np.nan if mean is None or of_states else mean(config.gamma)
-    if not isinstance(env, FiniteEnvironment):
+    in_the_long_run = of_method(config).in_the_long_run
+    if declared.at is not None or in_the_long_run or not isinstance(env, FiniteEnvironment):
         return np.nan
     if of_states:
         return config.exact_value(env)

@@ -16,7 +16,7 @@ from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
 from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.budget import Budget, Record
-from jaxrl_tab.engine.log import Log, recorded
+from jaxrl_tab.engine.log import Log, record_of, recorded
 from jaxrl_tab.engine.loop import Measure
 from jaxrl_tab.exact import planning
 from jaxrl_tab.lanes.outside import prepared
@@ -57,8 +57,8 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
     measured, waiting = {}, None
     if budget.exact:
         measured |= dict.fromkeys(exact_fields(algorithm), jnp.zeros((), q.dtype))
-    if budget.record is not None:
-        measured["recorded"] = recorded(budget.record, algorithm, learner)
+    if (record := record_of(budget.record, algorithm)) is not None:
+        measured["recorded"] = recorded(record, algorithm, learner)
     rows = max((rows_at_once(what, algorithm, learner) for what in _measured(algorithm, budget)), default=1)
     if rows > 1:
         waiting = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), learner)
@@ -115,10 +115,11 @@ class _Measured(NamedTuple):
 
 def _measured(algorithm: Any, budget: Budget) -> list[_Measured]:
     """What is measured in a run: all together, but exact values apart where fewer rows have them."""
+    record = record_of(budget.record, algorithm)
     if budget.exact and budget.exact_row > 1 and _solves(algorithm):
-        own = [_Measured(False, budget.record)] if budget.record else []
+        own = [_Measured(False, record)] if record else []
         return [*own, _Measured(True, None, budget.exact_row)]
-    return [_Measured(budget.exact, budget.record)] if budget.exact or budget.record else []
+    return [_Measured(budget.exact, record)] if budget.exact or record else []
 
 
 def _make_measure(what: _Measured, algorithm: Algorithm, env: Environment, full: Any) -> Measure:
@@ -175,7 +176,9 @@ def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[
     """
     if not _solves(algorithm):
         return algorithm.measurer(env)
-    of_table, fields = planning.measurer(env, algorithm.gamma), exact_fields(acting)
+    fields = exact_fields(acting)
+    is_average = of_method(algorithm).in_the_long_run
+    of_table = planning.long_run_measurer(env) if is_average else planning.measurer(env, algorithm.gamma)
     states = np.arange(env.num_states, dtype=np.int32)
 
     @planning.in_turn

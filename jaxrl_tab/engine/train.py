@@ -13,8 +13,10 @@ from jaxtyping import PRNGKeyArray
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
+from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError, shown
-from jaxrl_tab.core.types import Algorithm, Environment, available_actions, restricted
+from jaxrl_tab.core.names import registered_name
+from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
 from jaxrl_tab.engine import by_lanes, within
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.log import Log
@@ -74,7 +76,7 @@ def train(
     rng.check_key(key)
     algorithm, env = checked_pair(algorithm, env)
     if budget.exact:
-        planning.check_finite(env)
+        planning.check_lasting(env)
     by_compiler = within.train if _is_traced((key, algorithm, env)) else by_lanes.alone
     if learned := by_compiler(key, algorithm, env, budget):
         return learned
@@ -102,8 +104,18 @@ def checked_pair(
     if not isinstance(env, Environment):
         raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     check_held(env)
+    check_goes_on(algorithm, env)
     restricted(algorithm, available_actions(env))  # raises InputError where the actions do not fit the method
     return algorithm, env
+
+
+def check_goes_on(method: Any, env: Environment) -> None:
+    """Raises InputError where a method of the average reward, or its class, is in a task that can end."""
+    if of_method(method).in_the_long_run and isinstance(env, FiniteEnvironment) and not _is_traced(env):
+        with jax.ensure_compile_time_eval():
+            planning.check_goes_on(
+                env, registered_name(METHODS, method if isinstance(method, type) else type(method))
+            )
 
 
 def _is_traced(tree: Any) -> bool:

@@ -9,8 +9,10 @@ from typing import Any
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.errors import nearest, shown
+from jaxrl_tab.envs.access_control import AccessControl
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
+from jaxrl_tab.envs.changing_mazes import BlockingMaze, ShortcutMaze
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.easy21 import Easy21
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
@@ -39,7 +41,10 @@ ENVS: dict[str, type] = {
     "maximization-bias": MaximizationBias,
     "infinite-variance": InfiniteVariance,
     "trace-gridworld": TraceGridworld,
+    "access-control": AccessControl,
     "maze": Maze,
+    "blocking-maze": BlockingMaze,
+    "shortcut-maze": ShortcutMaze,
     "frozen-lake": FrozenLake,
     "taxi": Taxi,
     "racetrack": Racetrack,
@@ -101,7 +106,9 @@ ENVIRONMENT = names.Kind(
 __all__ = [
     "ENVIRONMENT",
     "ENVS",
+    "AccessControl",
     "Blackjack",
+    "BlockingMaze",
     "CliffWalking",
     "Easy21",
     "Finite",
@@ -118,6 +125,7 @@ __all__ = [
     "Racetrack",
     "RandomWalk",
     "RecyclingRobot",
+    "ShortcutMaze",
     "Taxi",
     "TraceGridworld",
     "TwoDoors",

@@ -9,6 +9,7 @@ Its modules, from the ground up:
     visits      how often a policy comes to each state
     measure     what a table is worth, worked out inside a compiled program while it is learned
     optimum     the best policy of an environment, worked out once
+    average     the average reward of a step: of a policy, and the largest
     iterates    evaluation and improvement, one after the other: what policy and value iteration do on their way
     planning    the public side of these: values and policies of an environment that states its dynamics
     losses      what the policies of many runs lose against the best one

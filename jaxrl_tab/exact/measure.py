@@ -13,8 +13,8 @@ from jaxrl_tab.core import policies
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.double import doubled
-from jaxrl_tab.exact.model import Model, check_finite, ending_at, enumerate_model, reachable, terminal_states
-from jaxrl_tab.exact.values import from_start, greedy_to, iterate_policies, policy_values
+from jaxrl_tab.exact.model import Model, check_lasting, ending_at, enumerate_model, reachable, terminal_states
+from jaxrl_tab.exact.values import NEARLY, from_start, greedy_to, iterate_policies, policy_values
 
 Measure = Callable[..., tuple[Float[Array, ""], ...]]
 
@@ -52,9 +52,48 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         gamma: discount rate; may be a tracer.
 
     Raises:
-        InputError: `env` can only be sampled.
+        InputError: `env` can only be sampled, or changes in a run.
     """
-    check_finite(env)
+
+    def value(model: Model, policy: Float[Array, "S A"], gamma: Any) -> Float[Array, ""]:
+        return from_start(model, policy_values(model, policy, gamma).v)
+
+    return _measurer(env, gamma, value, lambda far, counts: _largest(jnp.where(counts, abs(far), 0)))
+
+
+def long_run_measurer(env: Environment) -> Measure:
+    """The same by the average reward of a step, in tasks that do not end, where values are known up to a constant.
+
+    The value of a policy is its average reward from the start distribution, r(pi), and q_error half the difference
+    between the largest and the least Q - q*, which is the largest |Q - q* - c| with the constant c that fits best.
+
+    (1 - gamma) v is r(pi) but for what goes with 1 - gamma, and the difference of two such numbers takes that off. The
+    linear systems are solved without a subtraction (`values._solve_dense`), so gamma may be as close to 1 as it likes.
+    What is left is about 1e-12 times the square of the steps that a chain needs to forget where it began.
+
+    Args, errors: as `measurer`.
+    """
+
+    def rate(model: Model, policy: Float[Array, "S A"], gamma: Any) -> Float[Array, ""]:
+        value = lambda by: (1 - by) * from_start(model, policy_values(model, policy, by).v)
+        first, second = lax.map(value, jnp.stack([gamma, (1 + gamma) / 2]))  # one linear system to compile
+        return 2 * second - first
+
+    def apart(far: Float[Array, "S A"], counts: Any) -> Float[Array, ""]:
+        return (jnp.where(counts, far, -jnp.inf).max() - jnp.where(counts, far, jnp.inf).min()) / 2
+
+    return _measurer(env, NEARLY, rate, apart)
+
+
+def _measurer(env: Environment, gamma: Any, value: Callable[..., Any], apart: Callable[..., Any]) -> Measure:
+    """What `measurer` describes.
+
+    Args:
+        env, gamma: as there.
+        value: (model, policy [S, A], gamma) -> what the policy is worth.
+        apart: (Q - Q* [S, A], which entries count) -> how far it is from none.
+    """
+    check_lasting(env)
     with doubled():
         model = _traced_model(env)
         gamma = jnp.asarray(gamma, model.prob.dtype)
@@ -64,8 +103,7 @@ def measurer(env: Environment, gamma: Any) -> Measure:
 
     def worth(policy: Float[Array, "S A"]) -> Float[Array, ""]:
         with doubled():
-            value = from_start(model, policy_values(model, policy, gamma).v)
-            return jnp.where(jnp.isnan(policy).any(), jnp.nan, value)
+            return jnp.where(jnp.isnan(policy).any(), jnp.nan, value(model, policy, gamma))
 
     def measure(q: Float[Array, "S A"], *others: Float[Array, "S A"]) -> tuple[Float[Array, ""], ...]:
         if q.shape != model.prob.shape[:2]:
@@ -80,9 +118,9 @@ def measurer(env: Environment, gamma: Any) -> Measure:
             each = [greedy_to(greedy), *(x / x.sum(1, keepdims=True) for x in acting)]
             # One after another, so that there is one linear system at a time, and one to compile.
             worths = lax.map(worth, jnp.stack(each)).astype(q.dtype)
-            error = _largest(jnp.where(counts, abs(exact_q - best.q), 0)).astype(q.dtype)
-        value, *values = worths
-        return jnp.where(sound, value, jnp.nan), jnp.where(sound & is_solved, error, jnp.nan), *values
+            error = apart(exact_q - best.q, counts).astype(q.dtype)
+        of_greedy, *values = worths
+        return jnp.where(sound, of_greedy, jnp.nan), jnp.where(sound & is_solved, error, jnp.nan), *values
 
     return measure
 
@@ -114,9 +152,9 @@ def value_measurer(env: Environment, policy_probs: Any, gamma: Any) -> Callable[
         gamma: discount rate; may be a tracer.
 
     Raises:
-        InputError: `env` can only be sampled.
+        InputError: `env` can only be sampled, or changes in a run.
     """
-    check_finite(env)
+    check_lasting(env)
     with doubled():
         model = _traced_model(env)
         pi, gamma = (jnp.asarray(x, model.prob.dtype) for x in (policy_probs, gamma))

@@ -29,14 +29,16 @@ from numpy.typing import ArrayLike
 from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.exact.average import average_reward, check_goes_on, relative_value_iteration
 from jaxrl_tab.exact.double import doubled, has_double, in_turn
 from jaxrl_tab.exact.given import checked_policy, checked_table, checked_values
 from jaxrl_tab.exact.iterates import Iterates, generalized_policy_iteration
-from jaxrl_tab.exact.measure import Measure, measurer, value_measurer
+from jaxrl_tab.exact.measure import Measure, long_run_measurer, measurer, value_measurer
 from jaxrl_tab.exact.model import (
     Model,
     backup,
     check_finite,
+    check_lasting,
     enumerate_model,
     exact_model,
     from_state_to_state,
@@ -63,8 +65,11 @@ __all__ = [
     "Measure",
     "Model",
     "action_regret_map",
+    "average_reward",
     "backup",
     "check_finite",
+    "check_goes_on",
+    "check_lasting",
     "checked_values",
     "doubled",
     "entered",
@@ -81,6 +86,7 @@ __all__ = [
     "has_double",
     "in_turn",
     "largest_return",
+    "long_run_measurer",
     "measurer",
     "occupancy",
     "optimality_backup",
@@ -88,6 +94,7 @@ __all__ = [
     "policy_value",
     "reachable",
     "regret_map",
+    "relative_value_iteration",
     "sparse_solver",
     "spread",
     "start_value",

@@ -24,6 +24,7 @@ from jaxrl_tab.exact.model import (
 
 ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
+NEARLY = 1 - 2.0**-20  # a discount rate at which what is best is best in the long run, too
 ANYTHING = -1  # the number of the round in which any action is taken, before the first policy is known
 BLOCK, MAX_BLOCKS = 16, 6  # states that are taken out of a dense chain at once, and how many times
 

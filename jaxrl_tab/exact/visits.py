@@ -200,6 +200,13 @@ def stationary_distribution(env: Environment, policy_probs: ArrayLike) -> Float[
     return share / share.sum()
 
 
+def long_run(model: Model, probs: Float[np.ndarray, "S A"]) -> list[Float[np.ndarray, " S"]]:
+    """The stationary distributions of all sets of states that a policy never leaves, whatever it comes from."""
+    chain = _chain(model, probs, 1.0)
+    member = _closed_sets(chain, ~terminal_states(model))
+    return [_of_set(chain, member == one) for one in range(member.max() + 1)]
+
+
 def _without_end(model: Model, probs: Float[np.ndarray, "S A"]) -> _Chain:
     """The chain with one state more, the last, between the end of an episode and the start of the next."""
     chain, n = _chain(model, probs, 1.0), len(probs)

@@ -1,6 +1,7 @@
 """Published figures, one file each. To add one: write its file, and add its line to FIGURES."""
 
 from jaxrl_tab.figures import (
+    access_control,
     bias_variance,
     blackjack,
     blackjack_regret,
@@ -38,6 +39,7 @@ FIGURES = {
     "blackjack-regret": blackjack_regret.FIGURE,
     "how-often": how_often.FIGURE,
     "initial-q": initial_q.FIGURE,
+    "access-control": access_control.FIGURE,
     "importance-sampling": importance_sampling.FIGURE,
 }
 

@@ -18,7 +18,7 @@ def tables_of(env: Environment) -> tuple[Panel, ...]:
 
 def exact_tables(datasets: Datasets, env: Environment) -> np.ndarray | None:
     """What was to be learned: q*, float64 [S, A], or of prediction v_pi, [S, 1]; None where no one answer is right."""
-    if not isinstance(env, FiniteEnvironment) or of_environment(env).instance is not None:
+    if not isinstance(env, FiniteEnvironment) or of_environment(env).differs:
         return None
     if stats.is_prediction(*datasets.values()):
         v = uniform_values(datasets, env)
