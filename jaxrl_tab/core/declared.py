@@ -15,15 +15,25 @@ from jaxrl_tab.core.errors import check_choice
 
 
 class Learns(StrEnum):
-    """What a method learns: in control action values Q [S, A], in prediction state values V [S]."""
+    """What a method learns, as a table.
+
+    In control action values Q [S, A], or preferences theta [S, A], of which its policy is the softmax; in prediction
+    state values V [S].
+    """
 
     ACTIONS = "actions"
     STATES = "states"
+    PREFERENCES = "preferences"
 
     @property
     def initial(self) -> str:
         """The field of a method that holds the first value of all entries."""
-        return "v0" if self is Learns.STATES else "q0"
+        return {Learns.ACTIONS: "q0", Learns.STATES: "v0", Learns.PREFERENCES: "theta0"}[self]
+
+    @property
+    def symbol(self) -> str:
+        """What the table is called in formulas."""
+        return {Learns.ACTIONS: "Q", Learns.STATES: "V", Learns.PREFERENCES: "θ"}[self]
 
 
 class LearnsFrom(StrEnum):
@@ -49,8 +59,9 @@ class OfMethod(NamedTuple):
     """What a method declares.
 
     Attributes:
-        learns: "actions" in control, "states" in prediction. A method of prediction also has the policy `pi`, and
-            `measurer(env)` and `exact_value(env)` for its values, as `prediction.Prediction` has them.
+        learns: "actions" in control, or "preferences" where these are learned instead of values; "states" in
+            prediction. A method of prediction also has the policy `pi`, and `measurer(env)` and `exact_value(env)` for
+            its values, as `prediction.Prediction` has them.
         learns_from: what experience of somebody else `update` learns rightly from (see `offline`):
             "transitions", any of them in any order; "transitions of b", where the method is told the policy b
             that acted, as a table in its field `behaviour`; "episodes of b", in order; or only from "itself".
