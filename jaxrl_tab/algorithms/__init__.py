@@ -7,10 +7,14 @@ class only.
 from jaxrl_tab.algorithms.average_reward import AverageReward
 from jaxrl_tab.algorithms.differential_q_learning import DifferentialQLearning
 from jaxrl_tab.algorithms.differential_sarsa import DifferentialSarsa
+from jaxrl_tab.algorithms.double_expected_sarsa import DoubleExpectedSarsa
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
+from jaxrl_tab.algorithms.double_sarsa import DoubleSarsa
 from jaxrl_tab.algorithms.dyna_q import DynaQ, DynaQPlus
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
+from jaxrl_tab.algorithms.hysteretic_q_learning import HystereticQLearning
 from jaxrl_tab.algorithms.many_targets import ManyTargets
+from jaxrl_tab.algorithms.maxmin_q_learning import MaxminQLearning
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
@@ -21,8 +25,10 @@ from jaxrl_tab.algorithms.r_learning import RLearning
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
+from jaxrl_tab.algorithms.speedy_q_learning import SpeedyQLearning
 from jaxrl_tab.algorithms.target_q_learning import TargetQLearning
 from jaxrl_tab.algorithms.td import TDControl, TDState
+from jaxrl_tab.algorithms.weighted_double_q_learning import WeightedDoubleQLearning
 
 ALGORITHMS: dict[str, type] = {
     "sarsa": Sarsa,
@@ -34,6 +40,12 @@ ALGORITHMS: dict[str, type] = {
     "sarsa-lambda-forward": SarsaLambdaForward,
     "q-lambda": QLambda,
     "double-q-learning": DoubleQLearning,
+    "double-sarsa": DoubleSarsa,
+    "double-expected-sarsa": DoubleExpectedSarsa,
+    "weighted-double-q-learning": WeightedDoubleQLearning,
+    "maxmin-q-learning": MaxminQLearning,
+    "hysteretic-q-learning": HystereticQLearning,
+    "speedy-q-learning": SpeedyQLearning,
     "q-learning-target": TargetQLearning,
     "off-policy-monte-carlo": OffPolicyMonteCarlo,
     "r-learning": RLearning,
@@ -49,11 +61,15 @@ __all__ = [
     "AverageReward",
     "DifferentialQLearning",
     "DifferentialSarsa",
+    "DoubleExpectedSarsa",
     "DoubleQLearning",
+    "DoubleSarsa",
     "DynaQ",
     "DynaQPlus",
     "ExpectedSarsa",
+    "HystereticQLearning",
     "ManyTargets",
+    "MaxminQLearning",
     "MonteCarlo",
     "NStepSarsa",
     "OffPolicyMonteCarlo",
@@ -64,7 +80,9 @@ __all__ = [
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",
+    "SpeedyQLearning",
     "TDControl",
     "TDState",
     "TargetQLearning",
+    "WeightedDoubleQLearning",
 ]
