@@ -82,7 +82,7 @@ PLAIN = {
     "double-sarsa": ({}, lambda key: plain.Double(*SHARED, heads=heads(key))),
     "double-expected-sarsa": ({}, lambda key: plain.Double(*SHARED, heads=heads(key), expected=True)),
     "weighted-double-q-learning": (
-        {},
+        {"c": 1.0},
         lambda key: plain.WeightedDoubleQLearning(
             *SHARED, c=1, heads=heads(key), words=target_words(key), worst=target_words(key, 1)
         ),

@@ -2,6 +2,7 @@
 
 from typing import Any, ClassVar, NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.td import TDControl
@@ -50,7 +51,7 @@ class SpeedyQLearning(TDControl):
 
     def init(self, num_states: int, num_actions: int) -> SpeedyState:
         q, clock = super().init(num_states, num_actions)
-        return SpeedyState(q, q, clock)
+        return SpeedyState(q, jnp.copy(q), clock)  # two tables, of which each is counted as memory
 
     def update(self, key, state: SpeedyState, t: Transition):
         state = self.begin(state, t)
