@@ -1,5 +1,6 @@
 """Actions that a state does not have: nobody takes them, and no maximum and no mean counts them."""
 
+import dataclasses
 from functools import cache
 
 import jax
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+import reference_gradient
 import reference_one_step as plain
 from marks import slow_but
 from test_models import planning_words
@@ -63,6 +65,7 @@ RATES = reference.Rates(lambda *_: ALPHA, lambda *_: EPSILON)
 SHARED = (HAS.shape, RATES, GAMMA, np.where(HAS, 0.5, -np.inf))
 soft = lambda row, s: reference.soft(row, EPSILON)
 greedy = lambda row, s: reference.soft(row, 0)
+tenth = lambda n: 0.1
 
 
 def summed(q, episode, alphas):
@@ -117,6 +120,14 @@ PLAIN = {
     ),
     "prioritized-sweeping": ({}, lambda key: reference.PrioritizedSweeping(*SHARED)),
     "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, watkins=True)),
+    "gradient-bandit": ({}, lambda key: reference_gradient.GradientBandit(*SHARED)),
+    "reinforce": ({}, lambda key: reference_gradient.Reinforce(*SHARED)),
+    "reinforce-baseline": ({}, lambda key: reference_gradient.Reinforce(*SHARED, alpha_v=tenth)),
+    "actor-critic": ({}, lambda key: reference_gradient.ActorCritic(*SHARED, alpha_v=tenth)),
+    "actor-critic-lambda": (
+        {},
+        lambda key: reference_gradient.ActorCritic(*SHARED, alpha_v=tenth, lam=0.9, lam_v=0.9),
+    ),
     "r-learning": (
         {"gamma": 1.0, "beta": 0.25},
         lambda key: plain.RLearning(*SHARED[:2], 1.0, SHARED[3], beta=0.25),
@@ -162,9 +173,9 @@ def test_every_step_agrees_with_the_plain_loop(name):
     with jax.enable_x64(double):
         key = jax.random.key(3)
         agent, words, task = plain(key), words_of(key), task_of(few_actions(TEMPTING))
-        method = rl.ALGORITHMS[name](
-            **{"alpha": ALPHA, "epsilon": EPSILON, "gamma": GAMMA, "q0": 0.5, **fields}
-        )
+        common = {"alpha": ALPHA, "epsilon": EPSILON, "gamma": GAMMA, "q0": 0.5, "theta0": 0.5}
+        taken = {f.name for f in dataclasses.fields(rl.ALGORITHMS[name])}
+        method = rl.ALGORITHMS[name](**{k: x for k, x in common.items() if k in taken}, **fields)
         state, log = played(method, num_steps=STEPS, log_every=STEPS)
     if getattr(agent, "exploring_starts", False):
         task = task._replace(initial=[1, 1, 1, 1, 0])

@@ -115,6 +115,10 @@ SHAPES = {
     "dyna-q-plus": ("action, state, max action",),
     "prioritized-sweeping": ("action, state, max action",),
     "off-policy-monte-carlo": ("action, state, action, ..., end",),
+    "gradient-bandit": ("action, end",),
+    "reinforce": ("action, state, action, ..., end",),
+    "reinforce-baseline": ("action, state, action, ..., end",),
+    "actor-critic": ("action, state",),
     "td": TD0,
     "n-step-td": ("state, action, state, ..., action, state",),
     "monte-carlo-prediction": ("state, action, state, ..., end",),
@@ -125,6 +129,13 @@ SHAPES["sarsa-lambda"] = SHAPES["sarsa-lambda-forward"] = (
     "action, state, action",
     "action, state, action, state, action",
     "action, state, action, state, action, state, action",
+    "",
+    "action, state, action, ..., end",
+)
+SHAPES["actor-critic-lambda"] = (
+    "action, state",
+    "action, state, action, state",
+    "action, state, action, state, action, state",
     "",
     "action, state, action, ..., end",
 )

@@ -23,11 +23,13 @@ NEEDED = {schedules.Linear: (1.0, 0.0, 5), schedules.Exponential: (1.0, 0.5)}  #
 # By hand, independently of the classes: a value just outside of each field's range, or on an end that is not in it.
 OUTSIDE = {
     "alpha": [0, -1e-3],
+    "alpha_v": [0, -1e-3],
     "epsilon": [-0.1, 1.1],
     "gamma": [-0.1, 1.5],
     "beta": [0],
     "eta": [0],
     "lam": [-0.1, 1.1],
+    "lam_v": [-0.1, 1.1],
     "temperature": [0],
     "c": [-0.5],
     "power": [0],
@@ -38,6 +40,8 @@ OUTSIDE = {
     "steps": [0.5],
     "planning_steps": [-1],
     "kappa": [-0.1],
+    "change_at": [-1],
+    "changed": [-0.1, 1.1],
     "theta": [-0.1],
     "rate": [0, 1],
     "n": [0],

@@ -72,6 +72,7 @@ UNEVEN = policies.Table(np.tile(np.array([0.1, 0.2, 0.3, 0.4]), (70, 1)))
 TO_NEXT = np.random.default_rng(0).dirichlet(np.full(4, 0.4), (4, 3))
 TO_NEXT[3] = [0, 0, 0, 1]
 REWARDS = np.random.default_rng(1).normal(size=(4, 3)) * (np.arange(4) < 3)[:, None]
+AVERAGE = schedules.sample_average()
 ALPHAS = {"alpha": [0.1, 0.37, 1.0]}  # not dyadic: a number that is rounded otherwise would show
 
 CASES = {
@@ -92,10 +93,18 @@ CASES = {
     "hysteretic-q-learning": Case("windy-gridworld", "hysteretic-q-learning", ALPHAS),
     "speedy-q-learning": Case("windy-gridworld", "speedy-q-learning"),
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
-    "dyna-q": Case("maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
+    "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
-    "prioritized-sweeping": Case("maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
+    "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
+    "gradient-bandit": Case("k-armed-testbed", "gradient-bandit", ALPHAS, episodes=20),
+    "reinforce": Case("two-doors", "reinforce", ALPHAS, episodes=20),
+    "reinforce-baseline": Case(
+        "random-walk", "reinforce-baseline", ALPHAS | {"alpha_v": AVERAGE}, episodes=8
+    ),
+    "actor-critic": Case("windy-gridworld", "actor-critic", ALPHAS),
+    "actor-critic-lambda": Case("cliff-walking", "actor-critic-lambda", ALPHAS),
+    "momentum": Case("two-doors", "actor-critic", ALPHAS | {"optimizer": "sgd(momentum=0.9)"}),
     "r-learning": Case("access-control", "r-learning", ALPHAS),
     "differential-q-learning": Case(
         "access-control", "differential-q-learning", ALPHAS | {"eta": [0.1, 0.37]}

@@ -221,7 +221,7 @@ def test_a_file_a_text_and_a_list_are_the_same(tmp_path, monkeypatch):
         ({"map": ["dyan"]}, "there is no map 'dyan'; did you mean 'dyna'?"),
         (
             {"map": "mine"},
-            "there is no map 'mine'; choose one of cliff, .*, a file such as maze.txt, or draw its rows",
+            "there is no map 'mine'; choose one of barrier-left, .*, a file such as maze.txt, or draw its rows",
         ),
         (
             {"map": ["dyna", "cliff"]},

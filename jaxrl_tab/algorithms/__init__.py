@@ -4,6 +4,7 @@ ALGORITHMS holds those that can be made from their name alone; `ManyTargets` nee
 class only.
 """
 
+from jaxrl_tab.algorithms.actor_critic import ActorCritic, ActorCriticLambda
 from jaxrl_tab.algorithms.average_reward import AverageReward
 from jaxrl_tab.algorithms.differential_q_learning import DifferentialQLearning
 from jaxrl_tab.algorithms.differential_sarsa import DifferentialSarsa
@@ -12,16 +13,19 @@ from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.double_sarsa import DoubleSarsa
 from jaxrl_tab.algorithms.dyna_q import DynaQ, DynaQPlus
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
+from jaxrl_tab.algorithms.gradient_bandit import GradientBandit
 from jaxrl_tab.algorithms.hysteretic_q_learning import HystereticQLearning
 from jaxrl_tab.algorithms.many_targets import ManyTargets
 from jaxrl_tab.algorithms.maxmin_q_learning import MaxminQLearning
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
+from jaxrl_tab.algorithms.policy_gradient import PolicyGradient
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.r_learning import RLearning
+from jaxrl_tab.algorithms.reinforce import Reinforce, ReinforceBaseline
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
@@ -48,6 +52,11 @@ ALGORITHMS: dict[str, type] = {
     "speedy-q-learning": SpeedyQLearning,
     "q-learning-target": TargetQLearning,
     "off-policy-monte-carlo": OffPolicyMonteCarlo,
+    "gradient-bandit": GradientBandit,
+    "reinforce": Reinforce,
+    "reinforce-baseline": ReinforceBaseline,
+    "actor-critic": ActorCritic,
+    "actor-critic-lambda": ActorCriticLambda,
     "r-learning": RLearning,
     "differential-q-learning": DifferentialQLearning,
     "differential-sarsa": DifferentialSarsa,
@@ -58,6 +67,8 @@ ALGORITHMS: dict[str, type] = {
 
 __all__ = [
     "ALGORITHMS",
+    "ActorCritic",
+    "ActorCriticLambda",
     "AverageReward",
     "DifferentialQLearning",
     "DifferentialSarsa",
@@ -67,16 +78,20 @@ __all__ = [
     "DynaQ",
     "DynaQPlus",
     "ExpectedSarsa",
+    "GradientBandit",
     "HystereticQLearning",
     "ManyTargets",
     "MaxminQLearning",
     "MonteCarlo",
     "NStepSarsa",
     "OffPolicyMonteCarlo",
+    "PolicyGradient",
     "PrioritizedSweeping",
     "QLambda",
     "QLearning",
     "RLearning",
+    "Reinforce",
+    "ReinforceBaseline",
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",

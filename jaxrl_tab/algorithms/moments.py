@@ -273,8 +273,8 @@ def _same_recursion(methods: Sequence[Any]) -> list[list[int]]:
 def _task(env: Environment, method: Any) -> _Task:
     """What a policy does. Raises InputError where its episodes may last to the time limit."""
     planning.check_finite(env)
-    if of_environment(env).instance is not None:
-        raise InputError("each run has a problem of its own there, so that no curve is that of all")
+    if differs := of_environment(env).differs:
+        raise InputError(f"{differs} there, so that no curve is that of all")
     model = planning.exact_model(env)
     pi = restricted(method, available_actions(env)).probabilities(env)
     gamma = float(method.gamma)

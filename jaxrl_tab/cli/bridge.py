@@ -128,10 +128,8 @@ def bridge_command(argv: list[str]) -> int:
 
 
 def _compare(env: Any, method: Any, row: bridge.Row, options: Bridge) -> Compared:
-    if of_environment(env).instance is not None:
-        raise InputError(
-            f"each run has a problem of its own in {options.env}, so that no backup is that of all"
-        )
+    if differs := of_environment(env).differs:
+        raise InputError(f"{differs} in {options.env}, so that no backup is that of all")
     planning.exact_model(env)  # raises InputError where there is none, before anything is learned
     state, _ = train(jax.random.key(options.seed), method, env, num_steps=options.steps)
     values = np.asarray(state.v if of_method(method).learns is Learns.STATES else state.q, np.float64)

@@ -15,15 +15,25 @@ from jaxrl_tab.core.errors import check_choice
 
 
 class Learns(StrEnum):
-    """What a method learns: in control action values Q [S, A], in prediction state values V [S]."""
+    """What a method learns, as a table.
+
+    In control action values Q [S, A], or preferences theta [S, A], of which its policy is the softmax; in prediction
+    state values V [S].
+    """
 
     ACTIONS = "actions"
     STATES = "states"
+    PREFERENCES = "preferences"
 
     @property
     def initial(self) -> str:
         """The field of a method that holds the first value of all entries."""
-        return "v0" if self is Learns.STATES else "q0"
+        return {Learns.ACTIONS: "q0", Learns.STATES: "v0", Learns.PREFERENCES: "theta0"}[self]
+
+    @property
+    def symbol(self) -> str:
+        """What the table is called in formulas."""
+        return {Learns.ACTIONS: "Q", Learns.STATES: "V", Learns.PREFERENCES: "θ"}[self]
 
 
 class LearnsFrom(StrEnum):
@@ -49,8 +59,9 @@ class OfMethod(NamedTuple):
     """What a method declares.
 
     Attributes:
-        learns: "actions" in control, "states" in prediction. A method of prediction also has the policy `pi`, and
-            `measurer(env)` and `exact_value(env)` for its values, as `prediction.Prediction` has them.
+        learns: "actions" in control, or "preferences" where these are learned instead of values; "states" in
+            prediction. A method of prediction also has the policy `pi`, and `measurer(env)` and `exact_value(env)` for
+            its values, as `prediction.Prediction` has them.
         learns_from: what experience of somebody else `update` learns rightly from (see `offline`):
             "transitions", any of them in any order; "transitions of b", where the method is told the policy b
             that acted, as a table in its field `behaviour`; "episodes of b", in order; or only from "itself".
@@ -81,10 +92,11 @@ class OfMethod(NamedTuple):
 
 
 class OfEnvironment(NamedTuple):
-    """What an environment declares beyond `types.Environment`, whose docstring explains the first three.
+    """What an environment declares beyond `types.Environment`, whose docstring explains the first four.
 
     Attributes:
         instance: draws the problem of one run; None where all runs have the same one.
+        at: what it is in a step of a run, from the number of that; None where it is the same in all.
         mean_optimal_value: the mean over problems of v* from the start; None where it is not known.
         available: which actions a state has; None where each has all.
         panels: the tables in which people see the states, as `envs.base.Panel`; none where they are a list.
@@ -93,11 +105,19 @@ class OfEnvironment(NamedTuple):
     """
 
     instance: Callable[..., Any] | None = None
+    at: Callable[..., Any] | None = None
     mean_optimal_value: Callable[[float], float] | None = None
     available: Callable[..., Any] | None = None
     panels: Callable[[], tuple[Any, ...]] = tuple
     action_names: tuple[str, ...] = ()
     wind: Any = None
+
+    @property
+    def differs(self) -> str:
+        """How it differs between runs or their steps, in words; empty where it is the same in all."""
+        if self.instance is not None:
+            return "each run has a problem of its own"
+        return "" if self.at is None else "the task changes while a run goes on"
 
 
 def of_method(method: Any) -> OfMethod:

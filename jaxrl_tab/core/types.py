@@ -84,6 +84,9 @@ class Environment(Protocol):
     It may have a method `instance(key) -> Environment`, which draws the problem of one run; `train` calls it
     once. `mean_optimal_value(gamma) -> float` may then say the mean over problems of v* from the start.
 
+    It may have a method `at(step) -> Environment`, which gives the task in a step of a run: a task that changes. Its
+    sizes and its starts stay the same; each step is drawn from what it is then.
+
     Where a state does not have every action, a method `available(s) -> bool [A]` says which there are in `s`,
     at least one, in terminal states too. Nobody then takes another one, and no maximum and no mean counts it:
     see `restricted`.

@@ -53,8 +53,10 @@ def _explained(label: str, own: Method, part: Part | None, memory: int | None, m
     env, setting = part.env, own.number_of_best
     if of_method(part.configs[setting]).learns is Learns.STATES:
         raise InputError("a method of prediction learns no policy, so there is nothing that its policy loses")
-    if not isinstance(env, FiniteEnvironment) or of_environment(env).instance is not None:
-        raise InputError("what is lost where needs one problem for all runs, that states its outcomes")
+    if not isinstance(env, FiniteEnvironment) or of_environment(env).differs:
+        raise InputError(
+            "what is lost where needs one problem for all runs and steps, that states its outcomes"
+        )
     best = own.at_best.ds
     places = np.flatnonzero(~diverged_runs(best).values)[: max(1, most // env.num_states)]
     if not len(places):

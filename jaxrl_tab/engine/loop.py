@@ -13,8 +13,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.core import policies, rng, tables
-from jaxrl_tab.core.declared import of_method
-from jaxrl_tab.core.types import Algorithm, Environment, Transition, available_actions, init_learner
+from jaxrl_tab.core.declared import of_environment, of_method
+from jaxrl_tab.core.types import Algorithm, Environment, Outcome, Transition, available_actions, init_learner
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.envs.base import samples_outcomes
@@ -162,19 +162,25 @@ def _any_action(env: Environment, s: Int[Array, ""]) -> Float[Array, " A"]:
     return jnp.ones(env.num_actions) if available is None else tables.row(available.astype(float), s)
 
 
+def _make_step_of(env: Environment) -> Callable[[Int[Array, ""]], Callable[..., Outcome]]:
+    """What an environment answers in a step of the run: number of the step -> ((key, S, A) -> Outcome)."""
+    if (at := of_environment(env).at) is not None:
+        return lambda t: at(t).step
+    # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
+    step = env.tabulated_step() if samples_outcomes(env) else env.step
+    return lambda t: step
+
+
 def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
     """The step of the agent in its environment: run -> (run, the step's own Log, what happened)."""
 
-    # An environment whose step is nothing but its outcomes is read from tables: less to compute in each step.
-    env_step = env.step
-    if samples_outcomes(env):
-        env_step = env.tabulated_step()
+    step_at = _make_step_of(env)
     acts_after_update = of_method(algorithm).acts_after_update
 
     def step(run: Run, key: _Decisions) -> tuple[Run, Log, Happened]:
         # Drawn before the update, on which it does not depend: so a processor works on both at the same time.
         s_start = jnp.asarray(start.state(key.reset), jnp.int32)
-        s_next, reward, terminal = env_step(key.step, run.s, run.a)
+        s_next, reward, terminal = step_at(run.t)(key.step, run.s, run.a)
         s_next = jnp.asarray(s_next, jnp.int32)
         reward, terminal = jnp.asarray(reward, run.g.dtype), jnp.asarray(terminal, bool)
         length = run.length + 1

@@ -142,7 +142,7 @@ def prepare(
     check_pytree("env", env)
     check_held(env)
     if budget.exact:
-        planning.check_finite(env)
+        planning.check_lasting(env)
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
@@ -269,7 +269,7 @@ def _exact_value(
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
     """The configurations with this gamma whose exact values may differ: of prediction one for each pi."""
     same = [config for config in configs if config.gamma == gamma]
-    if of_method(same[0]).learns is Learns.ACTIONS:
+    if of_method(same[0]).learns is not Learns.STATES:
         return same[:1]
     # Tables are not compared entry by entry: the configurations of one Table in the grid share the object.
     by_pi: dict[int, Any] = {id(config.pi): config for config in cast(list[Any], same)}
@@ -282,7 +282,8 @@ def _judge(env: Environment, config: Any) -> float:
     if declared.instance is not None:  # a problem for each run: an environment may know the mean over them
         mean = declared.mean_optimal_value
         return np.nan if mean is None or of_states else mean(config.gamma)
-    if not isinstance(env, FiniteEnvironment) or of_method(config).in_the_long_run:
+    in_the_long_run = of_method(config).in_the_long_run
+    if declared.at is not None or in_the_long_run or not isinstance(env, FiniteEnvironment):
         return np.nan
     if of_states:
         return config.exact_value(env)

@@ -76,7 +76,7 @@ def train(
     rng.check_key(key)
     algorithm, env = checked_pair(algorithm, env)
     if budget.exact:
-        planning.check_finite(env)
+        planning.check_lasting(env)
     by_compiler = within.train if _is_traced((key, algorithm, env)) else by_lanes.alone
     if learned := by_compiler(key, algorithm, env, budget):
         return learned

@@ -42,7 +42,8 @@ BY_XLA = 5  # times as long as by `lanes`
 ROW = 60  # nanoseconds of a row of the log
 COMPILING = {"lanes": 0.3, "xla": 1.5}  # seconds of a program
 STARTING = {"lanes": 0.01, "xla": 0.4}  # the same, where it was made before
-EXACT = {Learns.ACTIONS: 4.5, Learns.STATES: 1.5}  # more seconds, where exact values are recorded
+# More seconds, where exact values are recorded.
+EXACT = {Learns.ACTIONS: 4.5, Learns.PREFERENCES: 4.5, Learns.STATES: 1.5}
 KEPT = 0.06  # of these, where it was made before
 EPISODE_STEPS = 100.0  # of an episode of which nothing is known
 LEARNING = 5.0  # so many steps, over the step size, for each entry of a table until it is learned, about
@@ -75,7 +76,7 @@ def typical(part: Part) -> Typical:
     if budget.exact:
         # A system of equations for each policy that is judged; an error of prediction is a sum.
         solving = 0.01 * states**3 + 12.5 * states**2 + 370 * states
-        row += 2 * solving / budget.exact_row if learns is Learns.ACTIONS else 130 * states
+        row += 2 * solving / budget.exact_row if learns is not Learns.STATES else 130 * states
         compiling, starting = compiling + EXACT[learns], starting + KEPT * EXACT[learns]
     of_steps = steps * step * (BY_XLA if by == "xla" else 1)
     return Typical(1e-9 * (of_steps + rows * row), compiling, starting)

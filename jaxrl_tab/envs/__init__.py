@@ -12,6 +12,7 @@ from jaxrl_tab.core.errors import nearest, shown
 from jaxrl_tab.envs.access_control import AccessControl
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
+from jaxrl_tab.envs.changing_mazes import BlockingMaze, ShortcutMaze
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.easy21 import Easy21
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
@@ -37,6 +38,8 @@ ENVS: dict[str, type] = {
     "trace-gridworld": TraceGridworld,
     "access-control": AccessControl,
     "maze": Maze,
+    "blocking-maze": BlockingMaze,
+    "shortcut-maze": ShortcutMaze,
     "frozen-lake": FrozenLake,
 }
 
@@ -95,6 +98,7 @@ __all__ = [
     "ENVS",
     "AccessControl",
     "Blackjack",
+    "BlockingMaze",
     "CliffWalking",
     "Easy21",
     "Finite",
@@ -107,6 +111,7 @@ __all__ = [
     "MaximizationBias",
     "Maze",
     "RandomWalk",
+    "ShortcutMaze",
     "TraceGridworld",
     "TwoDoors",
     "WindyGridworld",

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import assign, is_list
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError, unfit
 from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.types import Outcome
@@ -97,8 +98,9 @@ class Finite(Shown):
 
 
 def samples_outcomes(env: Any) -> TypeGuard[Finite]:
-    """Whether `step` is nothing but a draw from `outcomes`, as `Finite` has it."""
-    return isinstance(env, Finite) and type(env).step is Finite.step
+    """Whether `step` is nothing but a draw from `outcomes`, as `Finite` has it, and the same in all steps of a run."""
+    is_finite = isinstance(env, Finite) and type(env).step is Finite.step
+    return is_finite and of_environment(env).at is None
 
 
 class FixedStart(Finite):

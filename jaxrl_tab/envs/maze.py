@@ -71,11 +71,11 @@ class DrawnGrid(Grid):
 
     @property
     def goals(self) -> tuple[tuple[int, int], ...]:
-        return self._cells(np.flatnonzero(_letters(self.plan) == GOAL))
+        return self._cells(np.flatnonzero(letters_of(self.plan) == GOAL))
 
     @property
     def walls(self) -> tuple[tuple[int, int], ...]:
-        return self._cells(np.flatnonzero(_letters(self.plan) == WALL))
+        return self._cells(np.flatnonzero(letters_of(self.plan) == WALL))
 
     @property
     def letters(self) -> dict[int, str]:
@@ -83,28 +83,33 @@ class DrawnGrid(Grid):
         plain = {letter for letter, of in self.plan.legend if of == Letter()} - {
             target for _, of in self.plan.legend for target in (of.to, of.jump)
         }
-        return {s: str(x) for s, x in enumerate(_letters(self.plan)) if x not in {*plain, *FREE, WALL}}
+        return {s: str(x) for s, x in enumerate(letters_of(self.plan)) if x not in {*plain, *FREE, WALL}}
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
-        table = tabulated(self.plan)
-        s_next = jnp.asarray(table.s_next)[s, a]
-        prob, reward = (jnp.asarray(x, float)[s, a] for x in (table.prob, table.reward))
-        return prob, Outcome(s_next, reward, jnp.asarray(table.is_terminal)[s_next])
+        return outcomes_of(self.plan, s, a)
 
     def _cells(self, states: np.ndarray) -> tuple[tuple[int, int], ...]:
         columns = self.shape[1]
         return tuple(divmod(int(s), columns) for s in states)
 
 
+def outcomes_of(plan: Plan, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
+    """What may follow action `a` in state `s`, as `types.FiniteEnvironment` has it."""
+    table = tabulated(plan)
+    s_next = jnp.asarray(table.s_next)[s, a]
+    prob, reward = (jnp.asarray(x, float)[s, a] for x in (table.prob, table.reward))
+    return prob, Outcome(s_next, reward, jnp.asarray(table.is_terminal)[s_next])
+
+
 @pytree
 class Maze(DrawnGrid):
     """Find the way through a maze that somebody has drawn.
 
-    A map is a list of rows, `["S..#G", "....."]`, or the name of a file or of a map of ours:
-    dyna, four-rooms, cliff, grid-4x4, example-3.5, frozen-lake-4x4, frozen-lake-8x8. Of its letters `#` is a
-    wall, `S` a start (of several each is equally likely; without any, episodes start in any cell in which a
-    walker can be), `G` a goal, where episodes end (without any end the task goes on for ever, and needs a
-    gamma below 1), and `.` or a blank a free cell. The legend says what other letters mean, in Python
+    A map is a list of rows, `["S..#G", "....."]`, or the name of a file or of a map of ours: dyna, four-rooms, cliff,
+    grid-4x4, example-3.5, frozen-lake-4x4, frozen-lake-8x8, barrier-left, barrier-right, barrier-short. Of its letters
+    `#` is a wall, `S` a start (of several each is equally likely; without any, episodes start in any cell in which a
+    walker can be), `G` a goal, where episodes end (without any end the task goes on for ever, and needs a gamma below
+    1), and `.` or a blank a free cell. The legend says what other letters mean, in Python
     `{"O": {"reward": -10, "terminal": True}}`, in lines "O: reward -10, terminal":
 
     - `reward`: of a step that ends there, in place of the step's; `terminal`: the episode ends there;
@@ -263,7 +268,7 @@ def tabulated(plan: Plan) -> Table:
 
 
 def _cells(plan: Plan) -> _Cells:
-    letter, rows = _letters(plan), len(plan.rows)
+    letter, rows = letters_of(plan), len(plan.rows)
     is_goal = letter == GOAL
     cells = _Cells(
         letter,
@@ -297,7 +302,7 @@ def _only(cells: _Cells, letter: str) -> int:
     return int(np.flatnonzero(cells.letter == letter)[0])
 
 
-def _letters(plan: Plan) -> np.ndarray:
+def letters_of(plan: Plan) -> np.ndarray:
     """The letter of each state, [S]."""
     return np.array(list("".join(plan.rows)))
 

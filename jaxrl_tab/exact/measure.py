@@ -13,7 +13,7 @@ from jaxrl_tab.core import policies
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.double import doubled
-from jaxrl_tab.exact.model import Model, check_finite, ending_at, enumerate_model, reachable, terminal_states
+from jaxrl_tab.exact.model import Model, check_lasting, ending_at, enumerate_model, reachable, terminal_states
 from jaxrl_tab.exact.values import NEARLY, from_start, greedy_to, iterate_policies, policy_values
 
 Measure = Callable[..., tuple[Float[Array, ""], ...]]
@@ -52,7 +52,7 @@ def measurer(env: Environment, gamma: Any) -> Measure:
         gamma: discount rate; may be a tracer.
 
     Raises:
-        InputError: `env` can only be sampled.
+        InputError: `env` can only be sampled, or changes in a run.
     """
 
     def value(model: Model, policy: Float[Array, "S A"], gamma: Any) -> Float[Array, ""]:
@@ -93,7 +93,7 @@ def _measurer(env: Environment, gamma: Any, value: Callable[..., Any], apart: Ca
         value: (model, policy [S, A], gamma) -> what the policy is worth.
         apart: (Q - Q* [S, A], which entries count) -> how far it is from none.
     """
-    check_finite(env)
+    check_lasting(env)
     with doubled():
         model = _traced_model(env)
         gamma = jnp.asarray(gamma, model.prob.dtype)
@@ -152,9 +152,9 @@ def value_measurer(env: Environment, policy_probs: Any, gamma: Any) -> Callable[
         gamma: discount rate; may be a tracer.
 
     Raises:
-        InputError: `env` can only be sampled.
+        InputError: `env` can only be sampled, or changes in a run.
     """
-    check_finite(env)
+    check_lasting(env)
     with doubled():
         model = _traced_model(env)
         pi, gamma = (jnp.asarray(x, model.prob.dtype) for x in (policy_probs, gamma))

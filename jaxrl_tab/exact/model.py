@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxrl_tab.core import memory, policies
 from jaxrl_tab.core.checks import check_pytree, first, foreign, is_distribution
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Available, Environment, FiniteEnvironment, available_actions, stand_ins
 
@@ -50,6 +51,16 @@ def check_finite(env: Environment) -> None:
     if not isinstance(env, FiniteEnvironment):
         raise InputError(
             f"{name_of(env)} can only be sampled; exact values need one with `outcomes` and `initial`{foreign(env)}"
+        )
+
+
+def check_lasting(env: Environment) -> None:
+    """Raises InputError where `env` can only be sampled, or changes in a run: nothing exact then holds in all steps."""
+    check_finite(env)
+    if of_environment(env).at is not None:
+        raise InputError(
+            f"{name_of(env)} changes while a run goes on, so that no exact values hold in all of its rows; leave out "
+            "exact"
         )
 
 

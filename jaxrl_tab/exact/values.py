@@ -285,14 +285,19 @@ def _first_policy(model: Model, v: Float[Any, " S"], caught: Bool[Any, " S"]) ->
         v, caught: of the policy that takes any action.
     """
     where, anything = array_module(model).where, any_action(model)
-    free = ((model.prob == 0) | (model.reward == 0)).all(-1)
-    home = _home(model, free)
-    staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
-    staying = (staying & (anything > 0)).astype(model.prob.dtype)
-    staying = staying / staying.sum(-1, keepdims=True)
+    home, staying = waiting(model)
     mixed = where((home & (v < 0))[:, None], staying, anything)
     lost = caught.any() | fate(model, mixed)[1].any()
     return where(lost, staying, mixed)
+
+
+def waiting(model: Model) -> tuple[Bool[Any, " S"], Float[Any, "S A"]]:
+    """Where one can stay for ever for nothing, bool [S]; and a policy [S, A] that does, and elsewhere takes any."""
+    free = ((model.prob == 0) | (model.reward == 0)).all(-1)
+    home = _home(model, free)
+    staying = free & ((model.prob == 0) | home[model.s_next]).all(-1) | ~home[:, None]
+    staying = (staying & (any_action(model) > 0)).astype(model.prob.dtype)
+    return home, staying / staying.sum(-1, keepdims=True)
 
 
 def from_start(model: Model, v: Float[Any, " S"]) -> Any:

@@ -124,6 +124,10 @@ TITLES = {
     "q-lambda": "Q(λ)",
     "monte-carlo": "Monte Carlo",
     "off-policy-monte-carlo": "Off-policy Monte Carlo",
+    "reinforce": "REINFORCE",
+    "reinforce-baseline": "REINFORCE with baseline",
+    "actor-critic": "Actor-critic",
+    "actor-critic-lambda": "Actor-critic(λ)",
     "td": "TD(0)",
     "n-step-td": "n-step TD",
     "td-lambda": "TD(λ)",
@@ -132,7 +136,15 @@ TITLES = {
     "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
     "k-armed-testbed": "k-armed testbed",
 }
-SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
+SYMBOLS = {
+    "alpha": "α",
+    "epsilon": "ε",
+    "gamma": "γ",
+    "lam": "λ",
+    "alpha_v": "α_v",
+    "lam_v": "λ_v",
+    "theta0": "θ0",
+}
 
 
 def title_of(name: str) -> str:

@@ -352,14 +352,14 @@ def soft_optimum(env: Environment, setting: Mapping[str, Any]) -> float:
     Returns:
         `planning.epsilon_soft` from the start; NaN where the setting does not explore so, where the
         environment does not say its probabilities or has more than SOFT_STATES states, where each run draws a
-        problem of its own, and where there is no finite answer.
+        problem of its own, or the task changes in a run, and where there is no finite answer.
     """
     epsilon = str(setting.get("behaviour") or f"epsilon-greedy:{setting.get('epsilon')}")
     try:
         epsilon, gamma = float(epsilon.removeprefix("epsilon-greedy:")), float(setting.get("gamma", 1.0))
     except ValueError:  # a schedule, or another policy
         return np.nan
-    if not epsilon or env.num_states > SOFT_STATES or of_environment(env).instance is not None:
+    if not epsilon or env.num_states > SOFT_STATES or of_environment(env).differs:
         return np.nan
     try:
         return planning.start_value(env, planning.epsilon_soft(env, epsilon, gamma)[1])
