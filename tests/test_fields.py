@@ -58,6 +58,15 @@ OUTSIDE = {
     "left": [[-1.0, 2.0]],
     "slip": [-0.1, 1.1],
     "success_rate": [-0.1, 1.1],
+    "rainy_probability": [-0.1, 1.1],
+    "fickle_probability": [-0.1, 1.1],
+    "p_h": [-0.1, 1.1],
+    "goal": [1],
+    "capacity": [0],
+    "most_moved": [-1],
+    "failure": [-0.1, 1],
+    "stays_high": [-0.1, 1.1],
+    "stays_low": [-0.1, 1.1],
     "right": [[-1.0, 2.0]],
 }
 LIMITED = [(cls, f.name) for cls in CLASSES for f in dataclasses.fields(cls) if f.metadata.get("limits")]

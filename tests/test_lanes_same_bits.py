@@ -111,15 +111,15 @@ CASES = {
     ),
     "differential-sarsa": Case("access-control", "differential-sarsa", ALPHAS),
     "td": Case("random-walk", "td", ALPHAS, episodes=8),
-    "n-step-td": Case("random-walk", "n-step-td", ALPHAS | {"n": 4}),
+    "n-step-td": Case("racetrack", "n-step-td", ALPHAS | {"n": 4}),
     "td-lambda": Case("random-walk", "td-lambda", ALPHAS, exact=True),
     "monte-carlo-prediction": Case("blackjack", "monte-carlo-prediction", episodes=20),
-    "off-policy-td": Case("random-walk", "off-policy-td", ALPHAS),
+    "off-policy-td": Case("jacks-car-rental", "off-policy-td", ALPHAS | {"gamma": 0.9}),
     "off-policy-monte-carlo-prediction": Case("two-doors", "off-policy-monte-carlo-prediction", episodes=20),
     # policies and schedules
-    "greedy": Case("k-armed-testbed", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
-    "softmax": Case("two-doors", "expected-sarsa", {"behaviour": policies.Softmax(0.3)}),
-    "upper confidence bounds": Case("k-armed-testbed", "q-learning", {"behaviour": policies.UCB(2.0)}),
+    "greedy": Case("gamblers-problem", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
+    "softmax": Case("recycling-robot", "expected-sarsa", {"behaviour": policies.Softmax(0.3), "gamma": 0.9}),
+    "upper confidence bounds": Case("taxi", "q-learning", {"behaviour": policies.UCB(2.0)}),
     "a policy in a table": Case(grid={"behaviour": UNEVEN}),
     "schedules": Case(
         "two-doors", "sarsa", {"alpha": schedules.sample_average(), "epsilon": schedules.glie()}

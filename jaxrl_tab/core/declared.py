@@ -100,6 +100,7 @@ class OfEnvironment(NamedTuple):
         mean_optimal_value: the mean over problems of v* from the start; None where it is not known.
         available: which actions a state has; None where each has all.
         panels: the tables in which people see the states, as `envs.base.Panel`; none where they are a list.
+        state_name: the name of a state from its number, where panels do not say it.
         action_names: a short name of each action, for pictures; their numbers where there are none.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
     """
@@ -109,6 +110,7 @@ class OfEnvironment(NamedTuple):
     mean_optimal_value: Callable[[float], float] | None = None
     available: Callable[..., Any] | None = None
     panels: Callable[[], tuple[Any, ...]] = tuple
+    state_name: Callable[[int], str] | None = None
     action_names: tuple[str, ...] = ()
     wind: Any = None
 
