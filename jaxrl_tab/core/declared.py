@@ -102,6 +102,9 @@ class OfEnvironment(NamedTuple):
         panels: the tables in which people see the states, as `envs.base.Panel`; none where they are a list.
         state_name: the name of a state from its number, where panels do not say it.
         action_names: a short name of each action, for pictures; their numbers where there are none.
+        discount: the discount rate that its source states; None where it states none. What counts is gamma, which
+            belongs to the method: this is what the command mentions.
+        continuing: whether it has no terminal states, so that only its time limit ends an episode.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
     """
 
@@ -113,6 +116,8 @@ class OfEnvironment(NamedTuple):
     state_name: Callable[[int], str] | None = None
     action_names: tuple[str, ...] = ()
     wind: Any = None
+    discount: float | None = None
+    continuing: bool = False
 
     @property
     def differs(self) -> str:
