@@ -92,6 +92,17 @@ PLAIN = {
         {},
         lambda key: reference.DoubleQLearning(*SHARED, heads=heads(key), words=target_words(key)),
     ),
+    "double-sarsa": ({}, lambda key: plain.Double(*SHARED, heads=heads(key))),
+    "double-expected-sarsa": ({}, lambda key: plain.Double(*SHARED, heads=heads(key), expected=True)),
+    "weighted-double-q-learning": (
+        {"c": 1.0},
+        lambda key: plain.WeightedDoubleQLearning(
+            *SHARED, c=1, heads=heads(key), words=target_words(key), worst=target_words(key, 1)
+        ),
+    ),
+    "maxmin-q-learning": ({}, lambda key: plain.MaxminQLearning(*SHARED, tables=2, words=target_words(key))),
+    "hysteretic-q-learning": ({"beta": 0.0625}, lambda key: plain.HystereticQLearning(*SHARED, beta=0.0625)),
+    "speedy-q-learning": ({}, lambda key: plain.SpeedyQLearning(*SHARED)),
     "q-learning-target": (
         {"target": EpsilonGreedy(EPSILON)},
         lambda key: reference.OffPolicy(*SHARED, target=soft, words=target_words(key)),

@@ -48,6 +48,7 @@ OUTSIDE = {
     "n": [0],
     "batch": [0],
     "arms": [0],
+    "tables": [0],
     "states": [0],
     "actions": [1],
     "max_steps": [0],

@@ -121,6 +121,9 @@ class TDControl(Shown):
 
     def learn(self, state: L, t: Transition, delta: Float[Array, ""]) -> L:
         """Q(S, A) <- Q(S, A) + alpha delta; and counts the episode where it is over."""
-        alpha = clock.step_size(self.alpha, state.clock, t.s, t.a)
-        q = tables.add(state.q, t.s, t.a, alpha * delta)
+        return self.change(state, t, clock.step_size(self.alpha, state.clock, t.s, t.a) * delta)
+
+    def change(self, state: L, t: Transition, step: Float[Array, ""]) -> L:
+        """Q(S, A) <- Q(S, A) + step; and counts the episode where it is over."""
+        q = tables.add(state.q, t.s, t.a, step)
         return state._replace(q=q, clock=clock.end_step(state.clock, t.last))
