@@ -52,11 +52,11 @@ def test_the_treasure_is_at_the_end_of_one_way():
     env = rl.make("deep-sea", size=5).instance(jax.random.key(3))
     right = np.asarray(env.right).astype(int)
     assert 0 < right.sum() < 25
-    s, total = 0, 0.0
+    model, s, total = planning.exact_model(env), 0, 0.0
     for _ in range(5):
-        outcome = env.outcomes(s, right[s])[1]
-        s, total = int(outcome.s_next[0]), total + float(outcome.reward[0])
-    assert (s, bool(outcome.terminal[0])) == (25, True)
+        at = s, right[s], 0
+        s, total = int(model.s_next[at]), total + model.reward[at]
+    assert (s, bool(model.terminal[at])) == (25, True)
     assert total == pytest.approx(0.99)
     v, _ = planning.value_iteration(env)
     assert v[0] == pytest.approx(0.99)
@@ -79,6 +79,5 @@ def test_garnets_are_drawn_as_they_should_be():
     reward = np.stack([mdp.reward[..., 0] for mdp in drawn])
     assert abs(reward.mean()) < 5 / np.sqrt(reward.size)
     assert abs(reward.var() - 1) < 5 * np.sqrt(2 / reward.size)
-    assert (
-        rl.make("garnet", seed=1).outcomes(0, 0)[1].reward != rl.make("garnet").outcomes(0, 0)[1].reward
-    ).all()
+    one, other = (planning.exact_model(rl.make("garnet", seed=seed)) for seed in (0, 1))
+    assert (one.reward != other.reward).all()

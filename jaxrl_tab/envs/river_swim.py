@@ -92,5 +92,5 @@ def _tables(variant: str, states: int) -> tuple[np.ndarray, np.ndarray]:
     prob[1:, LEFT, 0] = prob[0, LEFT, 1] = 1
     prob[0, RIGHT], prob[1:-1, RIGHT], prob[-1, RIGHT] = numbers.first, numbers.middle, numbers.last
     reward[0, LEFT] = numbers.small
-    reward[-1, RIGHT, 1 if numbers.staying else slice(None)] = numbers.large
+    reward[-1, RIGHT, 1 if numbers.staying else 0 :] = numbers.large
     return prob, reward
