@@ -7,13 +7,18 @@ from jaxrl_tab.figures import (
     blackjack_regret,
     cliff_alpha,
     cliff_walking,
+    gamblers_problem,
     gpi,
     how_often,
     importance_sampling,
     initial_q,
+    jacks_car_rental,
     k_armed_testbed,
     lambda_arrows,
     maximization_bias,
+    racetrack,
+    recycling_robot,
+    state_values,
     time_step,
     trace,
     trace_gridworld,
@@ -23,7 +28,11 @@ from jaxrl_tab.figures import (
 from jaxrl_tab.figures.figure import Check, Figure, Number, swept
 
 FIGURES = {
+    "recycling-robot": recycling_robot.FIGURE,
+    "state-values": state_values.FIGURE,
     "gpi": gpi.FIGURE,
+    "jacks-car-rental": jacks_car_rental.FIGURE,
+    "gamblers-problem": gamblers_problem.FIGURE,
     "k-armed-testbed": k_armed_testbed.FIGURE,
     "two-doors": two_doors.FIGURE,
     "windy-gridworld": windy_gridworld.FIGURE,
@@ -39,6 +48,7 @@ FIGURES = {
     "blackjack-regret": blackjack_regret.FIGURE,
     "how-often": how_often.FIGURE,
     "initial-q": initial_q.FIGURE,
+    "racetrack": racetrack.FIGURE,
     "access-control": access_control.FIGURE,
     "importance-sampling": importance_sampling.FIGURE,
 }
