@@ -49,7 +49,7 @@ def _draw(datasets):
 
     from jaxrl_tab.show import plot
 
-    ds, canvas = datasets[RUN], plot.canvas(plot.WIDTH, 5.4)
+    ds, canvas = datasets[RUN], plot.canvas(plot.WIDTH, 5.3)
     axes = canvas.subplots(2, 3, sharex=True, sharey=True).ravel()
     most = int(abs(ds.moved).max())
     edges = np.arange(-most, most + 2) - 0.5

@@ -3,7 +3,8 @@
 import numpy as np
 
 from jaxrl_tab.envs import Racetrack
-from jaxrl_tab.envs.racetrack import CRASH, STAY, TRACKS, tabulated
+from jaxrl_tab.envs.base import COMPASS
+from jaxrl_tab.envs.racetrack import CRASH, SPEEDS, STAY, TRACKS, tabulated
 from jaxrl_tab.figures.figure import EXACT, Figure, Number
 
 SMALL = 1e-11  # a change of values that is none
@@ -48,6 +49,17 @@ def _driven(name, best, s):
     return way
 
 
+def _points(places, best, way):
+    """Where the car is after each step, as x and y; the last move as far as it would go beyond the finish line."""
+    row, column, up, right = places[way[:-1]].T
+    down, along = COMPASS[best[way[-2]]]
+    last = (
+        row[-1] - np.clip(up[-1] - down, 0, SPEEDS - 1),
+        column[-1] + np.clip(right[-1] + along, 0, SPEEDS - 1),
+    )
+    return np.append(column, last[1]), np.append(row, last[0])
+
+
 def _shortest(name):
     def shortest(datasets):
         ds = datasets[name]
@@ -73,9 +85,7 @@ def _draw(datasets):
         ways = [_driven(name, ds.best.values, s) for s in ds.start.values]
         ways = [way for way in ways if way]
         for i, color in zip(np.linspace(0, len(ways) - 1, 4).round().astype(int), plot.COLORS, strict=False):
-            row, column, up, right = places[ways[i][:-1]].T
-            row, column = np.append(row, row[-1] - up[-1]), np.append(column, column[-1] + right[-1])
-            ax.plot(column, row, ".-", color=color, lw=1.2, ms=5)
+            ax.plot(*_points(places, ds.best.values, ways[i]), ".-", color=color, lw=1.2, ms=5)
         ax.set_title(f"{-float(ds.v[ds.start].mean()):.2f} steps on average", fontsize=plot.TYPE)
         ax.set(xlim=lines[1][[0, -1]], ylim=lines[0][[-1, 0]], xticks=[], yticks=[])
     plot.head(canvas, "Races of the best policies from four cells of the starting line, without noise")
