@@ -29,6 +29,7 @@ def test_what_is_learned_from_is_a_text_with_two_consequences():
         ("itself", False, False),
         ("transitions", False, False),
         ("transitions of b", True, False),
+        ("episodes", False, True),
         ("episodes of b", True, True),
     ]
 
@@ -93,7 +94,7 @@ class Door:
 
 
 def test_an_environment_without_a_base_class_declares_nothing_and_runs():
-    assert of_environment(Door()) == (None, None, None, None, tuple, None, ("0", "1"), None)
+    assert of_environment(Door()) == (None, None, None, None, tuple, None, ("0", "1"), None, None, False)
     ds = rl.sweep(Door(), Mean, num_seeds=2, num_steps=20).to_xarray()
     assert ds.attrs["learns"] == "actions"
     np.testing.assert_array_equal(ds.q[:, 0], [[0, 1]] * 2)

@@ -61,7 +61,8 @@ def make(name: str, **parameters: Any):
     """The environment of this name with its parameters: `make("windy-gridworld", moves="king")`.
 
     Args:
-        name: of ENVS, or from outside: "mine.py:MyEnv", "gymnasium:FrozenLake-v1", "mdp.npz" (see `core.names`).
+        name: of ENVS, or from outside: "mine.py:MyEnv", "gymnasium:FrozenLake-v1", "mdp.npz",
+            "tiger.POMDP" (see `core.names`).
         parameters: of the environment.
 
     Raises:
