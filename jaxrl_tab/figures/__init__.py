@@ -5,8 +5,11 @@ from jaxrl_tab.figures import (
     bias_variance,
     blackjack,
     blackjack_regret,
+    changing_mazes,
     cliff_alpha,
     cliff_walking,
+    dyna_maze,
+    expected_or_sample,
     gpi,
     how_often,
     importance_sampling,
@@ -14,9 +17,11 @@ from jaxrl_tab.figures import (
     k_armed_testbed,
     lambda_arrows,
     maximization_bias,
+    prioritized_sweeping,
     time_step,
     trace,
     trace_gridworld,
+    trajectory_sampling,
     two_doors,
     windy_gridworld,
 )
@@ -41,6 +46,11 @@ FIGURES = {
     "initial-q": initial_q.FIGURE,
     "access-control": access_control.FIGURE,
     "importance-sampling": importance_sampling.FIGURE,
+    "dyna-maze": dyna_maze.FIGURE,
+    "changing-mazes": changing_mazes.FIGURE,
+    "prioritized-sweeping": prioritized_sweeping.FIGURE,
+    "expected-or-sample": expected_or_sample.FIGURE,
+    "trajectory-sampling": trajectory_sampling.FIGURE,
 }
 
 __all__ = ["FIGURES", "Check", "Figure", "Number", "swept"]

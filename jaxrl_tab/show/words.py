@@ -119,6 +119,8 @@ TITLES = {
     "sarsa-lambda": "Sarsa(λ)",
     "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
     "q-learning": "Q-learning",
+    "dyna-q": "Dyna-Q",
+    "dyna-q-plus": "Dyna-Q+",
     "q-learning-target": "Q-learning of a target policy",
     "double-q-learning": "Double Q-learning",
     "q-lambda": "Q(λ)",
@@ -132,7 +134,7 @@ TITLES = {
     "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
     "k-armed-testbed": "k-armed testbed",
 }
-SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ"}
+SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ", "kappa": "κ", "theta": "θ"}
 
 
 def title_of(name: str) -> str:
