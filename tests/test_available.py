@@ -1,5 +1,6 @@
 """Actions that a state does not have: nobody takes them, and no maximum and no mean counts them."""
 
+import dataclasses
 from functools import cache
 
 import jax
@@ -7,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+import reference_gradient
 import reference_one_step as plain
 from marks import slow_but
 from test_models import planning_words
@@ -63,6 +65,7 @@ RATES = reference.Rates(lambda *_: ALPHA, lambda *_: EPSILON)
 SHARED = (HAS.shape, RATES, GAMMA, np.where(HAS, 0.5, -np.inf))
 soft = lambda row, s: reference.soft(row, EPSILON)
 greedy = lambda row, s: reference.soft(row, 0)
+tenth = lambda n: 0.1
 
 
 def summed(q, episode, alphas):
@@ -75,10 +78,31 @@ PLAIN = {
     "q-learning": ({}, lambda key: reference.OffPolicy(*SHARED, target=greedy)),
     "expected-sarsa": ({}, lambda key: reference.OffPolicy(*SHARED, target=soft)),
     "n-step-sarsa": ({"n": 3}, lambda key: reference.NStepSarsa(*SHARED, n=3)),
+    "n-step-expected-sarsa": (
+        {"n": 3},
+        lambda key: reference.NStepOffPolicy(*SHARED, n=3, expected=True),
+    ),
+    "n-step-off-policy-sarsa": (
+        {"n": 3},
+        lambda key: reference.NStepOffPolicy(*SHARED, n=3, expected=False, target=greedy),
+    ),
+    "tree-backup": ({"n": 3}, lambda key: reference.Branching(*SHARED, n=3, target=greedy)),
+    "q-sigma": ({"n": 3}, lambda key: reference.Branching(*SHARED, n=3, sigma=lambda *_: 0.5)),
     "double-q-learning": (
         {},
         lambda key: reference.DoubleQLearning(*SHARED, heads=heads(key), words=target_words(key)),
     ),
+    "double-sarsa": ({}, lambda key: plain.Double(*SHARED, heads=heads(key))),
+    "double-expected-sarsa": ({}, lambda key: plain.Double(*SHARED, heads=heads(key), expected=True)),
+    "weighted-double-q-learning": (
+        {"c": 1.0},
+        lambda key: plain.WeightedDoubleQLearning(
+            *SHARED, c=1, heads=heads(key), words=target_words(key), worst=target_words(key, 1)
+        ),
+    ),
+    "maxmin-q-learning": ({}, lambda key: plain.MaxminQLearning(*SHARED, tables=2, words=target_words(key))),
+    "hysteretic-q-learning": ({"beta": 0.0625}, lambda key: plain.HystereticQLearning(*SHARED, beta=0.0625)),
+    "speedy-q-learning": ({}, lambda key: plain.SpeedyQLearning(*SHARED)),
     "q-learning-target": (
         {"target": EpsilonGreedy(EPSILON)},
         lambda key: reference.OffPolicy(*SHARED, target=soft, words=target_words(key)),
@@ -98,6 +122,19 @@ PLAIN = {
         ),
     ),
     "sarsa-lambda": ({"trace": "dutch"}, lambda key: reference.Traces(*SHARED, lam=0.9, trace="dutch")),
+    "true-online-sarsa-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, trace="dutch")),
+    "expected-sarsa-lambda": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: 1),
+    ),
+    "tree-backup-lambda": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: pi, target=greedy),
+    ),
+    "retrace": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: min(1, pi / b), target=greedy),
+    ),
     "sarsa-lambda-forward": ({}, lambda key: reference.ForwardView(*SHARED, view=summed)),
     "dyna-q": ({}, lambda key: reference.DynaQ(*SHARED, words=planning_words(key))),
     "dyna-q-plus": (
@@ -105,7 +142,15 @@ PLAIN = {
         lambda key: reference.DynaQ(*SHARED, words=planning_words(key), kappa=0.25),
     ),
     "prioritized-sweeping": ({}, lambda key: reference.PrioritizedSweeping(*SHARED)),
-    "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, watkins=True)),
+    "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, version="watkins")),
+    "gradient-bandit": ({}, lambda key: reference_gradient.GradientBandit(*SHARED)),
+    "reinforce": ({}, lambda key: reference_gradient.Reinforce(*SHARED)),
+    "reinforce-baseline": ({}, lambda key: reference_gradient.Reinforce(*SHARED, alpha_v=tenth)),
+    "actor-critic": ({}, lambda key: reference_gradient.ActorCritic(*SHARED, alpha_v=tenth)),
+    "actor-critic-lambda": (
+        {},
+        lambda key: reference_gradient.ActorCritic(*SHARED, alpha_v=tenth, lam=0.9, lam_v=0.9),
+    ),
     "r-learning": (
         {"gamma": 1.0, "beta": 0.25},
         lambda key: plain.RLearning(*SHARED[:2], 1.0, SHARED[3], beta=0.25),
@@ -151,9 +196,9 @@ def test_every_step_agrees_with_the_plain_loop(name):
     with jax.enable_x64(double):
         key = jax.random.key(3)
         agent, words, task = plain(key), words_of(key), task_of(few_actions(TEMPTING))
-        method = rl.ALGORITHMS[name](
-            **{"alpha": ALPHA, "epsilon": EPSILON, "gamma": GAMMA, "q0": 0.5, **fields}
-        )
+        common = {"alpha": ALPHA, "epsilon": EPSILON, "gamma": GAMMA, "q0": 0.5, "theta0": 0.5}
+        taken = {f.name for f in dataclasses.fields(rl.ALGORITHMS[name])}
+        method = rl.ALGORITHMS[name](**{k: x for k, x in common.items() if k in taken}, **fields)
         state, log = played(method, num_steps=STEPS, log_every=STEPS)
     if getattr(agent, "exploring_starts", False):
         task = task._replace(initial=[1, 1, 1, 1, 0])

@@ -7,6 +7,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import plot, stats
+from jaxrl_tab.algorithms import PolicyGradient
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.core.declared import Learns, LearnsFrom, of_environment, of_method
 from jaxrl_tab.core.pytree import pytree
@@ -17,7 +18,8 @@ from jaxrl_tab.stats.measures import has_errors
 @pytest.mark.parametrize("name", METHODS)
 def test_every_registered_method_declares_what_it_learns(name):
     learns = of_method(METHODS[name]).learns
-    assert learns is (Learns.STATES if name in PREDICTION else Learns.ACTIONS)
+    of_control = Learns.PREFERENCES if issubclass(METHODS[name], PolicyGradient) else Learns.ACTIONS
+    assert learns is (Learns.STATES if name in PREDICTION else of_control)
     assert hasattr(METHODS[name], learns.initial)
 
 
@@ -27,6 +29,7 @@ def test_what_is_learned_from_is_a_text_with_two_consequences():
         ("itself", False, False),
         ("transitions", False, False),
         ("transitions of b", True, False),
+        ("episodes", False, True),
         ("episodes of b", True, True),
     ]
 
@@ -91,7 +94,7 @@ class Door:
 
 
 def test_an_environment_without_a_base_class_declares_nothing_and_runs():
-    assert of_environment(Door()) == (None, None, None, None, tuple, ("0", "1"), None)
+    assert of_environment(Door()) == (None, None, None, None, tuple, None, ("0", "1"), None, None, False)
     ds = rl.sweep(Door(), Mean, num_seeds=2, num_steps=20).to_xarray()
     assert ds.attrs["learns"] == "actions"
     np.testing.assert_array_equal(ds.q[:, 0], [[0, 1]] * 2)

@@ -23,11 +23,14 @@ NEEDED = {schedules.Linear: (1.0, 0.0, 5), schedules.Exponential: (1.0, 0.5)}  #
 # By hand, independently of the classes: a value just outside of each field's range, or on an end that is not in it.
 OUTSIDE = {
     "alpha": [0, -1e-3],
+    "alpha_v": [0, -1e-3],
     "epsilon": [-0.1, 1.1],
     "gamma": [-0.1, 1.5],
     "beta": [0],
     "eta": [0],
     "lam": [-0.1, 1.1],
+    "sigma": [-0.1, 1.1],
+    "lam_v": [-0.1, 1.1],
     "temperature": [0],
     "c": [-0.5],
     "power": [0],
@@ -45,6 +48,7 @@ OUTSIDE = {
     "n": [0],
     "batch": [0],
     "arms": [0],
+    "tables": [0],
     "states": [0],
     "actions": [1],
     "max_steps": [0],
@@ -55,6 +59,15 @@ OUTSIDE = {
     "left": [[-1.0, 2.0]],
     "slip": [-0.1, 1.1],
     "success_rate": [-0.1, 1.1],
+    "rainy_probability": [-0.1, 1.1],
+    "fickle_probability": [-0.1, 1.1],
+    "p_h": [-0.1, 1.1],
+    "goal": [1],
+    "capacity": [0],
+    "most_moved": [-1],
+    "failure": [-0.1, 1],
+    "stays_high": [-0.1, 1.1],
+    "stays_low": [-0.1, 1.1],
     "right": [[-1.0, 2.0]],
 }
 LIMITED = [(cls, f.name) for cls in CLASSES for f in dataclasses.fields(cls) if f.metadata.get("limits")]

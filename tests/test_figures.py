@@ -108,6 +108,8 @@ IN_FULL = {
 # checks all of it.
 BY_HAND = (
     "bias-variance",
+    "online-lambda",
+    "q-sigma",
     "importance-sampling",
     "blackjack",
     "blackjack-regret",

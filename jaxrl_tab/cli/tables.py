@@ -19,20 +19,21 @@ WIDEST = 100_000  # characters of a line, where nothing limits them
 MANY_STATES = 500  # the rows of a table that people look through, at most
 
 
-def tables(env: Any, v: np.ndarray, q: np.ndarray | None) -> list[Table]:
+def tables(env: Any, v: np.ndarray, q: np.ndarray | None, of_v: str = "value") -> list[Table]:
     """Values and best actions: where people see the states in tables in their places, else as a list.
 
     Args:
         env: the environment.
         v: values, float [S].
         q: action values, float [S, A]; None: there are no best actions.
+        of_v: what `v` is called.
     """
     model, declared = planning.exact_model(env), of_environment(env)
     visited, terminal = planning.reachable(model), planning.terminal_states(model)
     best = _best(env, q)
     if not declared.panels() or env.num_states > MANY_STATES:
         choice = q is not None and env.num_actions > 1
-        table = Table("state", "value", *(["best actions"] if choice else []))
+        table = Table("state", of_v, *(["best actions"] if choice else []))
         listed = np.flatnonzero(visited & ~terminal)
         for s in listed[:MANY_STATES]:
             table.add_row(str(s), six_digits(float(v[s])), *([best(s)] if choice else []))

@@ -31,6 +31,7 @@ from jaxrl_tab.core.types import FiniteEnvironment
 from jaxrl_tab.engine.watch import EPISODES, Watched, watch
 from jaxrl_tab.show import learning
 from jaxrl_tab.show.steps import Told
+from jaxrl_tab.show.tasks import policy_of
 
 SECONDS, SLOWEST = 20.0, 0.5  # that an episode is played for, about; and one step of it, at most
 LAST_STEPS = 8  # of which a person sees the numbers while an episode is played
@@ -129,9 +130,15 @@ def _show(watched: Watched) -> None:
     out.print(told.end, markup=False)
     env = watched.env
     if isinstance(env, FiniteEnvironment) and (of_environment(env).panels() or env.num_states <= FEW_STATES):
-        q = np.asarray(watched.q, float)
-        out.print("What it has learned by then:")
-        show(out, *tables(env, q.max(-1), q if told.learns is Learns.ACTIONS else None))
+        q, of_v = np.asarray(watched.q, float), "value"
+        if told.learns is Learns.PREFERENCES:
+            q, of_v = policy_of(q), "probability"
+            out.print(
+                "What it has learned by then: its likeliest actions, and the probability of each of them"
+            )
+        else:
+            out.print("What it has learned by then:")
+        show(out, *tables(env, q.max(-1), None if told.learns is Learns.STATES else q, of_v))
 
 
 def _frames(watched: Watched, told: Told) -> Iterator[Together]:

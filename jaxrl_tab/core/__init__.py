@@ -22,6 +22,7 @@ Its modules, from the ground up:
     families    schedules that a few numbers describe
     schedules   numbers that change with experience
     optax       schedules of optax, and functions of one's own
+    optimizers  optimisers of optax, which turn the gradient of a table into a change of it
     policies    the exact probabilities of the actions, and one way to draw from them
     coverage    whether a behaviour policy takes every action that a target policy may take
     episode     the memory of the current episode, for methods that learn when it is over

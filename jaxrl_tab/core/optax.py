@@ -56,7 +56,8 @@ def _make(text: str) -> Callable[[Any], Any]:
     """The schedule that a call in optax makes."""
     import optax  # takes long, and is seldom needed
 
-    name, numbers, keywords = _read(text)
+    what = "a schedule in optax with its numbers in parentheses, such as cosine_decay_schedule(0.5, 8000)"
+    name, numbers, keywords = read_call(text, what)
     names = [x for x in dir(optax.schedules) if x.endswith(("_schedule", "_decay")) and x[0] != "_"]
     if name not in names:
         raise InputError(f"optax has no schedule {shown(name)}; {nearest(name, names)}")
@@ -71,8 +72,12 @@ def _make(text: str) -> Callable[[Any], Any]:
     return schedule
 
 
-def _read(text: str) -> tuple[str, list[float], dict[str, float]]:
-    """The name, the arguments and the keyword arguments of a call; nothing in `text` is evaluated."""
+def read_call(text: str, what: str) -> tuple[str, list[float], dict[str, float]]:
+    """The name, the arguments and the keyword arguments of a call; nothing in `text` is evaluated.
+
+    Raises:
+        InputError: `text` is not the name of `what`.
+    """
     with contextlib.suppress(AttributeError, ValueError, SyntaxError, RecursionError, MemoryError):
         call: Any = ast.parse(text, mode="eval").body
         numbers = [ast.literal_eval(x) for x in call.args]
@@ -80,7 +85,4 @@ def _read(text: str) -> tuple[str, list[float], dict[str, float]]:
         is_number = [isinstance(x, int | float) and abs(x) < math.inf for x in [*numbers, *keywords.values()]]
         if all(is_number) and len(keywords) == len(call.keywords):
             return call.func.id, numbers, keywords
-    raise InputError(
-        f"{shown(text)} is not the name of a schedule in optax with its numbers in parentheses, such as "
-        "cosine_decay_schedule(0.5, 8000)"
-    )
+    raise InputError(f"{shown(text)} is not the name of {what}")

@@ -197,7 +197,7 @@ KINDS[Rate] = Kind(_check_rate, "a number", ", or a schedule")
 def check_single(what: str, obj: Any) -> None:
     """Raises InputError where a number of `obj`, or of a schedule or a policy in it, is an array of several.
 
-    But initial values of Q may be a table [S, A].
+    But what a table [S, A] holds at first may be such a table.
     """
     for f in dataclasses.fields(obj):
         value = getattr(obj, f.name)
@@ -205,7 +205,11 @@ def check_single(what: str, obj: Any) -> None:
             continue
         if dataclasses.is_dataclass(value):
             check_single(f"{what}: {f.name}", value)
-        elif f.type in (float, Rate) and (shape := np.shape(value)) and (f.name, len(shape)) != ("q0", 2):
+        elif (
+            f.type in (float, Rate)
+            and (shape := np.shape(value))
+            and not (f.name in ("q0", "theta0") and len(shape) == 2)
+        ):
             raise InputError(
                 f"{what}: {f.name} is an array of shape {shape}: one run takes one number; sweep(...) "
                 "tries all of a list, and jax.vmap runs all of an array"

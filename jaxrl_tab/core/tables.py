@@ -42,6 +42,15 @@ def add(
     return put(table, entry(table, s, a) + x.astype(table.dtype), s, a)
 
 
+def add_row(table: Shaped[Array, "S A"], s: Int[Array, ""], x: Shaped[Array, " A"]) -> Shaped[Array, "S A"]:
+    """`table` with `x` added to row s, which must be in range: it is not checked."""
+    return lane_by_lane(_put_row, table, s, row(table, s) + x)
+
+
+def _put_row(lane: Array, table: Array, s: Array, x: Array) -> Array:
+    return write_row(table, entry(x, lane), lane, entry(s, lane))
+
+
 def put(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     """`table` with entry `index` set to `x`. The index must be in range: it is not checked."""
     return _write(table, x.astype(table.dtype), *index)
@@ -52,6 +61,15 @@ def write(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, 
     block = x.astype(table.dtype).reshape((1,) * table.ndim)
     index = tuple(x.astype(jnp.int32) for x in index)  # of one type, also under x64
     return lax.dynamic_update_slice(table, block, index, allow_negative_indices=False)
+
+
+def write_row(
+    table: Shaped[Array, "..."], x: Shaped[Array, " A"], *index: Int[Array, ""]
+) -> Shaped[Array, "..."]:
+    """`table` with row `index` set to `x`, where `write` may be used."""
+    block = x.astype(table.dtype).reshape((1,) * (table.ndim - 1) + x.shape)
+    at = (*(i.astype(jnp.int32) for i in index), jnp.int32(0))
+    return lax.dynamic_update_slice(table, block, at, allow_negative_indices=False)
 
 
 def lane_by_lane(body: Callable[..., T], tables: T, *inputs: Any) -> T:

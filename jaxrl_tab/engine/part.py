@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.declared import of_environment, of_method
+from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment
 from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.budget import Budget
@@ -84,8 +84,8 @@ class Part:
         """Of each configuration, the |Q| beyond which a run has diverged; infinite where that is not judged.
 
         It is `BEYOND` times what no average of returns exceeds: the initial value, and the largest return of
-        as many steps as the run has. Only runs of methods that multiply no return by ratios are judged, in
-        environments whose rewards are those of their outcomes.
+        as many steps as the run has. Only runs of methods that multiply no return by ratios, and learn no
+        preferences, which may grow without end, are judged, in environments whose rewards are those of their outcomes.
         """
         budget, env = self.budget, self.env
         steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps
@@ -97,7 +97,7 @@ class Part:
 
         def largest(config: Any) -> float:
             method = of_method(config)
-            if not of_outcomes or method.multiplies_returns:
+            if not of_outcomes or method.multiplies_returns or method.learns is Learns.PREFERENCES:
                 return np.inf
             initial = abs(getattr(config, method.learns.initial, 0.0))
             return BEYOND * (initial + largest_return(config.gamma, method.exploring_starts))

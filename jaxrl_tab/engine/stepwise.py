@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxrl_tab.algorithms import TDControl
+from jaxrl_tab.algorithms import PolicyGradient, TDControl
 from jaxrl_tab.algorithms.prediction import Prediction
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.types import Transition, available_actions, restricted
@@ -77,7 +77,7 @@ def _of_run(key: PRNGKeyArray, algorithm: Any, env: Any) -> tuple[rng.Stream, An
 
 
 def _telling(method: Any, tell: Callable[[Float[Array, ""]], None]) -> Any:
-    """A method that does the same, and tells each error that it learns from (`TDControl.learn`)."""
+    """A method that does the same, and tells each error that it learns from (by `learn`, as `TDControl` has it)."""
     cls = type(method)
 
     def learn(self: Any, state: Any, t: Transition, delta: Float[Array, ""], **more: Any) -> Any:
@@ -87,7 +87,7 @@ def _telling(method: Any, tell: Callable[[Float[Array, ""]], None]) -> Any:
     def control(self: Any, **policies: Any) -> Any:
         return _telling(cls.control(self, **policies), tell)
 
-    if isinstance(method, TDControl):
+    if isinstance(method, TDControl | PolicyGradient) and hasattr(cls, "learn"):
         own = {"learn": learn}
     elif isinstance(method, Prediction):  # the method of control that it is made of learns
         own = {"control": control}

@@ -269,7 +269,7 @@ def _exact_value(
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
     """The configurations with this gamma whose exact values may differ: of prediction one for each pi."""
     same = [config for config in configs if config.gamma == gamma]
-    if of_method(same[0]).learns is Learns.ACTIONS:
+    if of_method(same[0]).learns is not Learns.STATES:
         return same[:1]
     # Tables are not compared entry by entry: the configurations of one Table in the grid share the object.
     by_pi: dict[int, Any] = {id(config.pi): config for config in cast(list[Any], same)}

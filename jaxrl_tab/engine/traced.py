@@ -166,7 +166,7 @@ def rows_at_once(what: _Measured, algorithm: Any, learner: Any) -> int:
 
 def _solves(algorithm: Any) -> bool:
     """Whether the exact values of a method are those of its policies, which are linear systems to be solved."""
-    return of_method(algorithm).learns is Learns.ACTIONS
+    return of_method(algorithm).learns is not Learns.STATES
 
 
 def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[Any], dict[str, Any]]:
@@ -184,7 +184,11 @@ def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[
     @planning.in_turn
     def measure(learner: Any) -> dict[str, Any]:
         policies = [jax.vmap(acting.probs, (None, 0))(learner, states)] if "policy_value" in fields else []
-        return dict(zip(fields, of_table(learner.q, *policies), strict=True))
+        greedy_value, q_error, *values = of_table(learner.q, *policies)
+        found = {"greedy_value": greedy_value, "q_error": q_error} | dict(
+            zip(fields[-1:], values, strict=False)
+        )
+        return {name: found[name] for name in fields}
 
     return measure
 
@@ -194,4 +198,5 @@ def exact_fields(algorithm: Any) -> tuple[str, ...]:
     if not _solves(algorithm):
         return ("v_error",)
     acts = ("policy_value",) if hasattr(algorithm, "probs") else ()
-    return ("greedy_value", "q_error", *acts)
+    errors = ("q_error",) if of_method(algorithm).learns is Learns.ACTIONS else ()
+    return ("greedy_value", *errors, *acts)

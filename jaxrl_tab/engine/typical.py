@@ -12,7 +12,7 @@ import numpy as np
 from jaxrl_tab.algorithms import prediction
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.dyna_q import DynaQ
-from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
+from jaxrl_tab.algorithms.n_step import Branching, NStepControl
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.traces import TraceControl
@@ -29,9 +29,10 @@ from jaxrl_tab.exact.model import Model
 WHOLE = (WholeReturns, prediction.MonteCarloPrediction, prediction.OffPolicyMonteCarloPrediction)
 METHODS: list[tuple[tuple[type, ...], float, float]] = [
     (WHOLE, 18, 0),
-    ((SarsaLambdaForward,), 22, 0),
+    ((SarsaLambdaForward, prediction.OfflineLambdaReturn), 22, 0),
     ((TraceControl, prediction.TDLambda), 8, 0.1),
-    ((NStepSarsa, prediction.NStepTD), 13, 0),
+    ((Branching,), 60, 0),
+    ((NStepControl, prediction.NStepTD), 13, 0),
     ((DoubleQLearning,), 9, 0),
     ((DynaQ,), 60, 0),
     ((PrioritizedSweeping,), 30, 4),
@@ -42,7 +43,8 @@ BY_XLA = 5  # times as long as by `lanes`
 ROW = 60  # nanoseconds of a row of the log
 COMPILING = {"lanes": 0.3, "xla": 1.5}  # seconds of a program
 STARTING = {"lanes": 0.01, "xla": 0.4}  # the same, where it was made before
-EXACT = {Learns.ACTIONS: 4.5, Learns.STATES: 1.5}  # more seconds, where exact values are recorded
+# More seconds, where exact values are recorded.
+EXACT = {Learns.ACTIONS: 4.5, Learns.PREFERENCES: 4.5, Learns.STATES: 1.5}
 KEPT = 0.06  # of these, where it was made before
 EPISODE_STEPS = 100.0  # of an episode of which nothing is known
 LEARNING = 5.0  # so many steps, over the step size, for each entry of a table until it is learned, about
@@ -75,7 +77,7 @@ def typical(part: Part) -> Typical:
     if budget.exact:
         # A system of equations for each policy that is judged; an error of prediction is a sum.
         solving = 0.01 * states**3 + 12.5 * states**2 + 370 * states
-        row += 2 * solving / budget.exact_row if learns is Learns.ACTIONS else 130 * states
+        row += 2 * solving / budget.exact_row if learns is not Learns.STATES else 130 * states
         compiling, starting = compiling + EXACT[learns], starting + KEPT * EXACT[learns]
     of_steps = steps * step * (BY_XLA if by == "xla" else 1)
     return Typical(1e-9 * (of_steps + rows * row), compiling, starting)

@@ -4,6 +4,7 @@ Its modules, from the ground up:
 
     double      how exact numbers are traced: in float64, and one lane after another
     model       every outcome of every action in every state, and what leads where
+    systems     sparse linear systems
     values      the linear algebra of dynamic programming over a model
     given       values and policies as they are given, checked
     visits      how often a policy comes to each state
@@ -11,6 +12,11 @@ Its modules, from the ground up:
     optimum     the best policy of an environment, worked out once
     average     the average reward of a step: of a policy, and the largest
     iterates    evaluation and improvement, one after the other: what policy and value iteration do on their way
+    horizon     the best values and actions where a task ends after a given number of steps
+    linear      the best values as a linear program, and its dual: how often the best policy does what
+    soft        the best policy where being unpredictable is worth something, too
+    accelerated value iteration in fewer sweeps
+    hardness    how hard a task is to learn: how far, how close, how long
     planning    the public side of these: values and policies of an environment that states its dynamics
     losses      what the policies of many runs lose against the best one
     affine      vectors that change while a Markov chain goes its way: their exact mean and covariance

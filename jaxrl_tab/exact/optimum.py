@@ -4,10 +4,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxrl_tab.core.checks import first
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
-from jaxrl_tab.exact.model import Model, ending_at, exact_model, name_of, once_for_an_environment, reachable
-from jaxrl_tab.exact.values import MAX_ROUNDS, Round, iterate_policies
+from jaxrl_tab.exact.model import (
+    Model,
+    backup,
+    ending_at,
+    exact_model,
+    name_of,
+    once_for_an_environment,
+    reachable,
+    with_sizes,
+)
+from jaxrl_tab.exact.values import MAX_ROUNDS, ROUNDING, Round, iterate_policies
 
 
 @once_for_an_environment(
@@ -35,12 +45,20 @@ def solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, Round
             if last.n
             else f"no {who}policy ever ends and rewards go on"
         )
+        rate = of_environment(env).discount
+        own = f", as the {rate:g} that its source states" if rate not in (None, 1) else ""
         raise InputError(
-            f"{where} {why}, so at gamma = 1 the optimal value is not finite; take gamma below 1"
+            f"{where} {why}, so at gamma = 1 the optimal value is not finite; take gamma below 1{own}"
         )
     if last.better.any():
         raise InputError(f"{name_of(env)}: policy iteration did not settle in {MAX_ROUNDS} rounds")
     return model, last, out
+
+
+def rounding(model: Model, last: Round, gamma: float) -> Float[np.ndarray, " S"]:
+    """What a sweep over the best values may change by rounding alone, float64 [S], judged state by state."""
+    terms = (last.probs * backup(with_sizes(model), abs(last.v), gamma)).sum(1)
+    return ROUNDING * np.finfo(last.v.dtype).eps * terms
 
 
 def unless(out: Bool[np.ndarray, " S"], values: Float[np.ndarray, "S *A"]) -> Float[np.ndarray, "S *A"]:

@@ -29,10 +29,14 @@ from numpy.typing import ArrayLike
 from jaxrl_tab.core.checks import RATE, check_within, first
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
+from jaxrl_tab.exact.accelerated import Sweeps, accelerated_value_iteration
 from jaxrl_tab.exact.average import average_reward, check_goes_on, relative_value_iteration
 from jaxrl_tab.exact.double import doubled, has_double, in_turn
 from jaxrl_tab.exact.given import checked_policy, checked_table, checked_values
+from jaxrl_tab.exact.hardness import Gaps, Hardness, Mixing, action_gaps, diameter, hardness, mixing
+from jaxrl_tab.exact.horizon import FiniteHorizon, finite_horizon
 from jaxrl_tab.exact.iterates import Iterates, generalized_policy_iteration
+from jaxrl_tab.exact.linear import LinearProgram, linear_programming
 from jaxrl_tab.exact.measure import Measure, long_run_measurer, measurer, value_measurer
 from jaxrl_tab.exact.model import (
     Model,
@@ -47,23 +51,31 @@ from jaxrl_tab.exact.model import (
     reachable,
     spread,
     terminal_states,
-    with_sizes,
 )
-from jaxrl_tab.exact.optimum import solved, unless
+from jaxrl_tab.exact.optimum import rounding, solved, unless
+from jaxrl_tab.exact.soft import Soft, soft_value_iteration
+from jaxrl_tab.exact.systems import sparse_solver
 from jaxrl_tab.exact.values import (
-    ROUNDING,
     from_start,
     greedy_to,
     largest,
     policy_values,
-    sparse_solver,
 )
 from jaxrl_tab.exact.visits import entered, occupancy, regret, stationary_distribution
 
 __all__ = [
+    "FiniteHorizon",
+    "Gaps",
+    "Hardness",
     "Iterates",
+    "LinearProgram",
     "Measure",
+    "Mixing",
     "Model",
+    "Soft",
+    "Sweeps",
+    "accelerated_value_iteration",
+    "action_gaps",
     "action_regret_map",
     "average_reward",
     "backup",
@@ -71,6 +83,7 @@ __all__ = [
     "check_goes_on",
     "check_lasting",
     "checked_values",
+    "diameter",
     "doubled",
     "entered",
     "enumerate_model",
@@ -80,14 +93,18 @@ __all__ = [
     "evaluation_backup",
     "exact_model",
     "expectation_backup",
+    "finite_horizon",
     "from_state_to_state",
     "generalized_policy_iteration",
     "greedy_policy",
+    "hardness",
     "has_double",
     "in_turn",
     "largest_return",
+    "linear_programming",
     "long_run_measurer",
     "measurer",
+    "mixing",
     "occupancy",
     "optimality_backup",
     "policy_iteration",
@@ -95,6 +112,7 @@ __all__ = [
     "reachable",
     "regret_map",
     "relative_value_iteration",
+    "soft_value_iteration",
     "sparse_solver",
     "spread",
     "start_value",
@@ -269,13 +287,12 @@ def value_iteration(
     check_within("gamma", gamma, RATE)
     check_within("tol", tol, {"greater_than": 0})
     model, last, out = solved(env, 0.0, gamma)
-    v, terms = last.v, (last.probs * backup(with_sizes(model), abs(last.v), gamma)).sum(1)
-    rounding = ROUNDING * np.finfo(v.dtype).eps * terms
+    v, unsure = last.v, rounding(model, last, gamma)
     old, ratio = np.inf, 1.0
     for _ in range(max_sweeps):
         new_v = largest(backup(model, v, gamma))
         changes = abs(new_v - v)
-        change = changes[changes > rounding].max(initial=0)
+        change = changes[changes > unsure].max(initial=0)
         rate = gamma if gamma < 1 else max(ratio, change / old)
         v = new_v
         if change * rate <= tol * (1 - rate):

@@ -150,13 +150,13 @@ def methods(
     """The plain data of each method."""
     tables = _tables("method", written, METHOD, source, references)
     classes = [references[table["name"]].cls for table in tables]
-    by_kind: dict[Learns, str] = {}
+    by_kind: dict[bool, str] = {}  # whether the values of states are learned
     for i, (table, cls) in enumerate(zip(tables, classes, strict=True)):
         with at("method", i):
-            by_kind.setdefault(of_method(cls).learns, table["name"])
+            by_kind.setdefault(of_method(cls).learns is Learns.STATES, table["name"])
             if len(by_kind) == 2:
                 raise InputError(
-                    f"{by_kind[Learns.STATES]} learns the values of a policy, and {by_kind[Learns.ACTIONS]} a "
+                    f"{by_kind[True]} learns the values of a policy, and {by_kind[False]} a "
                     "policy, which cannot be compared; sweep methods of prediction and of control apart"
                 )
     grids, settings = [], 0

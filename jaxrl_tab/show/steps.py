@@ -97,10 +97,11 @@ class Told:
         return ", ".join([*entries, *([f"and {more} more"] if more else [])])
 
     def _entry(self, s: int, a: int, here: bool) -> str:
-        """The name of an entry; that of the step itself is Q(S, A), or V(S)."""
+        """The name of an entry; that of the step itself is Q(S, A), θ(S, A) or V(S)."""
         if self.learns is Learns.STATES:
             return "V(S)" if here else f"V({self._state(s)})"
-        return "Q(S, A)" if here else f"Q({self._state(s)}, {self._action(a)})"
+        symbol = self.learns.symbol
+        return f"{symbol}(S, A)" if here else f"{symbol}({self._state(s)}, {self._action(a)})"
 
 
 def _short(x: float) -> str:

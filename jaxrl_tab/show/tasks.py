@@ -16,6 +16,13 @@ def tables_of(env: Environment) -> tuple[Panel, ...]:
     return of_environment(env).panels() if isinstance(env, FiniteEnvironment) else ()
 
 
+def policy_of(theta: np.ndarray) -> np.ndarray:
+    """What people see of preferences [..., S, A]: the probabilities of the actions, float64."""
+    theta = np.asarray(theta, float)
+    weights = np.exp(theta - theta.max(-1, keepdims=True))
+    return weights / weights.sum(-1, keepdims=True)
+
+
 def exact_tables(datasets: Datasets, env: Environment) -> np.ndarray | None:
     """What was to be learned: q*, float64 [S, A], or of prediction v_pi, [S, 1]; None where no one answer is right."""
     if not isinstance(env, FiniteEnvironment) or of_environment(env).differs:

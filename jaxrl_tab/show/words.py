@@ -116,7 +116,14 @@ def unusual(env: Environment) -> list[str]:
 TITLES = {
     "expected-sarsa": "Expected Sarsa",
     "n-step-sarsa": "n-step Sarsa",
+    "n-step-expected-sarsa": "n-step Expected Sarsa",
+    "n-step-off-policy-sarsa": "n-step off-policy Sarsa",
+    "q-sigma": "Q(σ)",
     "sarsa-lambda": "Sarsa(λ)",
+    "true-online-sarsa-lambda": "True online Sarsa(λ)",
+    "expected-sarsa-lambda": "Expected Sarsa(λ)",
+    "tree-backup-lambda": "Tree backup(λ)",
+    "retrace": "Retrace(λ)",
     "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
     "q-learning": "Q-learning",
     "dyna-q": "Dyna-Q",
@@ -126,15 +133,32 @@ TITLES = {
     "q-lambda": "Q(λ)",
     "monte-carlo": "Monte Carlo",
     "off-policy-monte-carlo": "Off-policy Monte Carlo",
+    "reinforce": "REINFORCE",
+    "reinforce-baseline": "REINFORCE with baseline",
+    "actor-critic": "Actor-critic",
+    "actor-critic-lambda": "Actor-critic(λ)",
     "td": "TD(0)",
     "n-step-td": "n-step TD",
     "td-lambda": "TD(λ)",
+    "true-online-td-lambda": "True online TD(λ)",
+    "offline-lambda-return": "Off-line λ-return",
     "off-policy-td": "Off-policy TD(0)",
     "monte-carlo-prediction": "Monte Carlo prediction",
     "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
     "k-armed-testbed": "k-armed testbed",
 }
-SYMBOLS = {"alpha": "α", "epsilon": "ε", "gamma": "γ", "lam": "λ", "kappa": "κ", "theta": "θ"}
+SYMBOLS = {
+    "alpha": "α",
+    "epsilon": "ε",
+    "gamma": "γ",
+    "lam": "λ",
+    "sigma": "σ",
+    "alpha_v": "α_v",
+    "lam_v": "λ_v",
+    "theta0": "θ0",
+    "theta": "θ",
+    "kappa": "κ",
+}
 
 
 def title_of(name: str) -> str:

@@ -1,0 +1,114 @@
+"""Methods that learn preferences: against plain loops, against the exact gradient, and in all that shows them."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+import reference_gradient as plain
+from marks import slow_but
+from test_reference import STEPS, env_and_task, words_of
+
+import jaxrl_tab as rl
+from jaxrl_tab import planning, schedules
+
+GAMMA, ALPHA = 0.9, 0.25
+AVERAGE = schedules.sample_average()
+one_over = lambda n: 1 / n
+
+# --- decision for decision, in float64 ---------------------------------------------------------------
+
+# The method, what it is given, and the same for its plain loop.
+CASES = {
+    "gradient-bandit": (rl.GradientBandit, {}, plain.GradientBandit, {}),
+    "gradient-bandit, no baseline": (rl.GradientBandit, {"baseline": False}, plain.GradientBandit, {"baseline": False}),
+    "reinforce": (rl.Reinforce, {}, plain.Reinforce, {}),
+    "reinforce, adam": (rl.Reinforce, {"optimizer": "adam"}, plain.Reinforce, {"optimizer": plain.Adam}),
+    "reinforce-baseline": (rl.ReinforceBaseline, {"alpha_v": AVERAGE}, plain.Reinforce, {"alpha_v": one_over}),
+    "actor-critic": (rl.ActorCritic, {"alpha_v": AVERAGE}, plain.ActorCritic, {"alpha_v": one_over}),
+    "actor-critic, adam": (
+        rl.ActorCritic,
+        {"alpha_v": 0.5, "optimizer": "adam(b1=0.8)"},
+        plain.ActorCritic,
+        {"alpha_v": lambda n: 0.5, "optimizer": lambda: plain.Adam(b1=0.8)},
+    ),
+    "actor-critic-lambda": (
+        rl.ActorCriticLambda,
+        {"alpha_v": 0.5, "lam": 0.8, "lam_v": 0.4},
+        plain.ActorCritic,
+        {"alpha_v": lambda n: 0.5, "lam": 0.8, "lam_v": 0.4},
+    ),
+}  # fmt: skip
+
+
+SOME = ["gradient-bandit", "reinforce-baseline", "actor-critic-lambda"]
+
+
+@pytest.mark.parametrize("name", slow_but(SOME, CASES))
+def test_every_step_agrees_with_the_plain_loop(name):
+    """Time limits are often met. Broken once -> each fails: the returns of an episode learned from backwards; gamma^t
+
+    left out; a time limit treated as terminal; the baseline with the present reward in it; traces that outlive their
+    episode; the visits of pairs counted for V; the optimiser asked in each step of an episode.
+    """
+    cls, fields, loop, given = CASES[name]
+    env, task = env_and_task("random mdp")
+    key = jax.random.key(5)
+    with jax.enable_x64():
+        method = cls(alpha=ALPHA, gamma=GAMMA, **fields)
+        state, log = jax.jit(lambda key: rl.train(key, method, env, num_steps=STEPS, log_every=STEPS))(key)
+    if "optimizer" in given:
+        given = given | {"optimizer": given["optimizer"]()}
+    rates = reference.Rates(lambda *_: ALPHA, lambda *_: 0)
+    agent = loop((env.num_states, env.num_actions), rates, GAMMA, **given)
+    finished = reference.run(agent, task, STEPS, words_of(key))
+    np.testing.assert_allclose(state.q, agent.q, atol=1e-9)
+    if hasattr(state, "v") and state.v is not None:
+        np.testing.assert_allclose(state.v, agent.v, atol=1e-9)
+    assert log.episodes[0] == len(finished) > 100
+    np.testing.assert_allclose(log.returns[0], sum(float(g) for g, _ in finished), rtol=1e-5)
+
+
+def test_plain_descent_of_optax_is_plain_ascent():
+    """To the last bit. Broken once: the sign left as it was -> fails."""
+    env, _ = env_and_task("random mdp")
+    run = lambda method: jax.jit(lambda key: rl.train(key, method, env, num_steps=99))(jax.random.key(0))[0].q
+    np.testing.assert_array_equal(run(rl.ActorCritic(optimizer="sgd")), run(rl.ActorCritic()))
+
+
+# --- the policy gradient theorem ---------------------------------------------------------------------
+
+
+def start_value(theta, env, gamma=GAMMA):
+    """The value of the softmax policy of theta from the start, by a linear system."""
+    model = planning.enumerate_model(env)
+    pi = jax.nn.softmax(theta)
+    over = planning.terminal_states(model)
+    weight = jnp.where(over[:, None, None], 0, pi[:, :, None] * model.prob)
+    s = jnp.arange(len(theta))[:, None, None]
+    chain = jnp.zeros((len(theta), len(theta))).at[s, model.s_next].add(gamma * weight)
+    v = jnp.linalg.solve(jnp.eye(len(theta)) - chain, (weight * model.reward).sum((1, 2)))
+    return model.start @ v
+
+
+@pytest.mark.parametrize("cls", slow_but([rl.Reinforce], [rl.Reinforce, rl.ReinforceBaseline]))
+def test_what_one_episode_adds_is_on_average_the_exact_gradient(cls):
+    """Whatever the baseline is. Broken once: gamma^t left out -> 40 standard errors."""
+    rand = np.random.default_rng(0)
+    start = [0.25, 0.25, 0.25, 0.25, 0.0]
+    env = rl.FiniteMDP(
+        rand.dirichlet(np.ones(5), (5, 3)), rand.normal(size=(5, 3)), [4], start, max_steps=200
+    )
+    theta = rand.normal(size=(5, 3)).astype(np.float32).astype(float)
+    fields: Any = {"theta0": jnp.array(theta, jnp.float32), "optimizer": "sgd"}
+    fields |= {"v0": 2.0, "alpha_v": 1e-6} if cls is rl.ReinforceBaseline else {}
+    method = cls(alpha=1.0, gamma=GAMMA, **fields)
+    keys = jax.random.split(jax.random.key(0), 20_000)
+    state, _ = jax.jit(jax.vmap(lambda key: rl.train(key, method, env, num_episodes=1)))(keys)
+    with jax.enable_x64():
+        exact = np.asarray(jax.jit(jax.grad(lambda theta: start_value(theta, env)))(jnp.array(theta)))
+    steps = (np.asarray(state.q, float) - theta)[:, :4]  # in the terminal state nothing is learned
+    apart = (steps.mean(0) - exact[:4]) / (steps.std(0) / np.sqrt(len(keys)))
+    assert abs(apart).max() < 4 < abs(exact[:4] / steps.std(0)).max() * np.sqrt(len(keys))
