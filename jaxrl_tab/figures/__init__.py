@@ -5,8 +5,11 @@ from jaxrl_tab.figures import (
     bias_variance,
     blackjack,
     blackjack_regret,
+    changing_mazes,
     cliff_alpha,
     cliff_walking,
+    dyna_maze,
+    expected_or_sample,
     gamblers_problem,
     gpi,
     how_often,
@@ -17,6 +20,7 @@ from jaxrl_tab.figures import (
     lambda_arrows,
     maximization_bias,
     online_lambda,
+    prioritized_sweeping,
     q_sigma,
     racetrack,
     recycling_robot,
@@ -24,6 +28,7 @@ from jaxrl_tab.figures import (
     time_step,
     trace,
     trace_gridworld,
+    trajectory_sampling,
     two_doors,
     windy_gridworld,
 )
@@ -55,6 +60,11 @@ FIGURES = {
     "racetrack": racetrack.FIGURE,
     "access-control": access_control.FIGURE,
     "importance-sampling": importance_sampling.FIGURE,
+    "dyna-maze": dyna_maze.FIGURE,
+    "changing-mazes": changing_mazes.FIGURE,
+    "prioritized-sweeping": prioritized_sweeping.FIGURE,
+    "expected-or-sample": expected_or_sample.FIGURE,
+    "trajectory-sampling": trajectory_sampling.FIGURE,
 }
 
 __all__ = ["FIGURES", "Check", "Figure", "Number", "swept"]
