@@ -42,6 +42,7 @@ class LearnsFrom(StrEnum):
     ITSELF = "itself"
     TRANSITIONS = "transitions"
     TRANSITIONS_OF_B = "transitions of b"
+    EPISODES = "episodes"
     EPISODES_OF_B = "episodes of b"
 
     @property
@@ -52,7 +53,7 @@ class LearnsFrom(StrEnum):
     @property
     def in_episodes(self) -> bool:
         """Whether the transitions must come in the order of their episodes."""
-        return self is LearnsFrom.EPISODES_OF_B
+        return self in (LearnsFrom.EPISODES, LearnsFrom.EPISODES_OF_B)
 
 
 class OfMethod(NamedTuple):
@@ -64,7 +65,8 @@ class OfMethod(NamedTuple):
             its values, as `prediction.Prediction` has them.
         learns_from: what experience of somebody else `update` learns rightly from (see `offline`):
             "transitions", any of them in any order; "transitions of b", where the method is told the policy b
-            that acted, as a table in its field `behaviour`; "episodes of b", in order; or only from "itself".
+            that acted, as a table in its field `behaviour`; "episodes", or "episodes of b", in order; or only
+            from "itself".
             The class that defines `update` declares it.
         acts_after_update: whether `update` draws A' as its last act, as `policy(key, new state, S')`, and
             learns nothing from it. The driver then draws A' itself, together with the first actions of
