@@ -55,7 +55,7 @@ from jaxrl_tab.core.names import register
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Outcome, Transition
 from jaxrl_tab.core.version import __version__ as __version__
-from jaxrl_tab.engine import batch, offline
+from jaxrl_tab.engine import batch, evaluation, offline
 from jaxrl_tab.engine.axes import Choice, Integers, LinearGrid, LogGrid, LogUniform, Uniform
 from jaxrl_tab.engine.by_xla import use_all_cores
 from jaxrl_tab.engine.log import Log
@@ -183,6 +183,7 @@ __all__ = [
     "bridge",
     "collect",
     "envs",
+    "evaluation",
     "executors",
     "explain",
     "field",
