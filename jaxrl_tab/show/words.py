@@ -143,6 +143,7 @@ TITLES = {
     "true-online-td-lambda": "True online TD(λ)",
     "offline-lambda-return": "Off-line λ-return",
     "off-policy-td": "Off-policy TD(0)",
+    "n-step-off-policy-td": "n-step off-policy TD",
     "monte-carlo-prediction": "Monte Carlo prediction",
     "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
     "k-armed-testbed": "k-armed testbed",
