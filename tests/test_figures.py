@@ -114,6 +114,7 @@ IN_FULL = {
 BY_HAND = (
     "bias-variance",
     "online-lambda",
+    "replacing-traces",
     "q-sigma",
     "importance-sampling",
     "blackjack",
