@@ -128,10 +128,6 @@ TITLES = {  # where `_written` says it otherwise than people do
     "td": "TD(0)",
     "offline-lambda-return": "Off-line λ-return",
     "off-policy-td": "Off-policy TD(0)",
-    "n-step-off-policy-td": "n-step off-policy TD",
-    "monte-carlo-prediction": "Monte Carlo prediction",
-    "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
-    "k-armed-testbed": "k-armed testbed",
     "jacks-car-rental": "Jack's car rental",
     "gamblers-problem": "Gambler's problem",
 }
