@@ -187,7 +187,7 @@ def test_it_is_an_environment_wherever_one_is_named(tmp_path, monkeypatch, capsy
     printed = " ".join(capsys.readouterr().out.split())
     assert "earns 10 a step in the long run" in printed
     assert "`--gamma 0.95`, which its source states" in printed
-    with pytest.raises(InputError, match="take gamma below 1, as the 0.95 that its source states"):
+    with pytest.raises(InputError, match=r"take gamma below 1, as the 0\.95 that its source states"):
         planning.value_iteration(env)
     assert cli.main(["solve", "none.MDP"]) != 0
     assert "there is no file none.MDP" in capsys.readouterr().err

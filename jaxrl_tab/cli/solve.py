@@ -202,8 +202,8 @@ def _in_the_long_run(env: Any, options: Solve) -> int:
     out = console()
     out.print(
         f"[bold]{options.env}[/] does not end, so at gamma 1 returns are infinite. The best policy earns "
-        f"[bold]{six_digits(rate)}[/] a step in the long run. The values are its bias: how much more comes from a state "
-        "on than on average.",
+        f"[bold]{six_digits(rate)}[/] a step in the long run. The values are its bias: how much more comes from a "
+        "state on than on average.",
         soft_wrap=True,
     )
     show(out, *tables(env, bias, q))
