@@ -101,6 +101,8 @@ IN_FULL = {
     "cliff-walking": {"num_seeds": 200},
     "k-armed-testbed": {"num_problems": 1000},
     "maximization-bias": {"num_seeds": 1000},
+    "noisy-grid": {"num_seeds": 500},
+    "speedy": {},
     "lambda-arrows": {},
 }
 # These need many programs, or many games, to be drawn at all, which takes minutes. What they are made of and
