@@ -101,8 +101,9 @@ IN_FULL = {
     "cliff-walking": {"num_seeds": 200},
     "k-armed-testbed": {"num_problems": 1000},
     "maximization-bias": {"num_seeds": 1000},
-    "noisy-grid": {"num_seeds": 500},
+    "noisy-grid": {"num_seeds": 1000},
     "speedy": {},
+    "access-control": {},
     "lambda-arrows": {},
 }
 # These need many programs, or many games, to be drawn at all, which takes minutes. What they are made of and
