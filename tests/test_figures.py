@@ -105,6 +105,11 @@ IN_FULL = {
     "speedy": {},
     "access-control": {},
     "lambda-arrows": {},
+    "state-values": {},
+    "gamblers-problem": {},
+    "jacks-car-rental": {},
+    "racetrack": {},
+    "recycling-robot": {},
 }
 # These need many programs, or many games, to be drawn at all, which takes minutes. What they are made of and
 # show is tested in test_figure_experiments, test_figures_lecture, test_n_step and test_importance; `figure --all`
@@ -112,6 +117,7 @@ IN_FULL = {
 BY_HAND = (
     "bias-variance",
     "online-lambda",
+    "replacing-traces",
     "q-sigma",
     "importance-sampling",
     "blackjack",
