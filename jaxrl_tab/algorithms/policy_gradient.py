@@ -70,7 +70,7 @@ class PolicyGradient(Shown):
     optimizer: str | None = static(
         default=None,
         help='The optimiser of the policy, as the call that makes it in optax, such as "adam" or "sgd(momentum=0.9)"; '
-        "alpha is its learning rate. None: plain gradient ascent, as in the book.",
+        "alpha is its learning rate. Plain gradient ascent, as in the book, where none is given.",
     )
 
     learns: ClassVar[Learns] = Learns.PREFERENCES
