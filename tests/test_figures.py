@@ -136,7 +136,12 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
-@pytest.mark.parametrize("name", [name for name in FIGURES if name not in {*IN_FULL, *BY_HAND}])
+# These are made of what others are made of as well.
+ALIKE = ("upper-confidence-bounds", "gradient-bandit", "bandit-parameters", "reinforce")
+IN_SHORT = [name for name in FIGURES if name not in {*IN_FULL, *BY_HAND}]
+
+
+@pytest.mark.parametrize("name", slow_but({*IN_SHORT} - {*ALIKE}, IN_SHORT))
 def test_the_figure_runs_is_drawn_and_has_its_numbers(name, tmp_path):
     """In a trial run: of two seeds, say, so of no worth, but all is there."""
     figure = small(FIGURES[name])

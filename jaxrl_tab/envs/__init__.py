@@ -21,6 +21,7 @@ from jaxrl_tab.envs.k_armed_testbed import KArmedTestbed
 from jaxrl_tab.envs.maximization_bias import MaximizationBias
 from jaxrl_tab.envs.maze import FrozenLake, Maze
 from jaxrl_tab.envs.random_walk import RandomWalk
+from jaxrl_tab.envs.short_corridor import ShortCorridor
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.two_doors import TwoDoors
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
@@ -32,6 +33,7 @@ ENVS: dict[str, type] = {
     "blackjack": Blackjack,
     "easy21": Easy21,
     "two-doors": TwoDoors,
+    "short-corridor": ShortCorridor,
     "k-armed-testbed": KArmedTestbed,
     "maximization-bias": MaximizationBias,
     "infinite-variance": InfiniteVariance,
@@ -111,6 +113,7 @@ __all__ = [
     "MaximizationBias",
     "Maze",
     "RandomWalk",
+    "ShortCorridor",
     "ShortcutMaze",
     "TraceGridworld",
     "TwoDoors",
