@@ -38,7 +38,8 @@ FIGURE = Figure(
     title="The gradient bandit, with and without a baseline",
     source="Sutton and Barto 2018, figure 2.5",
     shows="All rewards are 4 higher, which no method should mind. With the mean reward as a baseline the gradient "
-    "bandit does not; without, every arm that is pulled is made more probable, the good ones only more so, and it learns slower.",
+    "bandit does not; without, every arm that is pulled is made more probable, the good ones only more so, and it "
+    "learns slower.",
     experiment=_experiment,
     small={"num_problems": 2},
     numbers=(

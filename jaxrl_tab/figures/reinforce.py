@@ -83,9 +83,9 @@ def _draw(datasets):
 FIGURE = Figure(
     title="REINFORCE in the short corridor, without and with a baseline",
     source="Sutton and Barto 2018, figures 13.1 and 13.2",
-    shows="The larger the step size, the sooner the median run comes to the best stochastic policy. But with 2⁻¹² some "
-    "three runs in a hundred come to go always the same way, which never arrives, and ruin the mean. A baseline, itself "
-    "learned, lets the step size be sixteen times as large.",
+    shows="The larger the step size, the sooner the median run comes to the best stochastic policy. But with 2⁻¹² "
+    "some three runs in a hundred come to go always the same way, which never arrives, and ruin the mean. A baseline, "
+    "itself learned, lets the step size be sixteen times as large.",
     experiment=_experiment,
     small={"num_seeds": 2},
     numbers=(
