@@ -35,6 +35,9 @@ learned = {}
 for how, method in {"importance sampling": by_games, "Expected Sarsa": by_steps}.items():
     q = rl.learn(key, method, log, *sizes).q
     learned[how] = start @ (sticks_late * q).sum(1)
+learned["doubly robust"] = rl.evaluation.doubly_robust(
+    log, sticks_late, coin
+).value  # both; it has an interval, too
 learned["exact"] = planning.policy_value(env, sticks_late)
 print(f"from {log.terminal.sum()} games of a player who tosses a coin:\n")
 print("what a game is worth to a player who sticks on 20 and 21 only")

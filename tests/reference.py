@@ -304,15 +304,15 @@ class MonteCarlo(Agent):
 
 
 class Traces(Agent):
-    """Sarsa(lambda), with dutch traces as in the box of section 12.7, else as in the lecture's; and Watkins's
+    """Sarsa(lambda), with dutch traces as in the box of section 12.7, else as in the lecture's; and Q(lambda):
 
-    Q(lambda), as in the box of section 7.6 of the first edition. In float64.
+    Watkins's and the naive one as in section 7.6 of the first edition, Peng's as in Peng and Williams 1996. In float64.
     """
 
-    def __init__(self, *args, lam, trace="accumulating", offline=False, watkins=False):
+    def __init__(self, *args, lam, trace="accumulating", offline=False, version=None):
         super().__init__(*args)
         self.q = self.q.astype(float)
-        self.lam, self.trace, self.offline, self.watkins = lam, trace, offline, watkins
+        self.lam, self.trace, self.offline, self.version = lam, trace, offline, version
         self.begin()
 
     def begin(self):
@@ -322,10 +322,17 @@ class Traces(Agent):
         q, z, alpha = self.q, self.z, float(self.alpha(s, a))
         a_next = self.act(s_next, u)
         is_greedy = q[s_next, a_next] == max(q[s_next])
-        q_now, q_next = q[s, a], max(q[s_next]) if self.watkins else q[s_next, a_next]
+        q_now, q_next = q[s, a], max(q[s_next]) if self.version else q[s_next, a_next]
         if terminal:
             q_next = 0.0
         delta = r + self.gamma * q_next - q_now
+        if self.version == "peng":
+            q += (
+                alpha
+                * (r + self.gamma * q_next - max(q[s]))
+                * (z if self.trace == "accumulating" else others(z, s, a))
+            )
+            q[s, a] += alpha * delta
         if self.trace == "accumulating":
             z[s, a] += 1
         elif self.trace == "replacing":
@@ -338,15 +345,22 @@ class Traces(Agent):
             q += alpha * (delta + q_now - self.q_old) * z
             q[s, a] -= alpha * (q_now - self.q_old)
             self.q_old = q_next
-        else:
+        elif self.version != "peng":
             q += alpha * delta * z
         z *= self.gamma * self.lam
-        if self.watkins and not is_greedy:
+        if self.version == "watkins" and not is_greedy:
             z[:] = 0
         if ended:
             q += self.increments
             self.begin()
         return a_next
+
+
+def others(z, s, a):
+    """The traces of all pairs but this one."""
+    z = z.copy()
+    z[s, a] = 0
+    return z
 
 
 class WholeReturns(Agent):
@@ -454,6 +468,117 @@ class OffPolicyReturns(WholeReturns):
             ratios = [self.target(self.q[s], s)[a] / b, *ratios]
 
 
+class TwoPolicies(Agent):
+    """What off-policy methods with several steps share: pi and b of each action as they were when it was chosen.
+
+    target(row, s) is pi(. | s); None: the policy that acts. In float64.
+    """
+
+    def __init__(self, *args, target=None, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.q, self.target, self.steps = self.q.astype(float), target, []
+
+    def soft(self, s):
+        return soft(self.q[s], self.rates.epsilon(self.t + 1, self.episode, self.visits[s].sum() + 1))
+
+    def pi(self, s):
+        return self.soft(s) if self.target is None else self.target(self.q[s], s)
+
+    def mean(self, s):
+        return mean(self.pi(s), self.q[s])
+
+    def act(self, s, u):
+        a = draw(self.soft(s), u)
+        self.chosen = self.pi(s)[a], self.soft(s)[a]
+        return a
+
+
+class NStepOffPolicy(TwoPolicies):
+    """n-step Sarsa off-policy (box of section 7.3), the whole episode kept in lists; or Expected Sarsa (equation 7.7).
+
+    The second acts after its update.
+    """
+
+    def __init__(self, *args, n, expected, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.n, self.expected = n, expected
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        self.steps.append((s, a, float(r), float(self.alpha(s, a)), self.chosen))
+        a_next = None if self.expected else self.act(s_next, u)
+        length = len(self.steps)
+        for tau in range(max(length - self.n, 0), length if ended else length - self.n + 1):
+            g = sum(self.gamma ** (i - tau) * self.steps[i][2] for i in range(tau, length))
+            chosen = [step[4] for step in self.steps[tau + 1 :]]
+            if not terminal:
+                value = self.mean(s_next) if self.expected else self.q[s_next, a_next]
+                g += self.gamma ** (length - tau) * value
+                is_cut = ended and self.gamma == 0  # which nobody can tell from a terminal state
+                chosen += [] if self.expected or is_cut else [self.chosen]
+            rho = np.prod([pi / b for pi, b in chosen])
+            s, a, _, alpha, _ = self.steps[tau]
+            self.q[s, a] += alpha * rho * (g - self.q[s, a])
+        if ended:
+            self.steps = []
+        return self.act(s_next, u) if self.expected else a_next
+
+
+class Branching(TwoPolicies):
+    """Q(sigma) by its equation 7.17, or as in De Asis et al. 2018, and n-step tree backup by 7.16 (sigma None).
+
+    They act after their update.
+    """
+
+    def __init__(self, *args, n, sigma=None, control_variates=True, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.n, self.sigma, self.control_variates = n, sigma, control_variates
+
+    def g(self, k, beyond):
+        """The return of step k, as far as there are steps."""
+        r = self.steps[k][2]
+        if k == len(self.steps) - 1:
+            return r + beyond()
+        s, a, *_, (pi, b), sigma = self.steps[k + 1]
+        now, longer = self.pi(s), self.g(k + 1, beyond)
+        others = sum(p * q for i, (p, q) in enumerate(zip(now, self.q[s], strict=True)) if p and i != a)
+        backup = others + now[a] * longer
+        if sigma is None:
+            return r + self.gamma * backup
+        if not self.control_variates:
+            return r + self.gamma * (sigma * pi / b * longer + (1 - sigma) * backup)
+        weight = sigma * pi / b + (1 - sigma) * now[a]
+        return r + self.gamma * weight * (longer - self.q[s, a]) + self.gamma * self.mean(s)
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        sigma = None if self.sigma is None else self.sigma(self.t, self.episode)
+        self.steps.append((s, a, float(r), float(self.alpha(s, a)), self.chosen, sigma))
+        beyond = lambda: 0.0 if terminal else self.gamma * self.mean(s_next)
+        due = len(self.steps) if ended else int(len(self.steps) == self.n)
+        for _ in range(due):  # one that has learned is no longer needed
+            g, (s, a, _, alpha, *_) = self.g(0, beyond), self.steps[0]
+            self.q[s, a] += alpha * (g - self.q[s, a])
+            del self.steps[0]
+        return self.act(s_next, u)
+
+
+class ExpectedTraces(TwoPolicies):
+    """The error with the mean over A', and traces that go on by gamma lambda c(pi, b): one loop over all pairs."""
+
+    def __init__(self, *args, lam, c, trace="accumulating", **kwargs):
+        super().__init__(*args, **kwargs)
+        self.lam, self.c, self.trace = lam, c, trace
+        self.z = np.zeros_like(self.q)
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        delta = r + (0.0 if terminal else self.gamma * self.mean(s_next)) - self.q[s, a]
+        self.z *= self.gamma * self.lam * self.c(*self.chosen)
+        self.z[s, a] = 1 if self.trace == "replacing" else self.z[s, a] + 1
+        self.q += float(self.alpha(s, a)) * delta * self.z
+        if ended:
+            self.z[:] = 0
+        return self.act(s_next, u)
+
+
 class ForwardView(Agent):
     """Sarsa that learns at the end of the episode, by `view(q, episode, alphas [T])`. In float64."""
 
@@ -546,6 +671,22 @@ class TraceValues(Values):
             v += self.increments
 
 
+class LambdaReturnValues(Values):
+    """The off-line lambda-return algorithm (section 12.1, equation 12.4)."""
+
+    def __init__(self, *args, lam, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.lam = lam
+
+    def learn_value(self, s, a, r, s_next, discount, ended, alpha):
+        self.steps.append((s, r, discount, self.v[s_next], alpha()))
+        if ended:
+            states, r, discounts, values, alphas = zip(*self.steps, strict=True)
+            for t, s in enumerate(states):
+                g = lambda_return(r, discounts, values, self.lam, t, len(r))
+                self.v[s] += alphas[t] * (g - self.v[s])
+
+
 class ReturnValues(Values):
     """Monte Carlo for v_pi (box of section 5.1, equations 5.5, 5.6 and 5.14), each return by its definition.
 
@@ -617,14 +758,23 @@ def lambda_return(r, discount, values, lam, t, horizon):
 def offline_forward(q, episode, alpha, lam):
     """Q after an episode by the sum of the increments towards its lambda-returns, all by its first Q.
 
-    That is the off-line forward view of Silver's lecture 4. (The algorithm of the book's section 12.1 makes
-    its updates one after another.) alpha may be one number, or one for each step.
+    That is the off-line forward view of Silver's lecture 4. alpha may be one number, or one for each step.
     """
     values = q[episode.s_next, episode.a_next]
     new = q.copy()
     for t, (s, a, step) in enumerate(np.broadcast(episode.s, episode.a, alpha)):
         g = lambda_return(episode.r, episode.discount, values, lam, t, len(episode.s))
         new[s, a] += step * (g - q[s, a])
+    return new
+
+
+def offline_one_by_one(q, episode, alpha, lam):
+    """The off-line lambda-return algorithm of the book's section 12.1: the same returns, one update after another."""
+    values = q[episode.s_next, episode.a_next]
+    new = q.copy()
+    for t, (s, a, step) in enumerate(np.broadcast(episode.s, episode.a, alpha)):
+        g = lambda_return(episode.r, episode.discount, values, lam, t, len(episode.s))
+        new[s, a] += step * (g - new[s, a])
     return new
 
 

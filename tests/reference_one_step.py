@@ -1,7 +1,7 @@
 """More of the one-step methods as plain loops over NumPy scalars, as in `reference`: each by its own paper."""
 
 import numpy as np
-from reference import Agent, F
+from reference import Agent, DoubleQLearning, F, draw, epsilon_greedy, mean
 
 # --- by the average reward, in tasks that do not end ---------------------------------------------------
 
@@ -47,6 +47,94 @@ class DifferentialSarsa(OfRate):
         self.rate += self.beta * error
         self.q[s, a] += self.alpha(s, a) * error
         return a_next
+
+
+# --- with several tables, or two step sizes ------------------------------------------------------------
+
+
+class Double(DoubleQLearning):
+    """Ganger, Duryea and Hu 2016. `expected`: the mean over A'; else A' is the action that is taken."""
+
+    def __init__(self, *args, expected=False, **kwargs):
+        super().__init__(*args, words=None, **kwargs)
+        self.expected = expected
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        own, other = (self.q1, self.q2) if self.heads[self.t - 1] else (self.q2, self.q1)
+        epsilon = self.rates.epsilon(self.t + 1, self.episode, 1)
+        a_next = None if self.expected else self.act(s_next, u)
+        pi = epsilon_greedy(self.values(s_next), epsilon)
+        q_next = mean(pi, other[s_next]) if self.expected else other[s_next, a_next]
+        own[s, a] += self.alpha(s, a) * (r + self.discount(terminal) * q_next - own[s, a])
+        return self.act(s_next, u) if self.expected else a_next
+
+
+class WeightedDoubleQLearning(DoubleQLearning):
+    """Zhang, Pan and Kochenderfer 2017, algorithm 1; `worst` are the words by which ties for the least are broken."""
+
+    def __init__(self, *args, c, worst, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.c, self.worst = F(c), worst
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        own, other = (self.q1, self.q2) if self.heads[self.t - 1] else (self.q2, self.q1)
+        best = draw(epsilon_greedy(own[s_next], 0.0), self.words[self.t - 1])
+        there = [q for q in own[s_next] if q > -np.inf]
+        least = draw([F(q == min(there)) for q in own[s_next]], self.worst[self.t - 1])
+        apart = abs(other[s_next, best] - other[s_next, least])
+        beta = apart / (self.c + apart)
+        value = beta * own[s_next, best] + (1 - beta) * other[s_next, best]
+        own[s, a] += self.alpha(s, a) * (r + self.discount(terminal) * value - own[s, a])
+        return self.act(s_next, u)
+
+
+class MaxminQLearning(Agent):
+    """Lan et al. 2020, algorithm 1, without a memory; `words` say which table learns."""
+
+    def __init__(self, *args, tables, words, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.tables, self.words = [self.q.copy() for _ in range(tables)], words
+
+    def values(self, s):
+        return np.array([min(q[s, a] for q in self.tables) for a in range(self.q.shape[1])])
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        q = self.tables[draw([1] * len(self.tables), self.words[self.t - 1])]
+        target = r + self.discount(terminal) * max(self.values(s_next))
+        q[s, a] += self.alpha(s, a) * (target - q[s, a])
+        self.q = np.min(self.tables, 0)
+        return self.act(s_next, u)
+
+
+class HystereticQLearning(Agent):
+    """Matignon, Laurent and Le Fort-Piat 2007."""
+
+    def __init__(self, *args, beta, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.beta = F(beta)
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        error = r + self.discount(terminal) * max(self.q[s_next]) - self.q[s, a]
+        self.q[s, a] += (self.alpha(s, a) if error >= 0 else self.beta) * error
+        return self.act(s_next, u)
+
+
+class SpeedyQLearning(Agent):
+    """Azar et al. 2011, algorithm 1, with all values that an entry ever had."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.history = {pair: [q, q] for pair, q in np.ndenumerate(self.q)}
+
+    def best(self, s, k):
+        return max(self.history[s, a][k] for a in range(self.q.shape[1]))
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        alpha, q = self.alpha(s, a), self.q[s, a]
+        of_last, of_now = (r + self.discount(terminal) * self.best(s_next, k) for k in (-2, -1))
+        self.q[s, a] = q + (alpha * (of_last - q) + (F(1) - alpha) * (of_now - of_last))
+        self.history[s, a].append(self.q[s, a])
+        return self.act(s_next, u)
 
 
 def array_of(outcomes):

@@ -78,10 +78,31 @@ PLAIN = {
     "q-learning": ({}, lambda key: reference.OffPolicy(*SHARED, target=greedy)),
     "expected-sarsa": ({}, lambda key: reference.OffPolicy(*SHARED, target=soft)),
     "n-step-sarsa": ({"n": 3}, lambda key: reference.NStepSarsa(*SHARED, n=3)),
+    "n-step-expected-sarsa": (
+        {"n": 3},
+        lambda key: reference.NStepOffPolicy(*SHARED, n=3, expected=True),
+    ),
+    "n-step-off-policy-sarsa": (
+        {"n": 3},
+        lambda key: reference.NStepOffPolicy(*SHARED, n=3, expected=False, target=greedy),
+    ),
+    "tree-backup": ({"n": 3}, lambda key: reference.Branching(*SHARED, n=3, target=greedy)),
+    "q-sigma": ({"n": 3}, lambda key: reference.Branching(*SHARED, n=3, sigma=lambda *_: 0.5)),
     "double-q-learning": (
         {},
         lambda key: reference.DoubleQLearning(*SHARED, heads=heads(key), words=target_words(key)),
     ),
+    "double-sarsa": ({}, lambda key: plain.Double(*SHARED, heads=heads(key))),
+    "double-expected-sarsa": ({}, lambda key: plain.Double(*SHARED, heads=heads(key), expected=True)),
+    "weighted-double-q-learning": (
+        {"c": 1.0},
+        lambda key: plain.WeightedDoubleQLearning(
+            *SHARED, c=1, heads=heads(key), words=target_words(key), worst=target_words(key, 1)
+        ),
+    ),
+    "maxmin-q-learning": ({}, lambda key: plain.MaxminQLearning(*SHARED, tables=2, words=target_words(key))),
+    "hysteretic-q-learning": ({"beta": 0.0625}, lambda key: plain.HystereticQLearning(*SHARED, beta=0.0625)),
+    "speedy-q-learning": ({}, lambda key: plain.SpeedyQLearning(*SHARED)),
     "q-learning-target": (
         {"target": EpsilonGreedy(EPSILON)},
         lambda key: reference.OffPolicy(*SHARED, target=soft, words=target_words(key)),
@@ -101,6 +122,19 @@ PLAIN = {
         ),
     ),
     "sarsa-lambda": ({"trace": "dutch"}, lambda key: reference.Traces(*SHARED, lam=0.9, trace="dutch")),
+    "true-online-sarsa-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, trace="dutch")),
+    "expected-sarsa-lambda": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: 1),
+    ),
+    "tree-backup-lambda": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: pi, target=greedy),
+    ),
+    "retrace": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: min(1, pi / b), target=greedy),
+    ),
     "sarsa-lambda-forward": ({}, lambda key: reference.ForwardView(*SHARED, view=summed)),
     "dyna-q": ({}, lambda key: reference.DynaQ(*SHARED, words=planning_words(key))),
     "dyna-q-plus": (
@@ -108,7 +142,7 @@ PLAIN = {
         lambda key: reference.DynaQ(*SHARED, words=planning_words(key), kappa=0.25),
     ),
     "prioritized-sweeping": ({}, lambda key: reference.PrioritizedSweeping(*SHARED)),
-    "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, watkins=True)),
+    "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, version="watkins")),
     "gradient-bandit": ({}, lambda key: reference_gradient.GradientBandit(*SHARED)),
     "reinforce": ({}, lambda key: reference_gradient.Reinforce(*SHARED)),
     "reinforce-baseline": ({}, lambda key: reference_gradient.Reinforce(*SHARED, alpha_v=tenth)),

@@ -60,6 +60,7 @@ def test_every_step_agrees_with_the_plain_loop(name):
     assert abs((log.recorded or {})["rate"][0] - agent.rate) > 1e-3  # at the end of each row
 
 
+@pytest.mark.slow
 def test_the_best_rate_is_learned_while_exploring():
     """By the two methods that learn off-policy, with a step size of 1 over the visits: 40 seeds, 4 standard errors."""
     best = planning.relative_value_iteration(ENV)[0]
@@ -182,6 +183,7 @@ def test_access_control_of_ten_servers():
     assert not accepts[0].any()  # whoever pays 1, never
 
 
+@pytest.mark.slow
 def test_the_page_is_true():
     """docs/average-reward.md: what it shows is what its lines print."""
     page = (Path(__file__).parents[1] / "docs/average-reward.md").read_text(encoding="utf-8")

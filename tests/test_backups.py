@@ -100,8 +100,17 @@ SHAPES = {
     "expected-sarsa": ("action, state, each action",),
     "monte-carlo": ("action, state, action, ..., end",),
     "n-step-sarsa": ("action, state, action, ..., state, action",),
+    "n-step-expected-sarsa": ("action, state, action, ..., state, each action",),
+    "n-step-off-policy-sarsa": ("action, state, action, ..., state, action",),
+    "tree-backup": ("action, state, each action, ..., state, each action",),
     "double-q-learning": ("action, state, max action",),
     "q-learning-target": SARSA,
+    "double-sarsa": SARSA,
+    "double-expected-sarsa": ("action, state, each action",),
+    "weighted-double-q-learning": ("action, state, max action",),
+    "maxmin-q-learning": ("action, state, max action",),
+    "hysteretic-q-learning": ("action, state, max action",),
+    "speedy-q-learning": ("action, state, max action",),
     "r-learning": ("action, state, max action",),
     "differential-q-learning": ("action, state, max action",),
     "differential-sarsa": SARSA,
@@ -119,7 +128,8 @@ SHAPES = {
     "off-policy-td": TD0,
     "off-policy-monte-carlo-prediction": ("state, action, state, ..., end",),
 }
-SHAPES["sarsa-lambda"] = SHAPES["sarsa-lambda-forward"] = (
+SHAPES["q-sigma"] = SHAPES["tree-backup"]
+SHAPES["sarsa-lambda"] = SHAPES["sarsa-lambda-forward"] = SHAPES["true-online-sarsa-lambda"] = (
     "action, state, action",
     "action, state, action, state, action",
     "action, state, action, state, action, state, action",
@@ -133,7 +143,21 @@ SHAPES["actor-critic-lambda"] = (
     "",
     "action, state, action, ..., end",
 )
-SHAPES["td-lambda"] = (
+SHAPES["expected-sarsa-lambda"] = SHAPES["retrace"] = (
+    "action, state, each action",
+    "action, state, action, state, each action",
+    "action, state, action, state, action, state, each action",
+    "",
+    "action, state, action, ..., end",
+)
+SHAPES["tree-backup-lambda"] = (
+    "action, state, each action",
+    "action, state, each action, state, each action",
+    "action, state, each action, state, each action, state, each action",
+    "",
+    "action, state, each action, ..., end",
+)
+SHAPES["td-lambda"] = SHAPES["true-online-td-lambda"] = SHAPES["offline-lambda-return"] = (
     "state, action, state",
     "state, action, state, action, state",
     "state, action, state, action, state, action, state",
@@ -151,6 +175,16 @@ SHAPES["q-lambda"] = (
 IN_WORDS = {  # what no circle shows
     "double-q-learning": "one table chooses the action, the other gives its value",
     "q-learning-target": "A' is drawn from the target policy",
+    "n-step-expected-sarsa": "over the actions between",
+    "n-step-off-policy-sarsa": "over the actions after A_t",
+    "q-sigma": "σ = 1 samples, σ = 0 is tree backup",
+    "retrace": "goes on by min(1, π(A | S) / b(A | S))",
+    "double-sarsa": "Q2 gives the value where Q1 learns",
+    "double-expected-sarsa": "Q2 gives the values where Q1 learns",
+    "weighted-double-q-learning": "a weighted mean of both gives its value",
+    "maxmin-q-learning": "the least in all tables",
+    "hysteretic-q-learning": "worse than believed counts less",
+    "speedy-q-learning": "those before their last updates",
     "r-learning": "from each reward the average is taken off",
     "differential-q-learning": "from each reward the average is taken off",
     "differential-sarsa": "from each reward the average is taken off",

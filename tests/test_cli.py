@@ -411,7 +411,7 @@ REFUSALS = {
     "solve windy-gridworld --moves": "--moves: expected one argument",
     "solve windy-gridworld --moves king four": "unexpected argument 'four'",
     "solve cliff-walking --moves king": "cliff-walking has no --moves, which belongs to windy-gridworld, maze; "
-    "cliff-walking has --shape, --max-steps",
+    "cliff-walking has --shape, --is-slippery, --max-steps",
     "solve random-walk --states 4": "states must be odd",
     "moments": "name an environment: windy-gridworld",
     "moments random-walk": "name a method with exact learning curves: td, n-step-td, td-lambda, monte-carlo-prediction",

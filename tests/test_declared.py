@@ -29,6 +29,7 @@ def test_what_is_learned_from_is_a_text_with_two_consequences():
         ("itself", False, False),
         ("transitions", False, False),
         ("transitions of b", True, False),
+        ("episodes", False, True),
         ("episodes of b", True, True),
     ]
 
@@ -54,7 +55,17 @@ class Mean:
 
 def test_texts_in_own_classes_are_the_declaration():
     declared = of_method(Mean())
-    assert declared == (Learns.ACTIONS, LearnsFrom.TRANSITIONS_OF_B, False, False, False, None, None)
+    assert declared == (
+        Learns.ACTIONS,
+        LearnsFrom.TRANSITIONS_OF_B,
+        False,
+        False,
+        False,
+        False,
+        (),
+        None,
+        None,
+    )
     log = rl.Experience(s=[0], a=[0], r=[2.0], s_next=[1], terminal=[True])
     with pytest.raises(rl.InputError, match="Mean weighs what it learns by the policy that acted"):
         rl.learn(jax.random.key(0), Mean(), log, 2, 1)
@@ -93,7 +104,7 @@ class Door:
 
 
 def test_an_environment_without_a_base_class_declares_nothing_and_runs():
-    assert of_environment(Door()) == (None, None, None, None, tuple, ("0", "1"), None)
+    assert of_environment(Door()) == (None, None, None, None, tuple, None, ("0", "1"), None, None, False)
     ds = rl.sweep(Door(), Mean, num_seeds=2, num_steps=20).to_xarray()
     assert ds.attrs["learns"] == "actions"
     np.testing.assert_array_equal(ds.q[:, 0], [[0, 1]] * 2)

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from jaxrl_tab.core import rng
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import FiniteEnvironment, Outcome
 from jaxrl_tab.envs import ENVS, AccessControl, CliffWalking, FiniteMDP, RandomWalk, WindyGridworld, make
@@ -30,6 +31,9 @@ START = (0.125, 0, 0.875, 0)
 
 ENVIRONMENTS = {
     **{name: make(name) for name in ENVS},
+    "osband's river": make("river-swim", variant="osband", states=4),
+    "one right": make("deep-sea", size=4, random=False),
+    "garnets": make("garnet", own=True, states=9, branching=3),
     "access-control": AccessControl(servers=2, free=0.5),  # of ten, many outcomes are too rare to be counted
     "king": WindyGridworld(moves="king"),
     "king+stay": WindyGridworld(moves="king+stay"),
@@ -38,8 +42,14 @@ ENVIRONMENTS = {
     "small cliff": CliffWalking(shape=[3, 5]),
     "short walk": RandomWalk(states=5, left_reward=0),
     "finite mdp": FiniteMDP(P, R, terminal=[3], start=START),
+    "slippery cliff": CliffWalking(is_slippery=True),
+    "rainy taxi": make("taxi", is_rainy=True, fickle_passenger=True),
+    # small ones in place of those of the book, for what counts all outcomes
+    "jacks-car-rental": make("jacks-car-rental", capacity=3, most_moved=1, exercise=True),
+    "racetrack": make("racetrack", map=["#..G", "...G", "SS##"]),
+    "gamblers-problem": make("gamblers-problem", goal=9, p_h=0.3),
 }
-CONTINUING = {"access-control"}
+CONTINUING = {name for name, env in ENVIRONMENTS.items() if of_environment(env).continuing}
 every_environment = pytest.mark.parametrize("name", ENVIRONMENTS)
 
 
@@ -410,7 +420,7 @@ def test_outcomes_are_distributions_over_states(name):
 def test_terminal_states_absorb_with_reward_0(name):
     prob, outcome = table(name)
     _, _, is_terminal = merged(prob, outcome)
-    assert is_terminal.any() or name in CONTINUING
+    assert is_terminal.any() == (name not in CONTINUING)
     np.testing.assert_array_equal(outcome.terminal, is_terminal[outcome.s_next])
     for s in np.flatnonzero(is_terminal):
         possible = prob[s] > 0
@@ -446,7 +456,8 @@ def test_step_follows_outcomes(name, keys):
     env, n = ENVIRONMENTS[name], 600
     prob, outcome = table(name)
     drawn = sampled(env, keys(env.num_states, env.num_actions, n))
-    reward = drawn.reward if samples_outcomes(env) else mean_of_noisy(drawn.reward, outcome)
+    is_stated = np.isin(drawn.reward, outcome.reward).all()
+    reward = drawn.reward if is_stated else mean_of_noisy(drawn.reward, outcome)
 
     rewards, stated = np.unique(outcome.reward, return_inverse=True)
     seen = np.searchsorted(rewards, reward)
@@ -472,10 +483,14 @@ def samples_outcomes(env) -> bool:
 
 def mean_of_noisy(reward: np.ndarray, outcome: Outcome) -> np.ndarray:
     """The mean that is stated for each reward [S, A, n], once they are seen to lie around it."""
-    noise = reward - outcome.reward  # such environments have one outcome of each state and action
+    mean = outcome.reward[
+        ..., :1
+    ]  # in such environments it is the same for all outcomes of a state and action
+    assert (outcome.reward == mean).all()
+    noise = reward - mean
     noise = noise[noise != 0]
     assert abs(noise.mean()) < 4 * noise.std() / np.sqrt(noise.size)
-    return np.broadcast_to(outcome.reward, reward.shape)
+    return np.broadcast_to(mean, reward.shape)
 
 
 @every_environment
@@ -552,7 +567,10 @@ def reward_with(index, value, rewards=R):
         ),
         (windy(move="king"), "windy-gridworld has no parameter 'move'; did you mean 'moves'?"),
         (windy(max_step=3), "windy-gridworld has no parameter 'max_step'; did you mean 'max_steps'?"),
-        (cliff(start=(0, 0)), "cliff-walking has no parameter 'start'; choose one of shape, max_steps"),
+        (
+            cliff(start=(0, 0)),
+            "cliff-walking has no parameter 'start'; choose one of shape, is_slippery, max_steps",
+        ),
         (windy(moves="kings"), "windy-gridworld: moves 'kings' is unknown; did you mean 'king'?"),
         (
             windy(moves=["king"]),

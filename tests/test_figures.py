@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import xarray as xr
+from marks import slow_but
 from matplotlib.text import Text
 
 from jaxrl_tab import plot
@@ -101,12 +102,20 @@ IN_FULL = {
     "k-armed-testbed": {"num_problems": 1000},
     "maximization-bias": {"num_seeds": 1000},
     "lambda-arrows": {},
+    "state-values": {},
+    "gamblers-problem": {},
+    "jacks-car-rental": {},
+    "racetrack": {},
+    "recycling-robot": {},
 }
 # These need many programs, or many games, to be drawn at all, which takes minutes. What they are made of and
 # show is tested in test_figure_experiments, test_figures_lecture, test_n_step and test_importance; `figure --all`
 # checks all of it.
 BY_HAND = (
     "bias-variance",
+    "online-lambda",
+    "replacing-traces",
+    "q-sigma",
     "importance-sampling",
     "blackjack",
     "blackjack-regret",
@@ -136,12 +145,20 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
-# These are made of what others are made of as well.
-ALIKE = ("upper-confidence-bounds", "gradient-bandit", "bandit-parameters", "reinforce")
-IN_SHORT = [name for name in FIGURES if name not in {*IN_FULL, *BY_HAND}]
+# Several programs that take a while to compile.
+LONG = {
+    "changing-mazes",
+    "prioritized-sweeping",
+    "upper-confidence-bounds",
+    "gradient-bandit",
+    "bandit-parameters",
+    "reinforce",
+}
 
 
-@pytest.mark.parametrize("name", slow_but({*IN_SHORT} - {*ALIKE}, IN_SHORT))
+@pytest.mark.parametrize(
+    "name", slow_but({*FIGURES} - LONG, [x for x in FIGURES if x not in {*IN_FULL, *BY_HAND}])
+)
 def test_the_figure_runs_is_drawn_and_has_its_numbers(name, tmp_path):
     """In a trial run: of two seeds, say, so of no worth, but all is there."""
     figure = small(FIGURES[name])

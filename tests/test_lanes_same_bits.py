@@ -82,10 +82,30 @@ CASES = {
     "expected-sarsa": Case("trace-gridworld", "expected-sarsa", ALPHAS),
     "monte-carlo": Case("blackjack", "monte-carlo", episodes=20),
     "n-step-sarsa": Case("maze", "n-step-sarsa", ALPHAS | {"n": 3}),
+    "n-step-expected-sarsa": Case(
+        "maze", "n-step-expected-sarsa", ALPHAS | {"target": policies.EpsilonGreedy(0.05)}
+    ),
+    "n-step-off-policy-sarsa": Case("cliff-walking", "n-step-off-policy-sarsa", ALPHAS | {"n": 2}),
+    "tree-backup": Case("windy-gridworld", "tree-backup", ALPHAS),
+    "q-sigma": Case("frozen-lake", "q-sigma", ALPHAS | {"sigma": [0.0, 0.3, 1.0]}),
+    "true-online-sarsa-lambda": Case("windy-gridworld", "true-online-sarsa-lambda", ALPHAS),
+    "expected-sarsa-lambda": Case(
+        "trace-gridworld", "expected-sarsa-lambda", ALPHAS | {"target": policies.EpsilonGreedy(0.05)}
+    ),
+    "tree-backup-lambda": Case("maze", "tree-backup-lambda", ALPHAS),
+    "retrace": Case("frozen-lake", "retrace", {"lam": [0.0, 0.3, 0.9]}),
     "sarsa-lambda": Case("easy21", "sarsa-lambda", {"lam": [0.0, 0.3, 0.9]}),
     "sarsa-lambda-forward": Case("two-doors", "sarsa-lambda-forward", ALPHAS, episodes=20),
+    "one by one": Case("two-doors", "sarsa-lambda-forward", ALPHAS | {"one_by_one": True}, episodes=20),
     "q-lambda": Case("frozen-lake", "q-lambda", ALPHAS),
+    "Peng's": Case("frozen-lake", "q-lambda", ALPHAS | {"version": "peng"}),
     "double-q-learning": Case("maximization-bias", "double-q-learning", episodes=20),
+    "double-sarsa": Case("cliff-walking", "double-sarsa", ALPHAS),
+    "double-expected-sarsa": Case("trace-gridworld", "double-expected-sarsa", ALPHAS),
+    "weighted-double-q-learning": Case("k-armed-testbed", "weighted-double-q-learning", ALPHAS),
+    "maxmin-q-learning": Case("frozen-lake", "maxmin-q-learning", ALPHAS | {"tables": 3}),
+    "hysteretic-q-learning": Case("windy-gridworld", "hysteretic-q-learning", ALPHAS),
+    "speedy-q-learning": Case("windy-gridworld", "speedy-q-learning"),
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
     "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
@@ -106,15 +126,24 @@ CASES = {
     ),
     "differential-sarsa": Case("access-control", "differential-sarsa", ALPHAS),
     "td": Case("random-walk", "td", ALPHAS, episodes=8),
-    "n-step-td": Case("random-walk", "n-step-td", ALPHAS | {"n": 4}),
+    "n-step-td": Case("racetrack", "n-step-td", ALPHAS | {"n": 4}),
     "td-lambda": Case("random-walk", "td-lambda", ALPHAS, exact=True),
+    "true-online-td-lambda": Case("random-walk", "true-online-td-lambda", ALPHAS),
+    "offline-lambda-return": Case("random-walk", "offline-lambda-return", ALPHAS, episodes=8),
     "monte-carlo-prediction": Case("blackjack", "monte-carlo-prediction", episodes=20),
-    "off-policy-td": Case("random-walk", "off-policy-td", ALPHAS),
+    "off-policy-td": Case("jacks-car-rental", "off-policy-td", ALPHAS | {"gamma": 0.9}),
     "off-policy-monte-carlo-prediction": Case("two-doors", "off-policy-monte-carlo-prediction", episodes=20),
+    "one task for each run": Case(
+        rl.make("garnet", own=True, states=6), "q-learning", ALPHAS | {"gamma": 0.9}
+    ),
+    **{
+        name: Case(name, "q-learning", ALPHAS | {"gamma": 0.9})
+        for name in ("river-swim", "chain", "two-loops", "deep-sea", "garnet")
+    },
     # policies and schedules
-    "greedy": Case("k-armed-testbed", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
-    "softmax": Case("two-doors", "expected-sarsa", {"behaviour": policies.Softmax(0.3)}),
-    "upper confidence bounds": Case("k-armed-testbed", "q-learning", {"behaviour": policies.UCB(2.0)}),
+    "greedy": Case("gamblers-problem", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
+    "softmax": Case("recycling-robot", "expected-sarsa", {"behaviour": policies.Softmax(0.3), "gamma": 0.9}),
+    "upper confidence bounds": Case("taxi", "q-learning", {"behaviour": policies.UCB(2.0)}),
     "a policy in a table": Case(grid={"behaviour": UNEVEN}),
     "schedules": Case(
         "two-doors", "sarsa", {"alpha": schedules.sample_average(), "epsilon": schedules.glie()}

@@ -196,6 +196,23 @@ def off_line_sarsa(q, episode, alphas):
 FORWARD = {"windy, stochastic, king": "1/N", "random mdp": "episode"}
 
 
+def test_the_book_makes_the_same_updates_one_after_another():
+    """Broken once: by the Q of the start; from the last step to the first; what later updates leave not forgotten with
+    the episode; the returns by the Q that the walk has changed -> each fails.
+    """
+    (env, task), (alpha, plain_alpha) = task_apart("random mdp"), ALPHAS["visit"]
+    lambdas = (0.5, 0.0, 1.0, 0.9)
+    method = lambda gamma, lam: rl.SarsaLambdaForward(
+        alpha=alpha, epsilon=EPSILON, q0=0.5, gamma=gamma, lam=lam, one_by_one=True
+    )
+    (state, log), words = played(env, method, lambdas)
+    for i, (gamma, lam) in enumerate(zip(GAMMAS, lambdas, strict=True)):
+        view = lambda *given, lam=lam: reference.offline_one_by_one(*given, lam)
+        rates = reference.Rates(plain_alpha, FIXED(EPSILON))
+        agent = reference.ForwardView((env.num_states, env.num_actions), rates, gamma, 0.5, view=view)
+        check(agent, task, words, state, log, i)
+
+
 @pytest.mark.parametrize("env_name", FORWARD)
 def test_the_forward_view_is_what_its_definition_says(env_name):
     """Off-line Sarsa where lambda = 0, every-visit Monte Carlo where it is 1, else mixtures of n-step ones.

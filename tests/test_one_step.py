@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
+import reference_one_step as plain
 from test_reference import GAMMAS, STEPS, env_and_task, initial_tables, random_mdp, uniforms, words_of
 
 import jaxrl_tab as rl
@@ -26,9 +27,11 @@ def heads(key):
     return (np.asarray(words_of_updates(key)) & 1) == 1
 
 
-def target_words(key):
-    """The word of each step by which A' of the target policy is drawn."""
-    draw = jax.vmap(lambda word: jax.random.bits(jax.random.fold_in(rng.as_key(word), 0), dtype=jnp.uint32))
+def target_words(key, fold=0):
+    """The word of each step by which A' of the target policy is drawn; another one where `fold` is not 0."""
+    draw = jax.vmap(
+        lambda word: jax.random.bits(jax.random.fold_in(rng.as_key(word), fold), dtype=jnp.uint32)
+    )
     return uniforms(draw(words_of_updates(key)))
 
 
@@ -58,20 +61,52 @@ def methods(env):
             sampled(lambda row, s: reference.epsilon_greedy(row, 0.5)),
         ),
         "expected table": (rl.ExpectedSarsa, {"target": Table(pi)}, off_policy(target=lambda row, s: pi[s])),
+        "double sarsa": (rl.DoubleSarsa, {}, lambda key, *args: plain.Double(*args, heads=heads(key))),
+        "double expected": (
+            rl.DoubleExpectedSarsa,
+            {},
+            lambda key, *args: plain.Double(*args, heads=heads(key), expected=True),
+        ),
+        "double weighted": (
+            rl.WeightedDoubleQLearning,
+            {"c": 0.75},
+            lambda key, *args: plain.WeightedDoubleQLearning(
+                *args, c=0.75, heads=heads(key), words=target_words(key), worst=target_words(key, 1)
+            ),
+        ),
+        "maxmin": (
+            rl.MaxminQLearning,
+            {"tables": 3},
+            lambda key, *args: plain.MaxminQLearning(*args, tables=3, words=target_words(key)),
+        ),
+        "hysteretic": (
+            rl.HystereticQLearning,
+            {"beta": 0.0625},
+            lambda key, *args: plain.HystereticQLearning(*args, beta=0.0625),
+        ),
+        "speedy": (rl.SpeedyQLearning, {}, lambda key, *args: plain.SpeedyQLearning(*args)),
     }
+
+
+LONG = {"double sarsa", "double expected", "hysteretic", "speedy"}
 
 
 @pytest.mark.parametrize(
     ("name", "env_name"),
     [
-        *((name, "random mdp") for name in methods(random_mdp())),
+        *(
+            pytest.param(name, "random mdp", marks=pytest.mark.slow if name in LONG else ())
+            for name in methods(random_mdp())
+        ),
         pytest.param("double", "windy, stochastic, king", marks=pytest.mark.slow),
     ],
 )
 def test_every_step_agrees_with_the_plain_loop(name, env_name):
     """Broken once: Double Q-learning by its own maximum, the coin from bit 8, A' of the target drawn by the
 
-    word of the action that is taken, a bootstrap through terminal states -> fails.
+    word of the action that is taken, a bootstrap through terminal states; the own table in double Sarsa; the weight the
+    other way round; the largest of all tables in Maxmin; one step size in hysteretic, the latest values alone in speedy
+    Q-learning -> fails.
     """
     env, task = env_and_task(env_name)
     cls, fixed, plain = methods(env)[name]
@@ -87,7 +122,7 @@ def test_every_step_agrees_with_the_plain_loop(name, env_name):
         agent = plain(key, (env.num_states, env.num_actions), rates, gamma, q0[i])
         finished = reference.run(agent, task, STEPS, words_of(key))
         exact = gamma != 0.9 and name.startswith("target")  # sums of products may be rounded otherwise
-        tables = [("q1", agent.q1), ("q2", agent.q2)] if name == "double" else [("q", agent.q)]
+        tables = [("q1", agent.q1), ("q2", agent.q2)] if name.startswith("double") else [("q", agent.q)]
         for field, want in tables:
             np.testing.assert_allclose(
                 getattr(state, field)[i], want, atol=0 if exact else 1e-4, rtol=0 if exact else 1e-4

@@ -160,7 +160,8 @@ def test_an_option_goes_to_all_methods_that_have_it():
     found = options.values(["td", "n-step-td"], {"--n": ("1", "4"), "--alpha": ("0.5",)}, HYPERPARAMETERS)
     assert found == {"td": {"alpha": [0.5]}, "n-step-td": {"alpha": [0.5], "n": [1, 4]}}
     with pytest.raises(
-        rl.InputError, match=r"none of td, sarsa has --n, which belongs to n-step-sarsa, n-step-td$"
+        rl.InputError,
+        match=r"none of td, sarsa has --n, which belongs to n-step-sarsa, .*, q-sigma, n-step-td$",
     ):
         options.values(["td", "sarsa"], {"--n": ("1",)}, HYPERPARAMETERS)
     with pytest.raises(
@@ -185,7 +186,10 @@ def test_help_says_how_a_schedule_is_typed(capsys):
     assert "--q0 X [X ...] Initial value of every entry of Q" in text
     assert "(of the methods of control; default: 0)" in text
     assert "--n N [N ...] How many rewards it looks ahead. A whole number of at least 1." in text
-    assert "(of n-step-sarsa, n-step-td; default: 4)" in text
+    assert (
+        "(of n-step-sarsa, n-step-expected-sarsa, n-step-off-policy-sarsa, tree-backup, q-sigma, n-step-td; default: 4)"
+        in text
+    )
     assert "default: 0.05 0.1 0.2 0.3 0.5 0.7 1; sample-average for monte-carlo," in text
     assert "None" not in text
     assert "--pi" not in text  # a table cannot be typed

@@ -4,6 +4,7 @@ Each test was seen to fail on code broken in the ways that its docstring tells.
 """
 
 import re
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -48,6 +49,13 @@ KINDS = {
     "replacing": (TDLambda, {"lam": LAM, "trace": "replacing"}, reference.TraceValues, "constant"),
     "dutch": (TDLambda, {"lam": LAM, "trace": "dutch"}, reference.TraceValues, "constant"),
     "offline": (TDLambda, {"lam": LAM, "offline": True}, reference.TraceValues, "episode"),
+    "true online": (
+        PREDICTION["true-online-td-lambda"],
+        {"lam": LAM},
+        partial(reference.TraceValues, trace="dutch"),
+        "constant",
+    ),
+    "off-line": (PREDICTION["offline-lambda-return"], {"lam": LAM}, reference.LambdaReturnValues, "1/N"),
     "every visit": (MonteCarloPrediction, {}, reference.ReturnValues, "1/N"),
     "first visit": (MonteCarloPrediction, {"first_visit": True}, reference.ReturnValues, "episode"),
     "off-policy td": (OffPolicyTD, {}, reference.Values, "constant"),

@@ -81,7 +81,7 @@ TABLE = (
         planning.expectation_backup,
         "Sarsa",
         "Q(S, A) <-alpha- R + gamma Q(S', A')",
-        ("sarsa", "expected-sarsa", "q-learning-target"),
+        ("sarsa", "expected-sarsa", "double-sarsa", "double-expected-sarsa", "q-learning-target"),
     ),
     Row(
         "Bellman optimality equation for q*",
@@ -91,7 +91,7 @@ TABLE = (
         planning.optimality_backup,
         "Q-learning",
         "Q(S, A) <-alpha- R + gamma max_a' Q(S', a')",
-        ("q-learning", "double-q-learning"),
+        ("q-learning", "double-q-learning", "weighted-double-q-learning", "speedy-q-learning"),
     ),
 )
 WIDEST = max((row.full_update for row in TABLE), key=len)

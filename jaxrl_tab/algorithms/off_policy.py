@@ -1,4 +1,4 @@
-"""What the one-step methods share that learn about a policy of their own choice: the target policy."""
+"""What the methods share that learn about a policy of their own choice: the target policy."""
 
 from typing import Any, Self
 
@@ -24,7 +24,7 @@ class OffPolicyControl(TDControl):
     target: Policy | None = field(
         default=None,
         help="The policy that is learned about (see `policies`); if not given the greedy one, in Expected "
-        "Sarsa the one that acts.",
+        "Sarsa and Q(sigma) the one that acts.",
     )
 
     def __post_init__(self):
@@ -49,4 +49,8 @@ class OffPolicyControl(TDControl):
 
     def target_probs(self, state: Learner, s: Int[Array, ""]) -> Float[Array, " A"]:
         """The target policy pi(. | s), float [A]."""
-        return self.pi.probs(tables.row(state.q, s), state.clock, s)
+        return self.pi.probs(self.row(state, s), state.clock, s)
+
+    def ratio(self, state: Learner, s: Int[Array, ""], a: Int[Array, ""]) -> Float[Array, ""]:
+        """rho = pi(a | s) / b(a | s) of an action that b chose, float []."""
+        return tables.entry(self.target_probs(state, s), a) / tables.entry(self.probs(state, s), a)

@@ -21,7 +21,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab.algorithms import ALGORITHMS, MonteCarlo, NStepSarsa, OffPolicyMonteCarlo, Sarsa, SarsaLambda
+from jaxrl_tab.algorithms import (
+    ALGORITHMS,
+    MonteCarlo,
+    NStepSarsa,
+    OffPolicyMonteCarlo,
+    Sarsa,
+    SarsaLambda,
+    SarsaLambdaForward,
+    TrueOnlineSarsaLambda,
+)
 from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
 from jaxrl_tab.core import names, policies, tables
 from jaxrl_tab.core.backups import Backup, lambda_return
@@ -100,7 +109,7 @@ class Prediction(Shown):
     def control(self, **policies: Table) -> Any:
         """The method of control that learns V, with the hyperparameters that both have, and these policies."""
         names = {field.name for field in dataclasses.fields(self.method)}
-        shared = {name: x for name, x in vars(self).items() if name in names - {"behaviour"}}
+        shared = {name: getattr(self, name) for name in names - {"behaviour"} if hasattr(self, name)}
         return self.method(q0=self.v0, **shared, **policies)
 
     def restricted_to(self, available: Available, **more: Any) -> Self:
@@ -174,6 +183,37 @@ class TDLambda(Prediction):
     method: ClassVar[type] = SarsaLambda
     backup: ClassVar[Backup] = Backup(
         lambda_return("state", "action, state"), SarsaLambda.backup.words.replace("pairs", "states")
+    )
+
+
+@pytree
+class TrueOnlineTDLambda(TDLambda):
+    """TD(lambda) with dutch traces, at every step the lambda-returns that look as far as that step.
+
+    It is `TDLambda(trace="dutch")`, by its name (book, section 12.5; van Seijen and Sutton 2014).
+    """
+
+    trace: ClassVar = "dutch"  # pyright: ignore[reportIncompatibleVariableOverride]
+    offline: ClassVar = False  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    method: ClassVar[type] = TrueOnlineSarsaLambda
+    backup: ClassVar[Backup] = Backup(TDLambda.backup.columns, TrueOnlineSarsaLambda.backup.words)
+
+
+@pytree
+class OfflineLambdaReturn(Prediction):
+    """V(S_t) <- V(S_t) + alpha [G_t^lambda - V(S_t)], t = 0, 1, ..., at the end of the episode (book, section 12.1).
+
+    The lambda-returns have the V of the start of the episode, and the updates are made one after another (equation
+    12.4). Their sum by that V alone is `TDLambda(offline=True)`.
+    """
+
+    lam: float = field(default=0.9, at_least=0, at_most=1, help="lambda.")
+
+    one_by_one: ClassVar[bool] = True
+    method: ClassVar[type] = SarsaLambdaForward
+    backup: ClassVar[Backup] = Backup(
+        TDLambda.backup.columns, "At the end of the episode, by the V of its start, one state after another."
     )
 
 
@@ -327,6 +367,8 @@ PREDICTION: dict[str, type] = {
     "td": TD,
     "n-step-td": NStepTD,
     "td-lambda": TDLambda,
+    "true-online-td-lambda": TrueOnlineTDLambda,
+    "offline-lambda-return": OfflineLambdaReturn,
     "monte-carlo-prediction": MonteCarloPrediction,
     "off-policy-td": OffPolicyTD,
     "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,

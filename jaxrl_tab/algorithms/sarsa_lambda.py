@@ -50,15 +50,15 @@ class SarsaLambda(TraceControl):
     A' is drawn from the behaviour policy before the update, and is the action that is then taken. Traces end
     with the episode, by a terminal state or by the time limit.
 
-    With dutch traces this is true online Sarsa(lambda) (book, box of section 12.7; van Seijen and Sutton
-    2014): for a constant alpha, at every step the very Q of the forward view that looks as far as that step.
+    With dutch traces this is true online Sarsa(lambda), `TrueOnlineSarsaLambda` (book, box of section 12.7; van Seijen
+    and Sutton 2014): for a constant alpha, at every step the very Q of the forward view that looks as far as that step.
 
     The sum of the off-line increments is that of the forward view, `SarsaLambdaForward`. **It is not the
-    book's off-line lambda-return algorithm** (section 12.1, figure 12.3), which makes its updates at the end
-    of the episode one after another, each from what the one before it left. A pair that comes n times in an
-    episode moves by n errors here, so Q diverges where alpha n is much more than 2; the book's does not. In
-    the prediction of its figure, with lambda = 0 and alpha = 1, that is an RMS error of thousands against
-    0.39.
+    book's off-line lambda-return algorithm** (section 12.1, figure 12.3; `SarsaLambdaForward(one_by_one=True)`), which
+    makes its updates at the end of the episode one after another, each from what the one before it left. A pair that
+    comes n times in an episode moves by n errors here, so Q diverges where alpha n is much more than 2; the book's does
+    not. In the prediction of its figure, with lambda = 0 and alpha = 1, that is an RMS error of thousands against
+    0.40.
     """
 
     trace: Literal["accumulating", "replacing", "dutch"] = static(  # pyright: ignore[reportIncompatibleVariableOverride]

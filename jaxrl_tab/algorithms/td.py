@@ -74,6 +74,11 @@ class TDControl(Shown):
         """All policies that it acts by or learns about."""
         return (self.selection,)
 
+    @property
+    def rates(self) -> tuple[Rate, ...]:
+        """All numbers that may be schedules, besides those of its policies."""
+        return (self.alpha,)
+
     def restricted_to(self, available: Available, **more: Any) -> Self:
         """The method where states have these actions only: it takes no other, and counts no other.
 
@@ -96,12 +101,16 @@ class TDControl(Shown):
         q = jnp.full((num_states, num_actions), self.q0, dtype=float)
         if isinstance(acting := self.selection, EpsilonGreedy) and acting.available is not None:
             q = policies.among(q, acting.available)
-        by_visit = clock.goes_by_visit(self.alpha) or any(policy.by_visit for policy in self.all_policies)
+        by_visit = any(map(clock.goes_by_visit, self.rates)) or any(p.by_visit for p in self.all_policies)
         return TDState(q, clock.start(num_states, num_actions, by_visit))
 
     def probs(self, state: Learner, s: Int[Array, ""]) -> Float[Array, " A"]:
         """The behaviour policy pi(. | s), float [A]."""
-        return self.selection.probs(tables.row(state.q, s), state.clock, s)
+        return self.selection.probs(self.row(state, s), state.clock, s)
+
+    def row(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
+        """Q(s, .), float [A]."""
+        return tables.row(state.q, s)
 
     def policy(self, key: Key[Array, ""], state: Learner, s: Int[Array, ""]) -> Int[Array, ""]:
         return policies.sample(key, self.probs(state, s))
@@ -112,6 +121,9 @@ class TDControl(Shown):
 
     def learn(self, state: L, t: Transition, delta: Float[Array, ""]) -> L:
         """Q(S, A) <- Q(S, A) + alpha delta; and counts the episode where it is over."""
-        alpha = clock.step_size(self.alpha, state.clock, t.s, t.a)
-        q = tables.add(state.q, t.s, t.a, alpha * delta)
+        return self.change(state, t, clock.step_size(self.alpha, state.clock, t.s, t.a) * delta)
+
+    def change(self, state: L, t: Transition, step: Float[Array, ""]) -> L:
+        """Q(S, A) <- Q(S, A) + step; and counts the episode where it is over."""
+        q = tables.add(state.q, t.s, t.a, step)
         return state._replace(q=q, clock=clock.end_step(state.clock, t.last))

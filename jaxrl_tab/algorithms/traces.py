@@ -65,8 +65,8 @@ class TraceControl(TDControl):
         q, clock = super().init(num_states, num_actions)
         return TraceState(credited.start(q), clock)
 
-    def probs(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
-        return self.selection.probs(state.row(s), state.clock, s)
+    def row(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return state.row(s)
 
     def begin(self, state: Any, t: Transition) -> Any:
         state = super().begin(state, t)

@@ -143,9 +143,10 @@ def of_own(name: str) -> Catalogue:
     from jaxrl_tab.cli.typed import Classes
     from jaxrl_tab.core import names
     from jaxrl_tab.core.declared import Learns, of_method
+    from jaxrl_tab.core.modules import is_table
     from jaxrl_tab.envs import ENVIRONMENT
 
-    no_method = name.endswith(".npz") or name.partition(":")[0] in ENVIRONMENT.libraries
+    no_method = is_table(name) or name.partition(":")[0] in ENVIRONMENT.libraries
     refusals = []
     for one in (ENVIRONMENT,) if no_method else (METHOD, ENVIRONMENT):
         try:

@@ -51,7 +51,12 @@ def answer(command: str, argv: Sequence[str]) -> None:
 
 def _needs_more(word: str) -> bool:
     """Whether a word may be a file, a class of somebody's own, or a schedule or a policy with its number."""
-    return ":" in word or "(" in word or word.endswith((".py", ".npz", ".toml")) or os.path.isfile(word)
+    return (
+        ":" in word
+        or "(" in word
+        or word.lower().endswith((".py", ".npz", ".mdp", ".pomdp", ".toml"))
+        or os.path.isfile(word)
+    )
 
 
 def _may_be_elsewhere(name: str, group: Group, catalogue: Catalogue) -> bool:

@@ -14,6 +14,7 @@ from jaxrl_tab.cli.options import Command, Entry, Option, Place, parse
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.errors import InputError, nearest, shown
+from jaxrl_tab.core.modules import is_table
 
 HEADINGS = {
     "environments": "environments",
@@ -97,7 +98,7 @@ def _of(names: Sequence[str]) -> Catalogue:
     parts = [everything()]
     known = {*parts[0].figures, *(name for of_kind in parts[0].listed.values() for name in of_kind)}
     for name in names:
-        if ":" in name or name.endswith((".py", ".npz")):
+        if ":" in name or name.endswith(".py") or is_table(name):
             parts.append(of_own(name))
         elif name not in known:
             hint = nearest(name, sorted(known), otherwise="`jaxrl-tab list` shows what there is")

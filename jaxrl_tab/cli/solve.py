@@ -132,6 +132,8 @@ def solve_command(argv: list[str]) -> int:
         show(out, *tables(env, v, q))
     if hardness:
         out.print(hard.hardness_table(env, hardness, options.gamma))
+    if (rate := of_environment(env).discount) not in (None, options.gamma):
+        out.print(f"Its source states a discount rate of {rate:g}: `--gamma {rate:g}` takes it.")
     if (mean_value := of_environment(env).mean_optimal_value) is not None:
         mean = escape(six_digits(mean_value(options.gamma)))
         out.print(f"Each run of a sweep draws a problem of its own; the mean over them is [bold]{mean}[/].")

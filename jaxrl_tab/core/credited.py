@@ -34,7 +34,8 @@ class Credited(NamedTuple):
     Attributes:
         base: Q without what is still to be credited, float [S, A].
         marks: the traces, each divided by `scale`, float [S, A].
-        scale: float [], in [0, 1]; where it is `SMALL` or less, the marks take it up as the next step begins.
+        scale: float [], at most 1 unless traces were multiplied by more; where it is `SMALL` or less, the marks take
+            it up as the next step begins.
         credit: what a pair is still to be credited with for each of its marks, float [].
     """
 
@@ -88,8 +89,8 @@ class Credited(NamedTuple):
         """Q(s, a) <- Q(s, a) + x, for this pair alone."""
         return self._replace(base=tables.add(self.base, s, a, x))
 
-    def faded(self, by: Float[Array, ""]) -> "Credited":
-        """z <- by z, for all pairs; `by` is in [0, 1]. Where it is 0, Q is the base alone then."""
+    def faded(self, by: Float[Array, ""] | float) -> "Credited":
+        """z <- by z, for all pairs; `by` is at least 0. Where it is 0, Q is the base alone then."""
         scale = by * self.scale
         is_due = scale <= SMALL
         base = tables.changed_where(is_due, _credited, self.base, self.marks, self.credit)

@@ -42,6 +42,7 @@ class LearnsFrom(StrEnum):
     ITSELF = "itself"
     TRANSITIONS = "transitions"
     TRANSITIONS_OF_B = "transitions of b"
+    EPISODES = "episodes"
     EPISODES_OF_B = "episodes of b"
 
     @property
@@ -52,7 +53,7 @@ class LearnsFrom(StrEnum):
     @property
     def in_episodes(self) -> bool:
         """Whether the transitions must come in the order of their episodes."""
-        return self is LearnsFrom.EPISODES_OF_B
+        return self in (LearnsFrom.EPISODES, LearnsFrom.EPISODES_OF_B)
 
 
 class OfMethod(NamedTuple):
@@ -64,7 +65,8 @@ class OfMethod(NamedTuple):
             its values, as `prediction.Prediction` has them.
         learns_from: what experience of somebody else `update` learns rightly from (see `offline`):
             "transitions", any of them in any order; "transitions of b", where the method is told the policy b
-            that acted, as a table in its field `behaviour`; "episodes of b", in order; or only from "itself".
+            that acted, as a table in its field `behaviour`; "episodes", or "episodes of b", in order; or only
+            from "itself".
             The class that defines `update` declares it.
         acts_after_update: whether `update` draws A' as its last act, as `policy(key, new state, S')`, and
             learns nothing from it. The driver then draws A' itself, together with the first actions of
@@ -100,7 +102,11 @@ class OfEnvironment(NamedTuple):
         mean_optimal_value: the mean over problems of v* from the start; None where it is not known.
         available: which actions a state has; None where each has all.
         panels: the tables in which people see the states, as `envs.base.Panel`; none where they are a list.
+        state_name: the name of a state from its number, where panels do not say it.
         action_names: a short name of each action, for pictures; their numbers where there are none.
+        discount: the discount rate that its source states; None where it states none. What counts is gamma, which
+            belongs to the method: this is what the command mentions.
+        continuing: whether it has no terminal states, so that only its time limit ends an episode.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
     """
 
@@ -109,8 +115,11 @@ class OfEnvironment(NamedTuple):
     mean_optimal_value: Callable[[float], float] | None = None
     available: Callable[..., Any] | None = None
     panels: Callable[[], tuple[Any, ...]] = tuple
+    state_name: Callable[[int], str] | None = None
     action_names: tuple[str, ...] = ()
     wind: Any = None
+    discount: float | None = None
+    continuing: bool = False
 
     @property
     def differs(self) -> str:

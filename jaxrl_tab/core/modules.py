@@ -23,6 +23,11 @@ from typing import Any, NamedTuple
 from jaxrl_tab.core.errors import InputError, reason
 
 PACKAGE = __name__.partition(".")[0]
+TABLES = (
+    ".npz",
+    ".mdp",
+    ".pomdp",
+)  # how the names of files end that hold a table of an environment, in any case
 
 
 class File(NamedTuple):
@@ -50,6 +55,11 @@ class File(NamedTuple):
         for file in self.neighbours:
             digest.update(f"{file.name} {file.sha256}".encode())
         return digest.hexdigest()
+
+
+def is_table(name: str) -> bool:
+    """Whether a file of this name holds a table of an environment: see `FiniteMDP.load`."""
+    return name.lower().endswith(TABLES)
 
 
 _contents: dict[str, File] = {}  # the files that were read or received, by checksum

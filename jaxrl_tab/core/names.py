@@ -7,6 +7,7 @@ Wherever one is named (in Python, on the command line, in a file), it may be
     package.module:Mine        the same in a module that can be imported
     gymnasium:FrozenLake-v1    an environment of another library
     mdp.npz                    a table that `FiniteMDP.save` wrote
+    tiger.POMDP                a file in Cassandra's format, also .MDP
 """
 
 import dataclasses
@@ -58,7 +59,7 @@ class Kind:
         add: puts a class into the registry.
         hint: what a message suggests in place of an unknown name.
         libraries: prefix of a name -> the class of what another library has under the rest of it.
-        table: the class of what is in an .npz file; None where there are no such files.
+        table: the class of what is in the file of a table; None where there are no such files.
     """
 
     noun: str
@@ -148,7 +149,7 @@ def find(kind: Kind, name: Any, base: Path | None = None, sha256: str | None = N
     prefix, _, rest = name.partition(":")
     if prefix in kind.libraries and rest:
         return Reference(name, kind.libraries[prefix](rest), rest)
-    if kind.table and name.endswith(".npz"):
+    if kind.table and modules.is_table(name):
         file = modules.of_checksum((base or Path()) / name, sha256)
         return Reference(name, kind.table(file), Path(name).stem, file)
     where, _, attribute = name.rpartition(":")
@@ -188,7 +189,7 @@ def is_from_outside(name: str) -> bool:
     """Whether a name has one of the forms of what is in no registry: a file, a module, another library."""
     prefix, _, rest = name.partition(":")
     libraries = {library for kind in KINDS for library in kind.libraries}
-    if name.endswith((".npz", ".py")) or name.rpartition(":")[0].endswith(".py"):
+    if modules.is_table(name) or name.endswith(".py") or name.rpartition(":")[0].endswith(".py"):
         return True
     return bool(rest and prefix in libraries) or _IN_MODULE.fullmatch(name) is not None
 

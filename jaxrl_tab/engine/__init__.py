@@ -28,4 +28,5 @@ Its modules, from the ground up:
     results     what a sweep gives, with named axes, and how it is saved
     sweep       a grid of hyperparameters times seeds, in one call
     offline     learning from a log, and logging a run
+    evaluation  what a log says about a policy that did not act, and about the one that did
 """

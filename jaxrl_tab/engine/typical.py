@@ -12,7 +12,7 @@ import numpy as np
 from jaxrl_tab.algorithms import prediction
 from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.dyna_q import DynaQ
-from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
+from jaxrl_tab.algorithms.n_step import Branching, NStepControl
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.traces import TraceControl
@@ -29,9 +29,10 @@ from jaxrl_tab.exact.model import Model
 WHOLE = (WholeReturns, prediction.MonteCarloPrediction, prediction.OffPolicyMonteCarloPrediction)
 METHODS: list[tuple[tuple[type, ...], float, float]] = [
     (WHOLE, 18, 0),
-    ((SarsaLambdaForward,), 22, 0),
+    ((SarsaLambdaForward, prediction.OfflineLambdaReturn), 22, 0),
     ((TraceControl, prediction.TDLambda), 8, 0.1),
-    ((NStepSarsa, prediction.NStepTD), 13, 0),
+    ((Branching,), 20, 0),
+    ((NStepControl, prediction.NStepTD), 13, 0),
     ((DoubleQLearning,), 9, 0),
     ((DynaQ,), 60, 0),
     ((PrioritizedSweeping,), 30, 4),

@@ -12,18 +12,28 @@ from jaxrl_tab.core.errors import nearest, shown
 from jaxrl_tab.envs.access_control import AccessControl
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
+from jaxrl_tab.envs.chain import Chain
 from jaxrl_tab.envs.changing_mazes import BlockingMaze, ShortcutMaze
 from jaxrl_tab.envs.cliff_walking import CliffWalking
+from jaxrl_tab.envs.deep_sea import DeepSea
 from jaxrl_tab.envs.easy21 import Easy21
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
+from jaxrl_tab.envs.gamblers_problem import GamblersProblem
+from jaxrl_tab.envs.garnet import Garnet
 from jaxrl_tab.envs.infinite_variance import InfiniteVariance
+from jaxrl_tab.envs.jacks_car_rental import JacksCarRental
 from jaxrl_tab.envs.k_armed_testbed import KArmedTestbed
 from jaxrl_tab.envs.maximization_bias import MaximizationBias
 from jaxrl_tab.envs.maze import FrozenLake, Maze
+from jaxrl_tab.envs.racetrack import Racetrack
 from jaxrl_tab.envs.random_walk import RandomWalk
+from jaxrl_tab.envs.recycling_robot import RecyclingRobot
+from jaxrl_tab.envs.river_swim import RiverSwim
 from jaxrl_tab.envs.short_corridor import ShortCorridor
+from jaxrl_tab.envs.taxi import Taxi
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.two_doors import TwoDoors
+from jaxrl_tab.envs.two_loops import TwoLoops
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
 
 ENVS: dict[str, type] = {
@@ -39,21 +49,32 @@ ENVS: dict[str, type] = {
     "infinite-variance": InfiniteVariance,
     "trace-gridworld": TraceGridworld,
     "access-control": AccessControl,
+    "two-loops": TwoLoops,
+    "chain": Chain,
+    "river-swim": RiverSwim,
+    "deep-sea": DeepSea,
+    "garnet": Garnet,
     "maze": Maze,
     "blocking-maze": BlockingMaze,
     "shortcut-maze": ShortcutMaze,
     "frozen-lake": FrozenLake,
+    "taxi": Taxi,
+    "racetrack": Racetrack,
+    "recycling-robot": RecyclingRobot,
+    "jacks-car-rental": JacksCarRental,
+    "gamblers-problem": GamblersProblem,
 }
 
 # What people look for under these names, without hyphens, as Gymnasium calls it.
-GYMNASIUM = {"frozenlake8x8": "FrozenLake8x8-v1", "taxi": "Taxi-v4"}
+GYMNASIUM = {"frozenlake8x8": "FrozenLake8x8-v1"}
 
 
 def make(name: str, **parameters: Any):
     """The environment of this name with its parameters: `make("windy-gridworld", moves="king")`.
 
     Args:
-        name: of ENVS, or from outside: "mine.py:MyEnv", "gymnasium:FrozenLake-v1", "mdp.npz" (see `core.names`).
+        name: of ENVS, or from outside: "mine.py:MyEnv", "gymnasium:FrozenLake-v1", "mdp.npz",
+            "tiger.POMDP" (see `core.names`).
         parameters: of the environment.
 
     Raises:
@@ -101,22 +122,32 @@ __all__ = [
     "AccessControl",
     "Blackjack",
     "BlockingMaze",
+    "Chain",
     "CliffWalking",
+    "DeepSea",
     "Easy21",
     "Finite",
     "FiniteMDP",
     "FixedStart",
     "FrozenLake",
+    "GamblersProblem",
+    "Garnet",
     "Grid",
     "InfiniteVariance",
+    "JacksCarRental",
     "KArmedTestbed",
     "MaximizationBias",
     "Maze",
+    "Racetrack",
     "RandomWalk",
+    "RecyclingRobot",
+    "RiverSwim",
     "ShortCorridor",
     "ShortcutMaze",
+    "Taxi",
     "TraceGridworld",
     "TwoDoors",
+    "TwoLoops",
     "WindyGridworld",
     "make",
 ]

@@ -37,6 +37,7 @@ class AccessControl(Finite):
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     num_actions = 2
+    continuing = True
 
     def __post_init__(self):
         if (shape := np.shape(self.priorities)) == () or not shape[-1]:

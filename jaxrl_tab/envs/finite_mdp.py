@@ -14,6 +14,7 @@ from jaxrl_tab.core.checks import TOLERANCE, assign, first, numbers
 from jaxrl_tab.core.errors import InputError, as_path, reason, shown, whole
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.envs import cassandra
 from jaxrl_tab.envs.base import MAX_STEPS, Finite
 from jaxrl_tab.envs.listed import (
     NAME,
@@ -57,6 +58,7 @@ class FiniteMDP(Finite):
         start_states: the states in which episodes may start, int32 [M].
         start_prob: their probabilities, float64 [M].
         max_steps: time limit of an episode, in steps.
+        discount: the discount rate that the file states from which this was read, if it does; see `load`.
 
     Raises:
         InputError: something given is wrong; the message names the first wrong (s, a) or state.
@@ -69,6 +71,7 @@ class FiniteMDP(Finite):
     start_states: Int[Array | np.ndarray, " M"]
     start_prob: Float[Array | np.ndarray, " M"]
     max_steps: int = static(default=MAX_STEPS)
+    discount: float | None = static(default=None)
 
     def __init__(
         self,
@@ -167,30 +170,48 @@ class FiniteMDP(Finite):
         if np.ndim(self.successors) != 3:
             raise refusal("a batch of environments cannot be saved; save them one by one")
         content = io.BytesIO()
-        arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in _SAVED}
+        names = [*_SAVED, *(["discount"] if self.discount is not None else [])]
+        arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in names}
         np.savez(content, **arrays)
         return content.getvalue()
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], data: bytes | None = None) -> "FiniteMDP":
-        """The table that `save` wrote; `data` is the content of the file, where it was read already.
+        """The table that `save` wrote, or one in Cassandra's format: a file whose name ends in .MDP or .POMDP.
+
+        A POMDP is read as its MDP, whose states are seen; rewards are averaged over what is observed. States and
+        actions are numbered as the file has them. A state that all actions lead back to for nothing, and in which no
+        episode starts, is terminal, if one can come to such a state from every start. (Their values are the same; for
+        learning it matters.) The file's discount rate is kept as `discount`, and nothing uses it: gamma belongs to the
+        method.
+
+        Args:
+            path: of the file.
+            data: its content, where it was read already.
 
         Raises:
-            InputError: there is no such file, or it holds no such table.
+            InputError: there is no such file, or it holds no such table; the message names the line of a text.
         """
         path = as_path("the file of a table", path)
         try:
-            with np.load(io.BytesIO(data if data is not None else path.read_bytes())) as arrays:
-                saved = {name: arrays[name] for name in _SAVED}
+            content = data if data is not None else path.read_bytes()
         except OSError as error:
             raise InputError(f"{path} cannot be read: {reason(error)}") from None
+        if cassandra.is_name(path.name):
+            read = cassandra.read(str(path), content)
+            fields = _fields(read.outcomes, read.is_terminal, read.start, MAX_STEPS)
+            return _made(FiniteMDP, fields | {"discount": read.discount})
+        try:
+            with np.load(io.BytesIO(content)) as arrays:
+                saved = {name: arrays[name] for name in _SAVED}
+                discount = float(arrays["discount"]) if "discount" in arrays else None
         except Exception as error:  # there is no end to what zipfile and NumPy raise where a file is damaged
             raise InputError(f"{path} is not a table that FiniteMDP.save wrote: {reason(error)}") from None
         try:
             _check_saved(saved)
         except InputError as error:
             raise InputError(f"{path} is not a table that FiniteMDP.save wrote: {error}") from None
-        return _made(FiniteMDP, saved | {"max_steps": int(saved["max_steps"])})
+        return _made(FiniteMDP, saved | {"max_steps": int(saved["max_steps"]), "discount": discount})
 
     @property
     def num_states(self) -> int:
@@ -199,6 +220,11 @@ class FiniteMDP(Finite):
     @property
     def num_actions(self) -> int:
         return self.successors.shape[-2]
+
+    @property
+    def continuing(self) -> bool:
+        """Whether no state is terminal; False inside a compiled program, which does not look."""
+        return isinstance(self.is_terminal, np.ndarray) and not self.is_terminal.any()
 
     def initial(self) -> Float[Array, " S"]:
         start_prob = jnp.asarray(self.start_prob, float)
@@ -212,6 +238,19 @@ class FiniteMDP(Finite):
         s_next = jnp.asarray(self.successors)[s, a]
         prob, reward = (jnp.asarray(x, float)[s, a] for x in (self.prob, self.reward))
         return prob, Outcome(s_next, reward, jnp.asarray(self.is_terminal)[s_next])
+
+
+def drawn(successors: Any, prob: Any, reward: Any, max_steps: int) -> FiniteMDP:
+    """A task that goes on for ever from state 0, of these arrays [S, A, K], traced ones as well; nothing is checked."""
+    fields = {
+        "successors": successors,
+        "prob": prob,
+        "reward": reward,
+        "max_steps": max_steps,
+        "discount": None,
+    }
+    start = {"start_states": np.zeros(1, np.int32), "start_prob": np.ones(1)}
+    return _made(FiniteMDP, fields | start | {"is_terminal": np.zeros(len(successors), bool)})
 
 
 def _made(cls: type[FiniteMDP], fields: Mapping[str, Any]) -> FiniteMDP:
@@ -237,6 +276,7 @@ def _fields(listed: Listed, is_terminal: Any, start_prob: Any, max_steps: Any) -
     successors[at], prob[at], reward[at] = listed.s_next, listed.prob / total, listed.reward
     start_states = np.flatnonzero(start_prob)
     return {
+        "discount": None,
         "successors": successors.reshape(shape).astype(np.int32),
         "prob": prob.reshape(shape),
         "reward": reward.reshape(shape),

@@ -4,6 +4,7 @@ Its modules, from the ground up:
 
     double      how exact numbers are traced: in float64, and one lane after another
     model       every outcome of every action in every state, and what leads where
+    systems     sparse linear systems
     values      the linear algebra of dynamic programming over a model
     given       values and policies as they are given, checked
     visits      how often a policy comes to each state

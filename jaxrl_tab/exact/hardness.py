@@ -11,7 +11,8 @@ from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.given import checked_policy
 from jaxrl_tab.exact.model import Model, backup, exact_model, reachable, terminal_states, with_sizes
 from jaxrl_tab.exact.optimum import solved, unless
-from jaxrl_tab.exact.values import ROUNDING, any_action, fate, policy_values, sparse_solver
+from jaxrl_tab.exact.systems import sparse_solver
+from jaxrl_tab.exact.values import ROUNDING, any_action, fate, policy_values
 from jaxrl_tab.exact.visits import entered, occupancy
 
 MOST_STATES = 1000  # of which all this takes seconds, at most half a minute

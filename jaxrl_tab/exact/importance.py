@@ -117,7 +117,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
     """
     check_within("gamma", gamma, RATE)
     planning.check_finite(env)
-    pi, b = _probabilities(target, behaviour, (env.num_states, env.num_actions))
+    pi, b = both_policies(target, behaviour, (env.num_states, env.num_actions))
     model = planning.exact_model(env)
     if model.available is not None:
         for name, probabilities in (("target", pi), ("behaviour", b)):
@@ -131,7 +131,7 @@ def _variances(env: Environment, target: Any, behaviour: Any, gamma: float) -> t
             "that ends, such as a mixture with the behaviour policy"
         )
     pi = np.where(endless[:, None], 0, pi)  # left out of all sums, for no other state leads there
-    rho = _ratio(pi, b)
+    rho = ratio_of_actions(pi, b)
     r, onward = model.reward, model.prob * ~model.terminal  # onward: the outcomes that do not end the episode
     chain = planning.from_state_to_state(model, pi[:, :, None] * onward)
     squared = planning.from_state_to_state(model, (pi * rho)[:, :, None] * onward)
@@ -277,9 +277,9 @@ def ratios(experience: Experience, target: Any, behaviour: Any) -> Float[np.ndar
             f"experience must be an Experience, as Experience.from_episodes or collect give it, not "
             f"{type(experience).__name__}"
         )
-    pi, b = _probabilities(target, behaviour)
+    pi, b = both_policies(target, behaviour)
     experience.check(*b.shape, behaviour=Table(b))
-    rho = _ratio(pi, b)[experience.s, experience.a]
+    rho = ratio_of_actions(pi, b)[experience.s, experience.a]
     ends = np.flatnonzero(experience.last)
     return np.multiply.reduceat(rho, np.append(0, ends[:-1] + 1))
 
@@ -323,7 +323,7 @@ def diagnose(experience: Experience, target: Any, behaviour: Any) -> Diagnosis:
 # --- policies ----------------------------------------------------------------------------------------
 
 
-def _probabilities(
+def both_policies(
     target: Any, behaviour: Any, shape: tuple[int, int] | None = None
 ) -> tuple[Float[np.ndarray, "S A"], Float[np.ndarray, "S A"]]:
     """The probabilities of both policies, float64, checked; of this shape, or else both of the same."""
@@ -334,6 +334,6 @@ def _probabilities(
     return pi / pi.sum(1, keepdims=True), b / b.sum(1, keepdims=True)
 
 
-def _ratio(pi: Float[np.ndarray, "S A"], b: Float[np.ndarray, "S A"]) -> Float[np.ndarray, "S A"]:
+def ratio_of_actions(pi: Float[np.ndarray, "S A"], b: Float[np.ndarray, "S A"]) -> Float[np.ndarray, "S A"]:
     """pi / b; 0 where both are 0."""
     return np.divide(pi, b, out=np.zeros_like(b), where=b > 0)

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxrl_tab.core.checks import first
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact.model import (
@@ -44,8 +45,10 @@ def solved(env: Environment, epsilon: float, gamma: float) -> tuple[Model, Round
             if last.n
             else f"no {who}policy ever ends and rewards go on"
         )
+        rate = of_environment(env).discount
+        own = f", as the {rate:g} that its source states" if rate not in (None, 1) else ""
         raise InputError(
-            f"{where} {why}, so at gamma = 1 the optimal value is not finite; take gamma below 1"
+            f"{where} {why}, so at gamma = 1 the optimal value is not finite; take gamma below 1{own}"
         )
     if last.better.any():
         raise InputError(f"{name_of(env)}: policy iteration did not settle in {MAX_ROUNDS} rounds")

@@ -54,12 +54,12 @@ from jaxrl_tab.exact.model import (
 )
 from jaxrl_tab.exact.optimum import rounding, solved, unless
 from jaxrl_tab.exact.soft import Soft, soft_value_iteration
+from jaxrl_tab.exact.systems import sparse_solver
 from jaxrl_tab.exact.values import (
     from_start,
     greedy_to,
     largest,
     policy_values,
-    sparse_solver,
 )
 from jaxrl_tab.exact.visits import entered, occupancy, regret, stationary_distribution
 

@@ -1,6 +1,5 @@
 """The values of policies in a model, and the best policy: the linear algebra of dynamic programming."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -21,6 +20,7 @@ from jaxrl_tab.exact.model import (
     while_loop,
     with_sizes,
 )
+from jaxrl_tab.exact.systems import sparse_solver
 
 ROUNDING = 16  # an action is better if it is so by more than this many units of rounding, see `_Values`
 MAX_ROUNDS = 1000  # of policy iteration; tens are usual
@@ -121,23 +121,6 @@ def _solve(model: Model, probs: Any, gamma: Any, is_zero: Bool[Any, " S"]) -> tu
     # differences of neighbours, so that it keeps its digits where a chain goes on for long.
     v = v + solve(reward - leaving * v + (onward * (v[model.s_next] - v[:, None, None])).sum((1, 2)))
     return v, abs(v) + solve(earned + chain @ abs(v))
-
-
-def sparse_solver(matrix: Any) -> Callable[[Float[np.ndarray, " S"]], Float[np.ndarray, " S"]]:
-    """A function that solves x = constant + matrix x for x [S]; NaN where that has no one solution.
-
-    `matrix` is sparse [S, S], without negative entries. Rows are not exchanged.
-    """
-    from scipy import sparse
-    from scipy.sparse.linalg import splu
-
-    n = matrix.shape[0]
-    system = sparse.csc_array(sparse.eye_array(n, format="csc") - matrix)
-    in_place = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    try:
-        return splu(system, **in_place).solve
-    except RuntimeError:  # "Factor is exactly singular"
-        return lambda constant: np.full(n, np.nan)
 
 
 @in_turn

@@ -24,7 +24,8 @@ from jaxrl_tab.exact.model import (
     spread,
     terminal_states,
 )
-from jaxrl_tab.exact.values import fate, sparse_solver
+from jaxrl_tab.exact.systems import sparse_solver
+from jaxrl_tab.exact.values import fate
 
 DENSE = 200  # states, up to which a matrix with all its zeros is the quicker one
 

@@ -139,7 +139,7 @@ def _is_program(file: File) -> bool:
 
 def _is_module(name: str) -> bool:
     """Whether it names something in a module, which is imported and not loaded from its copy."""
-    return not name.endswith(".npz") and not name.rpartition(":")[0].endswith(".py")
+    return not modules.is_table(name) and not name.rpartition(":")[0].endswith(".py")
 
 
 def _is_entry(entry: Any) -> bool:

@@ -11,15 +11,18 @@ def state_names(env: Environment) -> Callable[[int], str]:
     """A function from the number of a state to its name.
 
     That is the cell "(3, 0)" in a grid; "player 13, dealer shows 2, usable ace" where people see the states in
-    tables; elsewhere the number itself. The terminal state that is in none of the tables is "end".
+    tables; elsewhere what the environment calls it, or the number itself. The terminal state that is in none of the
+    tables is "end".
     """
     if isinstance(env, Grid):
         return lambda s: str(divmod(s, env.shape[1]))
-    panels = of_environment(env).panels()
-    if not panels:
-        return str
+    declared = of_environment(env)
+    if not (panels := declared.panels()):
+        return declared.state_name or str
     names = {
-        int(s): ", ".join(filter(None, [f"{panel.down} {row}", f"{panel.along} {column}", panel.title]))
+        int(s): ", ".join(
+            filter(None, [f"{panel.down} {row}".strip(), f"{panel.along} {column}", panel.title])
+        )
         for panel in panels
         for row, of_row in zip(panel.rows, panel.states, strict=True)
         for column, s in zip(panel.columns, of_row, strict=True)

@@ -176,6 +176,19 @@ def bootstrap_interval(
     return Interval(*along(x, dim if within is None else (within, dim), of, RESAMPLES))
 
 
+def statistic_bounds(
+    of: Callable[[np.ndarray], np.ndarray], n: int, error: float, confidence: float
+) -> np.ndarray:
+    """Bounds, [2], of how far a statistic of n values is off, from what it is in resamples less what it is, `of`.
+
+    `of` takes weights [B, n] of the values and gives [B]. Of thousands of values, where a bootstrap would only take
+    long, bounds are those of a normal distribution with the standard error that is given.
+    """
+    if len(blocks(RESAMPLES, n)) > 1:
+        return error * special.ndtri(tail_probabilities(confidence))
+    return _percentiles(resampled(n, of)[None], n, 1, n - 1, confidence)[:, 0]
+
+
 def _percentiles(resampled: np.ndarray, n: int, strata: int, degrees: float, confidence: float) -> np.ndarray:
     """Bounds, [2, c], from what resamples of n values gave, [c, resamples]; NaN where n is too small."""
     if n <= strata:
