@@ -37,7 +37,6 @@ from jaxrl_tab.algorithms import (
     Sarsa,
     SarsaLambda,
     SarsaLambdaForward,
-    SpeedyQLearning,
     TargetQLearning,
     TreeBackup,
     TreeBackupLambda,
