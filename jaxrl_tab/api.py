@@ -165,7 +165,6 @@ __all__ = [
     "SarsaLambda",
     "SarsaLambdaForward",
     "ShortCorridor",
-    "SpeedyQLearning",
     "SweepResult",
     "TargetQLearning",
     "TraceGridworld",

@@ -41,14 +41,13 @@ def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
     Also shapes and dtypes; and the lanes are different runs.
     """
     env = rl.make(env_name)
-    # Where gamma^t weighs what is learned, gamma must stay in its range.
-    kept = {"gamma"} if hasattr(rl.ALGORITHMS[method], "theta0") else set()
 
     def run(seeds):
         algorithm = rl.ALGORITHMS[method]()
-        near = lambda path, x: x if path[-1].name in kept else x + 0.01 * seeds
-        many = jax.tree_util.tree_map_with_path(near, algorithm)
-        many = jax.tree.map(lambda x: np.broadcast_to(np.float32(x), seeds.shape), many)
+        # Each lane has other hyperparameters; but what weighs later steps must not come to be above 1.
+        down = {"gamma", "lam", "lam_v"}
+        near = lambda path, x: x + 0.01 * (-seeds if path[-1].name in down else seeds)
+        many = jax.tree_util.tree_map_with_path(lambda *leaf: near(*leaf).astype(np.float32), algorithm)
         budget = Budget(num_steps=200, num_episodes=None, log_every=100, exact=False)
         return batches.run(env, many, seeds, budget)
 
