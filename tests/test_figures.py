@@ -157,6 +157,8 @@ LONG = {
     "bandit-parameters",
     "reinforce",
 }
+    "deep-sea",
+}  # several programs of methods that take a while to compile
 
 
 @pytest.mark.parametrize(
