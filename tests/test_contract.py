@@ -59,7 +59,9 @@ def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
     assert all(x.shape == (200, 2) for x in jax.tree.leaves(log))
     assert [x.dtype for x in log[:5]] == [jnp.int32, jnp.int32, jnp.float32, jnp.int32, jnp.float32]
     assert (log.steps == 100).all()
-    assert any(not np.array_equal(x[0], x[1]) for x in jax.tree.leaves((q, log)))
+    assert any(
+        (x != x[:1]).any() for x in jax.tree.leaves((q, log))
+    )  # in some mazes few runs come to a reward
 
 
 @pytest.mark.parametrize("name", rl.ENVS)

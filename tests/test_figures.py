@@ -148,7 +148,11 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
-LONG = {"changing-mazes", "prioritized-sweeping"}  # several programs of methods that take a while to compile
+LONG = {
+    "deep-sea",
+    "changing-mazes",
+    "prioritized-sweeping",
+}  # several programs of methods that take a while to compile
 
 
 @pytest.mark.parametrize(
