@@ -156,9 +156,8 @@ LONG = {
     "gradient-bandit",
     "bandit-parameters",
     "reinforce",
-}
     "deep-sea",
-}  # several programs of methods that take a while to compile
+}
 
 
 @pytest.mark.parametrize(
