@@ -148,7 +148,16 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
-LONG = {"changing-mazes", "prioritized-sweeping"}  # several programs of methods that take a while to compile
+# Several programs that take a while to compile.
+LONG = {
+    "changing-mazes",
+    "prioritized-sweeping",
+    "upper-confidence-bounds",
+    "gradient-bandit",
+    "bandit-parameters",
+    "reinforce",
+    "deep-sea",
+}
 
 
 @pytest.mark.parametrize(
