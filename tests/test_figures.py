@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import xarray as xr
+from marks import slow_but
 from matplotlib.text import Text
 
 from jaxrl_tab import plot
@@ -138,7 +139,12 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
-@pytest.mark.parametrize("name", [name for name in FIGURES if name not in {*IN_FULL, *BY_HAND}])
+LONG = {"changing-mazes", "prioritized-sweeping"}  # several programs of methods that take a while to compile
+
+
+@pytest.mark.parametrize(
+    "name", slow_but({*FIGURES} - LONG, [x for x in FIGURES if x not in {*IN_FULL, *BY_HAND}])
+)
 def test_the_figure_runs_is_drawn_and_has_its_numbers(name, tmp_path):
     """In a trial run: of two seeds, say, so of no worth, but all is there."""
     figure = small(FIGURES[name])

@@ -5,8 +5,11 @@ from jaxrl_tab.figures import (
     bias_variance,
     blackjack,
     blackjack_regret,
+    changing_mazes,
     cliff_alpha,
     cliff_walking,
+    dyna_maze,
+    expected_or_sample,
     gpi,
     how_often,
     importance_sampling,
@@ -15,10 +18,12 @@ from jaxrl_tab.figures import (
     lambda_arrows,
     maximization_bias,
     online_lambda,
+    prioritized_sweeping,
     q_sigma,
     time_step,
     trace,
     trace_gridworld,
+    trajectory_sampling,
     two_doors,
     windy_gridworld,
 )
@@ -45,6 +50,11 @@ FIGURES = {
     "initial-q": initial_q.FIGURE,
     "access-control": access_control.FIGURE,
     "importance-sampling": importance_sampling.FIGURE,
+    "dyna-maze": dyna_maze.FIGURE,
+    "changing-mazes": changing_mazes.FIGURE,
+    "prioritized-sweeping": prioritized_sweeping.FIGURE,
+    "expected-or-sample": expected_or_sample.FIGURE,
+    "trajectory-sampling": trajectory_sampling.FIGURE,
 }
 
 __all__ = ["FIGURES", "Check", "Figure", "Number", "swept"]

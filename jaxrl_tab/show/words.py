@@ -126,6 +126,8 @@ TITLES = {
     "retrace": "Retrace(λ)",
     "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
     "q-learning": "Q-learning",
+    "dyna-q": "Dyna-Q",
+    "dyna-q-plus": "Dyna-Q+",
     "q-learning-target": "Q-learning of a target policy",
     "double-q-learning": "Double Q-learning",
     "q-lambda": "Q(λ)",
@@ -154,6 +156,8 @@ SYMBOLS = {
     "alpha_v": "α_v",
     "lam_v": "λ_v",
     "theta0": "θ0",
+    "theta": "θ",
+    "kappa": "κ",
 }
 
 
