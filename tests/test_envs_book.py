@@ -13,6 +13,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning
 from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.envs.racetrack import TRACKS
+from jaxrl_tab.figures import FIGURES
 from jaxrl_tab.show.states import state_names
 
 
@@ -318,9 +319,22 @@ def test_a_state_says_where_the_car_is_and_how_fast():
     """Broken once: the name not asked for -> fails."""
     env = rl.make("racetrack")
     names = state_names(env)
-    assert names(env.state(20, 3, 2, 1)) == "(20, 3), speed ↑2 →1" and names(env.num_states - 1) == "finish"
+    assert names(env.state(28, 4, 2, 0)) == "(28, 4), speed ↑2 →0" and names(env.num_states - 1) == "finish"
 
 
 def test_no_car_is_off_the_track():
     with pytest.raises(rl.InputError, match=r"Racetrack: no car can come to \(0, 0\) with velocity \(0, 0\)"):
         rl.make("racetrack").state(0, 0)
+
+
+# --- the figures -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["state-values", "gamblers-problem", "recycling-robot"])
+def test_the_numbers_of_the_book_come_out(name):
+    """All of them, and what is printed as well. (Those that take longer: test_figures.)"""
+    figure = FIGURES[name]
+    datasets = {key: run(lambda state: None) for key, run in figure.experiment().items()}
+    for number in figure.numbers:
+        check = number.check(datasets)
+        assert check.ok and check.reproduces is not False, check
