@@ -116,6 +116,7 @@ BY_HAND = (
     "online-lambda",
     "q-sigma",
     "importance-sampling",
+    "blackjack-values",
     "blackjack",
     "blackjack-regret",
     "time-step",
