@@ -53,7 +53,7 @@ OUTSIDE = {
     "actions": [1],
     "branching": [0],
     "size": [1],
-    "seed": [-1],
+    "number": [-1],
     "short": [0],
     "long": [0],
     "max_steps": [0],

@@ -101,6 +101,9 @@ IN_FULL = {
     "cliff-walking": {"num_seeds": 200},
     "k-armed-testbed": {"num_problems": 1000},
     "maximization-bias": {"num_seeds": 1000},
+    "noisy-grid": {"num_seeds": 1000},
+    "speedy": {},
+    "access-control": {},
     "lambda-arrows": {},
     "state-values": {},
     "gamblers-problem": {},
@@ -114,9 +117,9 @@ IN_FULL = {
 BY_HAND = (
     "bias-variance",
     "online-lambda",
+    "replacing-traces",
     "q-sigma",
     "importance-sampling",
-    "blackjack-values",
     "blackjack",
     "blackjack-regret",
     "time-step",
@@ -145,7 +148,7 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
-LONG = {"changing-mazes", "prioritized-sweeping"}  # several programs of methods that take a while to compile
+LONG = {"changing-mazes", "prioritized-sweeping", "blackjack-values"}  # several programs of methods that take a while to compile
 
 
 @pytest.mark.parametrize(

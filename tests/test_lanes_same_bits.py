@@ -105,7 +105,6 @@ CASES = {
     "weighted-double-q-learning": Case("k-armed-testbed", "weighted-double-q-learning", ALPHAS),
     "maxmin-q-learning": Case("frozen-lake", "maxmin-q-learning", ALPHAS | {"tables": 3}),
     "hysteretic-q-learning": Case("windy-gridworld", "hysteretic-q-learning", ALPHAS),
-    "speedy-q-learning": Case("windy-gridworld", "speedy-q-learning"),
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
     "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),

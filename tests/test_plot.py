@@ -257,6 +257,14 @@ def test_names_are_as_people_write_them():
         title = words.title_of(name)
         assert title[0].isupper() or title[:2] in ("n-", "k-")
         assert "_" not in title
+        # Broken once: each part of a name in lower case -> fails.
+        assert not re.search("q learning|sarsa|lambda|monte carlo|td\\b", title), title
+    titles = {
+        "true-online-sarsa-lambda": "True online Sarsa(λ)",
+        "n-step-expected-sarsa": "n-step Expected Sarsa",
+    }
+    for name, title in titles.items():
+        assert words.title_of(name) == title
     assert words.title_of("windy-gridworld,moves=king") == "Windy gridworld,moves=king"
     assert words.title_of("my-own") == "my-own"
 
@@ -338,6 +346,14 @@ def test_panels_show_values_and_actions_where_people_see_the_states():
     at = {text.get_position(): text.get_text() for text in hard.texts}
     assert at[0, 5] == f"−{abs(v[env.state(16, 1)]):.2f}\nhit".replace("0.", ".")
     assert at[2, 5].endswith("stick")
+
+
+def test_panels_that_do_not_fit_side_by_side_lie_in_lines():
+    """Broken once: what is spare left in -> fails."""
+    drawn, grid = plot.panels_canvas(rl.make("blackjack", rules="natural"), 2)
+    assert grid.shape == (2, 3) and len(drawn.axes) == 6
+    lines = [[ax.get_subplotspec().rowspan.start for ax in row] for row in grid]
+    assert lines == [[0, 0, 1], [2, 2, 3]]
 
 
 def test_of_card_games_what_was_learned_stands_above_what_is_exact(unwritten):

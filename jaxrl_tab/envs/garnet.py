@@ -25,13 +25,13 @@ class Garnet(FixedStart):
     pieces of a stick that is broken at random places; the reward of the action is drawn from N(0, 1). Episodes start
     in state 0. (What is non-stationary, states that are drawn anew while a run goes on, is left out, as it mostly is.)
 
-    All runs have the task that `seed` gives, or, with `own`, each draws its own from its key.
+    All runs have the task of this `number`, or, with `own`, each draws its own from its key.
     """
 
     states: int = static(default=30, at_least=2, help="Number of states.")
     actions: int = static(default=4, at_least=2, help="Number of actions.")
     branching: int = static(default=2, at_least=1, help="To how many states an action may lead.")
-    seed: int = static(default=0, at_least=0, help="Which task it is.")
+    number: int = static(default=0, at_least=0, help="Which task it is: its seed.")
     own: bool = static(default=False, help="Whether each run draws a task of its own.")
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
@@ -67,7 +67,7 @@ class Garnet(FixedStart):
         return drawn(*_task(jnp, self.states, *numbers), max_steps=self.max_steps)
 
     def outcomes(self, s: Int[Array, ""], a: Int[Array, ""]) -> tuple[Float[Array, " K"], Outcome]:
-        s_next, prob, reward = _of_seed(self.states, self.actions, self.branching, self.seed)
+        s_next, prob, reward = _of_seed(self.states, self.actions, self.branching, self.number)
         prob, reward = (jnp.asarray(x, float)[s, a] for x in (prob, reward))
         return prob, Outcome(jnp.asarray(s_next)[s, a], reward, jnp.zeros(self.branching, bool))
 

@@ -101,6 +101,7 @@ function panelStage(c, box, m, tables) {
   const cells = [];
   const exact = c.exact && ((s) => worth(c.exactOf(s)));
   const letters = lettersOf(scene.actions);
+  const largest = scene.panels.length > 3 ? 0.85 : 1.1; // so that two of many are side by side
   for (const panel of scene.panels) {
     const rows = panel.states.length;
     const columns = panel.columns.length;
@@ -118,8 +119,8 @@ function panelStage(c, box, m, tables) {
       box,
     );
     const wide = left + columns * size + 4;
-    svg.style.maxWidth = `${wide * 1.1}px`;
-    const scale = Math.min(1.1, (box.clientWidth || 500) / wide);
+    svg.style.maxWidth = `${wide * largest}px`;
+    const scale = Math.min(largest, (box.clientWidth || 500) / wide);
     const type = typeIn(size * scale);
     svg.style.setProperty("--number", `${type.size / scale}px`);
     svg.style.setProperty("--tick", `${Math.max(12, 10 / scale)}px`);
