@@ -148,7 +148,17 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
-LONG = {"changing-mazes", "prioritized-sweeping", "blackjack-values"}  # several programs of methods that take a while to compile
+# Several programs that take a while to compile.
+LONG = {
+    "changing-mazes",
+    "prioritized-sweeping",
+    "blackjack-values",
+    "upper-confidence-bounds",
+    "gradient-bandit",
+    "bandit-parameters",
+    "reinforce",
+    "deep-sea",
+}
 
 
 @pytest.mark.parametrize(
