@@ -157,6 +157,7 @@ LONG = {
     "bandit-parameters",
     "reinforce",
     "deep-sea",
+    "river-swim",
 }
 
 
