@@ -148,11 +148,16 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
+# Several programs that take a while to compile.
 LONG = {
-    "deep-sea",
     "changing-mazes",
     "prioritized-sweeping",
-}  # several programs of methods that take a while to compile
+    "upper-confidence-bounds",
+    "gradient-bandit",
+    "bandit-parameters",
+    "reinforce",
+    "deep-sea",
+}
 
 
 @pytest.mark.parametrize(

@@ -112,6 +112,7 @@ CASES = {
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
     "gradient-bandit": Case("k-armed-testbed", "gradient-bandit", ALPHAS, episodes=20),
     "reinforce": Case("two-doors", "reinforce", ALPHAS, episodes=20),
+    "groups of states": Case("short-corridor", "actor-critic-lambda", ALPHAS | {"groups": "0,0,0,1"}),
     "reinforce-baseline": Case(
         "random-walk", "reinforce-baseline", ALPHAS | {"alpha_v": AVERAGE}, episodes=8
     ),
