@@ -158,6 +158,7 @@ LONG = {
     "bandit-parameters",
     "reinforce",
     "deep-sea",
+    "river-swim",
 }
 
 
