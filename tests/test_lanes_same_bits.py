@@ -108,6 +108,7 @@ CASES = {
     "speedy-q-learning": Case("windy-gridworld", "speedy-q-learning"),
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
     "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
+    "r-max": Case("two-doors", "r-max", {"q0": 5.0, "m": [2.0, 3.0], "sweeps": 9}),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
     "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),

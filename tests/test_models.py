@@ -10,6 +10,7 @@ from test_one_step import ALPHAS, EPSILON, words_of_updates
 from test_reference import GAMMAS, STEPS, env_and_task, initial_tables, uniforms, words_of
 
 import jaxrl_tab as rl
+from jaxrl_tab import planning
 from jaxrl_tab.core import policies, rng
 
 
@@ -36,10 +37,15 @@ METHODS = {
         {"planning_steps": 3, "theta": 0.25},
         lambda key, *args: reference.PrioritizedSweeping(*args, n=3, theta=0.25),
     ),
+    "r-max": (
+        rl.RMax,
+        {"m": 3, "sweeps": 9},
+        lambda key, *args: reference.RMax(*args, m=3, sweeps=9),
+    ),
 }
 
 
-@pytest.mark.parametrize("name", slow_but(["dyna-q-plus", "prioritized-sweeping"], METHODS))
+@pytest.mark.parametrize("name", slow_but(["dyna-q-plus", "prioritized-sweeping", "r-max"], METHODS))
 def test_every_step_agrees_with_the_plain_loop(name):
     """In a random task, whose last outcomes change. Broken once: a state is twice in the list; a lower priority
     replaces a higher one -> fails.
@@ -77,3 +83,15 @@ def test_below_draws_each_number_alike_and_never_the_count():
         drawn = np.asarray(jax.vmap(lambda w, n=count: policies.below(rng.as_key(w), jnp.int32(n)))(words))
         assert drawn.min() >= 0 and drawn[-1] == count - 1 == drawn.max()
         assert abs(drawn.mean() - (count - 1) / 2) <= 4 * count / np.sqrt(12 * len(words))
+
+
+def test_r_max_swims_up_the_river_where_others_stay_at_the_bank():
+    """Broken once: nothing is known before all is; unknown pairs are worth nothing -> fails."""
+    env, budget = rl.make("river-swim"), {"num_seeds": 20, "num_steps": 6000, "log_every": 3000}
+    best = planning.start_value(env, planning.value_iteration(env, 0.95)[0])
+    r_max = rl.sweep(env, "r-max", {"q0": 20 * best, "m": 30, "gamma": 0.95}, **budget)
+    earned = [
+        np.asarray(r.log.rewards)[..., -1]
+        for r in (r_max, rl.sweep(env, "q-learning", {"gamma": 0.95}, **budget))
+    ]
+    assert np.median(earned[0]) > 20 * np.median(earned[1])

@@ -128,6 +128,7 @@ TITLES = {
     "q-learning": "Q-learning",
     "dyna-q": "Dyna-Q",
     "dyna-q-plus": "Dyna-Q+",
+    "r-max": "R-max",
     "q-learning-target": "Q-learning of a target policy",
     "double-q-learning": "Double Q-learning",
     "q-lambda": "Q(λ)",
