@@ -55,7 +55,17 @@ class Mean:
 
 def test_texts_in_own_classes_are_the_declaration():
     declared = of_method(Mean())
-    assert declared == (Learns.ACTIONS, LearnsFrom.TRANSITIONS_OF_B, False, False, False, None, None)
+    assert declared == (
+        Learns.ACTIONS,
+        LearnsFrom.TRANSITIONS_OF_B,
+        False,
+        False,
+        False,
+        False,
+        (),
+        None,
+        None,
+    )
     log = rl.Experience(s=[0], a=[0], r=[2.0], s_next=[1], terminal=[True])
     with pytest.raises(rl.InputError, match="Mean weighs what it learns by the policy that acted"):
         rl.learn(jax.random.key(0), Mean(), log, 2, 1)

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from jaxrl_tab.core import rng
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import FiniteEnvironment, Outcome
 from jaxrl_tab.envs import ENVS, AccessControl, CliffWalking, FiniteMDP, RandomWalk, WindyGridworld, make
@@ -30,6 +31,9 @@ START = (0.125, 0, 0.875, 0)
 
 ENVIRONMENTS = {
     **{name: make(name) for name in ENVS},
+    "osband's river": make("river-swim", variant="osband", states=4),
+    "one right": make("deep-sea", size=4, random=False),
+    "garnets": make("garnet", own=True, states=9, branching=3),
     "access-control": AccessControl(servers=2, free=0.5),  # of ten, many outcomes are too rare to be counted
     "king": WindyGridworld(moves="king"),
     "king+stay": WindyGridworld(moves="king+stay"),
@@ -45,7 +49,7 @@ ENVIRONMENTS = {
     "racetrack": make("racetrack", map=["#..G", "...G", "SS##"]),
     "gamblers-problem": make("gamblers-problem", goal=9, p_h=0.3),
 }
-CONTINUING = {"access-control", "jacks-car-rental", "recycling-robot"}
+CONTINUING = {name for name, env in ENVIRONMENTS.items() if of_environment(env).continuing}
 every_environment = pytest.mark.parametrize("name", ENVIRONMENTS)
 
 

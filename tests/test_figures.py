@@ -102,6 +102,11 @@ IN_FULL = {
     "k-armed-testbed": {"num_problems": 1000},
     "maximization-bias": {"num_seeds": 1000},
     "lambda-arrows": {},
+    "state-values": {},
+    "gamblers-problem": {},
+    "jacks-car-rental": {},
+    "racetrack": {},
+    "recycling-robot": {},
 }
 # These need many programs, or many games, to be drawn at all, which takes minutes. What they are made of and
 # show is tested in test_figure_experiments, test_figures_lecture, test_n_step and test_importance; `figure --all`
@@ -109,6 +114,7 @@ IN_FULL = {
 BY_HAND = (
     "bias-variance",
     "online-lambda",
+    "replacing-traces",
     "q-sigma",
     "importance-sampling",
     "blackjack",

@@ -15,7 +15,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import cli, planning
 from jaxrl_tab.envs import FiniteMDP
 from jaxrl_tab.envs.base import MAX_STEPS
-from jaxrl_tab.interop import from_gymnasium, make, to_gymnasium
+from jaxrl_tab.interop import from_gymnasium, make, pictures, to_gymnasium
 from jaxrl_tab.interop.gymnasium import HARMLESS
 
 SLIPPERY = {"desc": ["SFF", "FHF", "FFG"], "success_rate": 0.5}
@@ -483,3 +483,45 @@ def test_actions_that_are_not_there_are_said_and_do_what_the_first_one_does():
     assert info["action_mask"].all()
     with_all = to_gymnasium(rl.make("cliff-walking"))
     assert with_all.reset(seed=0)[1] == {}
+
+
+# --- registered there ---------------------------------------------------------------------------------
+
+
+def test_ours_are_registered_with_their_parameters():
+    """Each under the name of its class; the table is ours, also where Gymnasium's wrappers are around it."""
+    there = {name for name in gymnasium.registry if name.startswith("jaxrl_tab/")}
+    assert there == {f"jaxrl_tab/{cls.__name__}-v0" for cls in rl.ENVS.values()}
+    env = gymnasium.make("jaxrl_tab/WindyGridworld-v0", moves="king", render_mode="ansi")
+    v, _ = planning.value_iteration(from_gymnasium(env))
+    assert v[30] == -7
+    assert (env.spec.id, env.unwrapped.initial_state_distrib[30]) == ("jaxrl_tab/WindyGridworld-v0", 1)
+    with pytest.raises(rl.InputError, match="windy-gridworld: moves 'queen' is unknown"):
+        gymnasium.make("jaxrl_tab/WindyGridworld-v0", moves="queen")
+    with pytest.raises(rl.InputError, match="render_mode 'human' is unknown"):
+        to_gymnasium(rl.make("chain"), "human")
+
+
+def test_a_grid_is_rendered_with_the_agent_in_it():
+    """In characters; and in pixels, of 32 a cell."""
+    grid = {"map": ["S.#", "..G"], "disable_env_checker": True}
+    env = gymnasium.make("jaxrl_tab/Maze-v0", render_mode="ansi", **grid)
+    env.reset(seed=0)
+    assert env.render() == "state 0 of 6\n[S] .  #\n .  .  G\n"
+    env.step(1)
+    assert env.render() == "state 1 of 6, after →\n S [.] #\n .  .  G\n"
+    env = gymnasium.make("jaxrl_tab/Maze-v0", render_mode="rgb_array", **grid)
+    env.reset(seed=0)
+    env.step(1)
+    middle = env.render()[16::32, 16::32]
+    assert middle.shape == (2, 3, 3) and len(np.unique(middle.reshape(6, 3), axis=0)) == 5
+    assert (middle[0, 1] == pictures.AGENT).all() and (middle[0, 2] == pictures.WALL).all()
+
+
+@pytest.mark.parametrize("name", ["blackjack", "river-swim", "deep-sea", "cliff-walking"])
+def test_each_state_has_its_place_in_a_picture(name):
+    env = rl.make(name)
+    shown = pictures.places(env)
+    assert sorted(shown[shown >= 0]) == list(range(env.num_states))
+    images = {pictures.pixels(env, s).tobytes() for s in range(6)}
+    assert len(images) == 6

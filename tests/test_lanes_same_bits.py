@@ -133,6 +133,13 @@ CASES = {
     "monte-carlo-prediction": Case("blackjack", "monte-carlo-prediction", episodes=20),
     "off-policy-td": Case("jacks-car-rental", "off-policy-td", ALPHAS | {"gamma": 0.9}),
     "off-policy-monte-carlo-prediction": Case("two-doors", "off-policy-monte-carlo-prediction", episodes=20),
+    "one task for each run": Case(
+        rl.make("garnet", own=True, states=6), "q-learning", ALPHAS | {"gamma": 0.9}
+    ),
+    **{
+        name: Case(name, "q-learning", ALPHAS | {"gamma": 0.9})
+        for name in ("river-swim", "chain", "two-loops", "deep-sea", "garnet")
+    },
     # policies and schedules
     "greedy": Case("gamblers-problem", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
     "softmax": Case("recycling-robot", "expected-sarsa", {"behaviour": policies.Softmax(0.3), "gamma": 0.9}),

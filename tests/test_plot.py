@@ -340,6 +340,14 @@ def test_panels_show_values_and_actions_where_people_see_the_states():
     assert at[2, 5].endswith("stick")
 
 
+def test_panels_that_do_not_fit_side_by_side_lie_in_lines():
+    """Broken once: what is spare left in -> fails."""
+    drawn, grid = plot.panels_canvas(rl.make("blackjack", rules="natural"), 2)
+    assert grid.shape == (2, 3) and len(drawn.axes) == 6
+    lines = [[ax.get_subplotspec().rowspan.start for ax in row] for row in grid]
+    assert lines == [[0, 0, 1], [2, 2, 3]]
+
+
 def test_of_card_games_what_was_learned_stands_above_what_is_exact(unwritten):
     env = rl.make("easy21")
     q = rl.planning.value_iteration(env)[1]

@@ -24,7 +24,7 @@ class OffPolicyControl(TDControl):
     target: Policy | None = field(
         default=None,
         help="The policy that is learned about (see `policies`); if not given the greedy one, in Expected "
-        "Sarsa the one that acts.",
+        "Sarsa and Q(sigma) the one that acts.",
     )
 
     def __post_init__(self):

@@ -32,7 +32,7 @@ METHODS: list[tuple[tuple[type, ...], float, float]] = [
     (WHOLE, 18, 0),
     ((SarsaLambdaForward, prediction.OfflineLambdaReturn), 22, 0),
     ((TraceControl, prediction.TDLambda), 8, 0.1),
-    ((Branching,), 60, 0),
+    ((Branching,), 20, 0),
     ((NStepControl, prediction.NStepTD), 13, 0),
     ((DoubleQLearning,), 9, 0),
     ((DynaQ,), 60, 0),

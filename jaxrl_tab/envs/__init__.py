@@ -12,11 +12,14 @@ from jaxrl_tab.core.errors import nearest, shown
 from jaxrl_tab.envs.access_control import AccessControl
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
+from jaxrl_tab.envs.chain import Chain
 from jaxrl_tab.envs.changing_mazes import BlockingMaze, ShortcutMaze
 from jaxrl_tab.envs.cliff_walking import CliffWalking
+from jaxrl_tab.envs.deep_sea import DeepSea
 from jaxrl_tab.envs.easy21 import Easy21
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
 from jaxrl_tab.envs.gamblers_problem import GamblersProblem
+from jaxrl_tab.envs.garnet import Garnet
 from jaxrl_tab.envs.infinite_variance import InfiniteVariance
 from jaxrl_tab.envs.jacks_car_rental import JacksCarRental
 from jaxrl_tab.envs.k_armed_testbed import KArmedTestbed
@@ -25,9 +28,11 @@ from jaxrl_tab.envs.maze import FrozenLake, Maze
 from jaxrl_tab.envs.racetrack import Racetrack
 from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.recycling_robot import RecyclingRobot
+from jaxrl_tab.envs.river_swim import RiverSwim
 from jaxrl_tab.envs.taxi import Taxi
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.two_doors import TwoDoors
+from jaxrl_tab.envs.two_loops import TwoLoops
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
 
 ENVS: dict[str, type] = {
@@ -42,6 +47,11 @@ ENVS: dict[str, type] = {
     "infinite-variance": InfiniteVariance,
     "trace-gridworld": TraceGridworld,
     "access-control": AccessControl,
+    "two-loops": TwoLoops,
+    "chain": Chain,
+    "river-swim": RiverSwim,
+    "deep-sea": DeepSea,
+    "garnet": Garnet,
     "maze": Maze,
     "blocking-maze": BlockingMaze,
     "shortcut-maze": ShortcutMaze,
@@ -110,13 +120,16 @@ __all__ = [
     "AccessControl",
     "Blackjack",
     "BlockingMaze",
+    "Chain",
     "CliffWalking",
+    "DeepSea",
     "Easy21",
     "Finite",
     "FiniteMDP",
     "FixedStart",
     "FrozenLake",
     "GamblersProblem",
+    "Garnet",
     "Grid",
     "InfiniteVariance",
     "JacksCarRental",
@@ -126,10 +139,12 @@ __all__ = [
     "Racetrack",
     "RandomWalk",
     "RecyclingRobot",
+    "RiverSwim",
     "ShortcutMaze",
     "Taxi",
     "TraceGridworld",
     "TwoDoors",
+    "TwoLoops",
     "WindyGridworld",
     "make",
 ]

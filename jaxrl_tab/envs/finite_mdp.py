@@ -240,6 +240,19 @@ class FiniteMDP(Finite):
         return prob, Outcome(s_next, reward, jnp.asarray(self.is_terminal)[s_next])
 
 
+def drawn(successors: Any, prob: Any, reward: Any, max_steps: int) -> FiniteMDP:
+    """A task that goes on for ever from state 0, of these arrays [S, A, K], traced ones as well; nothing is checked."""
+    fields = {
+        "successors": successors,
+        "prob": prob,
+        "reward": reward,
+        "max_steps": max_steps,
+        "discount": None,
+    }
+    start = {"start_states": np.zeros(1, np.int32), "start_prob": np.ones(1)}
+    return _made(FiniteMDP, fields | start | {"is_terminal": np.zeros(len(successors), bool)})
+
+
 def _made(cls: type[FiniteMDP], fields: Mapping[str, Any]) -> FiniteMDP:
     """An instance with these fields; `__init__` takes other arguments."""
     mdp = object.__new__(cls)

@@ -63,6 +63,8 @@ class JacksCarRental(FixedStart):
     def num_states(self) -> int:
         return (self.capacity + 1) ** 2
 
+    continuing = True
+
     @property
     def num_actions(self) -> int:
         return 2 * self.most_moved + 1

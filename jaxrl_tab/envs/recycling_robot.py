@@ -38,6 +38,7 @@ class RecyclingRobot(FixedStart):
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     num_states, num_actions, start_state = 2, 3, HIGH
+    continuing = True
 
     @property
     def action_names(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ SIDE, STANDS = 5, "RGYB"
 CELLS = SIDE * SIDE
 IN_TAXI = len(STANDS)  # where the passenger is who is at no stand
 STATES = CELLS * (len(STANDS) + 1) * len(STANDS)
-ACTIONS = "↓", "↑", "→", "←", "pick up", "drop off"
+ACTIONS = "↓", "↑", "→", "←", "pick", "drop"
 PICK_UP, DROP_OFF = 4, 5
 MOVES = ((1, 0), (-1, 0), (0, 1), (0, -1))  # (down, right) of the first four
 SIDES = ((2, 3), (3, 2), (1, 0), (0, 1))  # to the left and to the right of each of them
@@ -93,13 +93,13 @@ class Taxi(Finite):
         return ACTIONS
 
     def panels(self) -> tuple[Panel, ...]:
-        """The town, for each place and goal of a passenger who is not there yet."""
+        """The town, for each place and goal of a passenger who is not there yet: "R → G", "taxi → G"."""
         cells, names = np.arange(CELLS).reshape(SIDE, SIDE), tuple(map(str, range(SIDE)))
         tables = []
         for passenger, goal in np.argwhere(~np.eye(IN_TAXI + 1, len(STANDS), dtype=bool)):
-            where = "in the taxi" if passenger == IN_TAXI else f"at {STANDS[passenger]}"
+            where = "taxi" if passenger == IN_TAXI else STANDS[passenger]
             for first in range(0, self.num_states, STATES):
-                title = f"passenger {where}, to {STANDS[goal]}{', for good' if first else ''}"
+                title = f"{where} → {STANDS[goal]}{' for good' if first else ''}"
                 states = first + 20 * cells + 4 * passenger + goal
                 tables.append(Panel(title, states, names, names, "row", "column"))
         return tuple(tables)

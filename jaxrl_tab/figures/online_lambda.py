@@ -20,13 +20,12 @@ def _draw(datasets):
     from jaxrl_tab.show import plot
 
     canvas = plot.canvas(plot.WIDTH)
-    axes = canvas.subplots(1, 3, sharex=True, sharey=True)
+    *axes, last = canvas.subplots(2, 2, sharex=True, sharey=True).ravel()
     for ax, (name, title) in zip(axes, METHODS.items(), strict=True):
         curves(ax, datasets[name].rms, "lam", "λ")
         ax.set_title(title, fontsize=plot.TYPE)
-        if ax is not axes[0]:
-            ax.set_ylabel("")
-    plot.legend(axes[0])
+    last.axis("off")  # the fourth place tells the curves apart, which are the same in all pictures
+    last.legend(*axes[0].get_legend_handles_labels(), loc="center", frameon=False, fontsize=plot.TYPE)
     head(canvas, datasets[TRACES].rms)
     return canvas
 

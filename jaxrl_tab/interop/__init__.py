@@ -3,6 +3,7 @@
     rl.interop.from_gymnax("FrozenLake-misc")       rl.interop.to_gymnax(env)
     rl.interop.from_gymnasium("Taxi-v4")            rl.interop.to_gymnasium(env)
     rl.interop.make("gymnasium:FrozenLake-v1")      either, by a name with a prefix
+    gymnasium.make("jaxrl_tab.interop.gymnasium:jaxrl_tab/WindyGridworld-v0", moves="king")
 
 Each library is imported when it is asked for: `import gymnax` takes seconds and starts JAX, so `use_all_cores`
 comes before it.

@@ -1,6 +1,11 @@
-"""Gymnasium, both ways."""
+"""Gymnasium, both ways.
+
+When this is imported, all of `ENVS` is registered there: `gymnasium.make("jaxrl_tab/WindyGridworld-v0", moves="king")`.
+Gymnasium imports it where the name says so: `gymnasium.make("jaxrl_tab.interop.gymnasium:jaxrl_tab/Taxi-v0")`.
+"""
 
 import copy
+import functools
 import inspect
 import math
 from collections.abc import Mapping
@@ -15,12 +20,13 @@ from gymnasium.envs.toy_text.blackjack import BlackjackEnv
 
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.checks import check_pytree
-from jaxrl_tab.core.errors import InputError, shown
-from jaxrl_tab.core.names import registered_name
+from jaxrl_tab.core.errors import InputError, check_choice, shown
 from jaxrl_tab.core.types import Environment, FiniteEnvironment, available_actions, stand_ins
 from jaxrl_tab.envs import ENVS, FiniteMDP
+from jaxrl_tab.envs import make as make_ours
 from jaxrl_tab.envs.base import MAX_STEPS
 from jaxrl_tab.exact import planning
+from jaxrl_tab.interop import pictures
 
 # Wrappers that change no reward, action, observation, end or dynamics of an episode, by their exact class.
 HARMLESS = (
@@ -199,15 +205,17 @@ def _wrong_step(inner: Any, limit: int) -> str:
 class Tabular(gymnasium.Env):
     """An environment of ours as one of Gymnasium; see `to_gymnasium`."""
 
-    metadata = {"render_modes": []}  # noqa: RUF012
+    metadata = {"render_modes": ["ansi", "rgb_array"], "render_fps": 4}  # noqa: RUF012
 
-    def __init__(self, env: Environment):
-        self.env = env
+    def __init__(self, env: Environment, render_mode: str | None = None):
+        if render_mode is not None:
+            check_choice(None, "render_mode", render_mode, self.metadata["render_modes"])
+        self.env, self.render_mode = env, render_mode
         self.spec = EnvSpec(
-            f"jaxrl_tab/{registered_name(ENVS, type(env))}-v0",
+            _id(type(env)),
             entry_point=f"{__name__}:Tabular",
             max_episode_steps=env.max_steps,
-            kwargs={"env": env},
+            kwargs={"env": env, "render_mode": render_mode},
         )
         self.observation_space = spaces.Discrete(env.num_states)
         self.action_space = spaces.Discrete(env.num_actions)
@@ -216,13 +224,37 @@ class Tabular(gymnasium.Env):
         self._available = None if available is None else np.asarray(available)
         self._stand_ins = None if available is None else np.asarray(stand_ins(available))
         self._s: int | None = None
+        self._action: int | None = None
         self._steps = 0
-        if isinstance(env, FiniteEnvironment):
-            self.P, self.initial_state_distrib = _table(env)
+
+    @functools.cached_property
+    def P(self) -> dict[int, dict[int, list]]:
+        """What may follow each action in each state, P[s][a]: a list of (probability, s', reward, terminated)."""
+        return _table(self._finite("P"))
+
+    @functools.cached_property
+    def initial_state_distrib(self) -> np.ndarray:
+        """The distribution of the start state, float64 [S]."""
+        return planning.exact_model(self._finite("initial_state_distrib")).start
+
+    def _finite(self, name: str) -> FiniteEnvironment:
+        if not isinstance(self.env, FiniteEnvironment):
+            raise AttributeError(f"{type(self.env).__name__} can only be sampled, and has no {name}")
+        return self.env
+
+    def render(self) -> Any:
+        """The state, by `render_mode`: None, a text ("ansi"), or pixels, uint8 [height, width, 3] ("rgb_array")."""
+        if self._s is None:
+            raise gymnasium.error.ResetNeeded("call reset before render")
+        if self.render_mode is None:
+            return None
+        if self.render_mode == "ansi":
+            return pictures.text(self.env, self._s, self._action)
+        return pictures.pixels(self.env, self._s)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[int, dict]:
         super().reset(seed=seed)
-        self._s, self._steps = int(self._reset(self._key())), 0
+        self._s, self._action, self._steps = int(self._reset(self._key())), None, 0
         return self._s, self._info()
 
     def step(self, action: Any) -> tuple[int, float, bool, bool, dict]:
@@ -232,7 +264,7 @@ class Tabular(gymnasium.Env):
             raise InputError(f"action must be one of 0 to {self.env.num_actions - 1}, not {shown(action)}")
         action = int(action if self._stand_ins is None else self._stand_ins[self._s, action])
         outcome = self._step(self._key(), self._s, action)
-        self._s, self._steps = int(outcome.s_next), self._steps + 1
+        self._s, self._action, self._steps = int(outcome.s_next), action, self._steps + 1
         terminated = bool(outcome.terminal)
         truncated = not terminated and self._steps >= self.env.max_steps
         return self._s, float(outcome.reward), terminated, truncated, self._info()
@@ -245,27 +277,27 @@ class Tabular(gymnasium.Env):
         return rng.key(int(self.np_random.integers(2**32)))
 
 
-def _table(env: FiniteEnvironment) -> tuple[dict[int, dict[int, list]], np.ndarray]:
-    """Gymnasium's `P[s][a]`, lists of (probability, s', reward, done), and the start distribution [S]."""
+def _table(env: FiniteEnvironment) -> dict[int, dict[int, list]]:
+    """Gymnasium's `P[s][a]`, lists of (probability, s', reward, done)."""
     model = planning.exact_model(env)
     fields = [x.tolist() for x in model[:4]]
-    table = {
+    return {
         s: {
             a: [outcome for outcome in zip(*(x[s][a] for x in fields), strict=True) if outcome[0] > 0]
             for a in range(env.num_actions)
         }
         for s in range(env.num_states)
     }
-    return table, model.start
 
 
-def to_gymnasium(env: Environment) -> Tabular:
+def to_gymnasium(env: Environment, render_mode: str | None = None) -> Tabular:
     """`env` as an environment of Gymnasium, which passes `gymnasium.utils.env_checker.check_env`.
 
     Observations are the numbers of states. A finite MDP has the table `P` and `initial_state_distrib` that
-    Gymnasium's own tabular environments have. The time limit truncates, as it does here; there is nothing to
-    render. `reset(seed=...)` makes what follows reproducible. An environment that draws the problem of each
-    run, such as the k-armed testbed, keeps the one that it holds: give `env.instance(key)`.
+    Gymnasium's own tabular environments have. The time limit truncates, as it does here. `reset(seed=...)` makes what
+    follows reproducible. `render` gives a text ("ansi") or a picture ("rgb_array"): a grid, or else a cell for each
+    state, with the agent in it. An environment that draws the problem of each run, such as the k-armed testbed, keeps
+    the one that it holds: give `env.instance(key)`.
 
     Where not all actions are available in each state, `info["action_mask"]`, int8 [A], says which are, and another
     one does what the first of these does. (`from_gymnasium` then takes it for a copy of that action.)
@@ -274,4 +306,19 @@ def to_gymnasium(env: Environment) -> Tabular:
         InputError: `env` is no environment of ours.
     """
     check_pytree("env", env, ENVS)
-    return Tabular(env)
+    return Tabular(env, render_mode)
+
+
+def make_registered(env_name: str, render_mode: str | None = None, **parameters: Any) -> Tabular:
+    """What `gymnasium.make` makes of the name of a registered environment of ours, with its parameters."""
+    return to_gymnasium(make_ours(env_name, **parameters), render_mode)
+
+
+def _id(cls: type) -> str:
+    """What an environment of ours is called in Gymnasium."""
+    return f"jaxrl_tab/{cls.__name__}-v0"
+
+
+for _name, _cls in ENVS.items():
+    if _id(_cls) not in gymnasium.registry:
+        gymnasium.register(_id(_cls), entry_point=f"{__name__}:make_registered", kwargs={"env_name": _name})

@@ -112,14 +112,19 @@ def _either(names: Sequence[str]) -> str:
 def panels_canvas(env: Environment, rows: int, width: float = WIDTH) -> tuple[Figure, np.ndarray]:
     """A figure with the axes for so many rows of `panels`, [rows, panels].
 
-    It is at most so many inches wide. Where cells would be too narrow for their texts the panels of a row lie
-    one below the other.
+    It is at most so many inches wide. Where cells would be too narrow for their texts the panels of a row lie in
+    several lines.
     """
     tables = tables_of(env)
     widths = [1.5 + len(table.columns) for table in tables]  # in cells, with the names of the rows
     if width / sum(widths) < NARROWEST:
-        figure = canvas(min(width, MOST_CELL * max(widths)))
-        return figure, figure.subplots(rows * len(tables), 1, squeeze=False).reshape(rows, len(tables))
+        in_line = max(1, int(width / NARROWEST / max(widths)))
+        lines = -(-len(tables) // in_line)
+        figure = canvas(min(width, MOST_CELL * in_line * max(widths)))
+        grid = figure.subplots(rows * lines, in_line, squeeze=False).reshape(rows, -1)
+        for spare in grid[:, len(tables) :].flat:
+            spare.remove()
+        return figure, grid[:, : len(tables)]
     figure = canvas(min(width, max(NARROW, MOST_CELL * sum(widths))))
     return figure, figure.subplots(rows, len(tables), squeeze=False, width_ratios=widths)
 
