@@ -10,9 +10,10 @@ from jaxrl_tab.algorithms.models import Counts, planned
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
-from jaxrl_tab.core.clock import Clock, end_step
+from jaxrl_tab.core.clock import Clock, Rate, end_step
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.pytree import field, pytree, static
+from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import Transition
 
 
@@ -39,12 +40,14 @@ class RMax(TDControl):
 
     r and p are means of the first m visits. They are solved by value iteration as often as a pair becomes known, and
     it acts greedily. What makes it explore is q0, which should be the largest return that there may be: Rmax / (1 -
-    gamma) where no reward is above Rmax, or 0 where all are costs. There is no step size in it.
+    gamma) where no reward is above Rmax, or 0 where all are costs.
     """
 
-    alpha: float = field(default=1.0, greater_than=0, help="Not used: it has no step size.")
-    epsilon: float = field(default=0.0, at_least=0, at_most=1, help="Probability of exploring besides.")
-    m: float = field(default=5.0, at_least=1, help="Visits that make a pair known.")
+    alpha: Rate = field(default=sample_average(), help="Not asked for: what is known is a mean of m visits.")
+    epsilon: Rate = field(default=0.0, help="Probability of exploring besides.")
+    m: float = field(
+        default=1.0, at_least=1, help="Visits that make a pair known: 1 is enough where nothing is random."
+    )
     sweeps: int = static(default=100, at_least=1, help="Sweeps of value iteration, each time.")
 
     acts_after_update: ClassVar[bool] = True
