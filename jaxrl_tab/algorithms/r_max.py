@@ -46,7 +46,7 @@ class RMax(TDControl):
     alpha: Rate = field(default=sample_average(), help="Not asked for: what is known is a mean of m visits.")
     epsilon: Rate = field(default=0.0, help="Probability of exploring besides.")
     m: float = field(
-        default=1.0, at_least=1, help="Visits that make a pair known: 1 is enough where nothing is random."
+        default=2.0, at_least=1, help="Visits that make a pair known; the more, the more is random."
     )
     sweeps: int = static(default=100, at_least=1, help="Sweeps of value iteration, each time.")
 
