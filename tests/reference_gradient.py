@@ -114,3 +114,39 @@ class ActorCritic(Softmax):
         if ended:
             self.z, self.z_v = np.zeros(self.q.shape), np.zeros(len(self.q))
         return self.act(s_next, u)
+
+
+class Grouped:
+    """An agent that is told the group of each state, and not the state."""
+
+    def __init__(self, agent, groups):
+        vars(self).update(agent=agent, groups=groups)
+
+    def __getattr__(self, name):
+        return getattr(self.agent, name)
+
+    def __setattr__(self, name, value):
+        setattr(self.agent, name, value)
+
+    @property
+    def visits(self):
+        return Visits(self.agent.visits, self.groups)
+
+    def first_action(self, s, u):
+        return self.agent.first_action(self.groups[s], u)
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        return self.agent.learn(self.groups[s], a, r, self.groups[s_next], terminal, ended, u)
+
+
+class Visits:
+    """The table of visits, in which a state is counted in its group."""
+
+    def __init__(self, table, groups):
+        self.table, self.groups = table, groups
+
+    def __getitem__(self, at):
+        return self.table[self.groups[at[0]], at[1]]
+
+    def __setitem__(self, at, n):
+        self.table[self.groups[at[0]], at[1]] = n

@@ -119,24 +119,6 @@ class HystereticQLearning(Agent):
         return self.act(s_next, u)
 
 
-class SpeedyQLearning(Agent):
-    """Azar et al. 2011, algorithm 1, with all values that an entry ever had."""
-
-    def __init__(self, *args, **kwargs):
-        super().__init__(*args, **kwargs)
-        self.history = {pair: [q, q] for pair, q in np.ndenumerate(self.q)}
-
-    def best(self, s, k):
-        return max(self.history[s, a][k] for a in range(self.q.shape[1]))
-
-    def learn(self, s, a, r, s_next, terminal, ended, u):
-        alpha, q = self.alpha(s, a), self.q[s, a]
-        of_last, of_now = (r + self.discount(terminal) * self.best(s_next, k) for k in (-2, -1))
-        self.q[s, a] = q + (alpha * (of_last - q) + (F(1) - alpha) * (of_now - of_last))
-        self.history[s, a].append(self.q[s, a])
-        return self.act(s_next, u)
-
-
 def array_of(outcomes):
     """P [S, A, S] and r [S, A] of a `Task`'s outcomes."""
     p = np.zeros((len(outcomes), len(outcomes[0]), len(outcomes)))

@@ -102,7 +102,6 @@ PLAIN = {
     ),
     "maxmin-q-learning": ({}, lambda key: plain.MaxminQLearning(*SHARED, tables=2, words=target_words(key))),
     "hysteretic-q-learning": ({"beta": 0.0625}, lambda key: plain.HystereticQLearning(*SHARED, beta=0.0625)),
-    "speedy-q-learning": ({}, lambda key: plain.SpeedyQLearning(*SHARED)),
     "q-learning-target": (
         {"target": EpsilonGreedy(EPSILON)},
         lambda key: reference.OffPolicy(*SHARED, target=soft, words=target_words(key)),

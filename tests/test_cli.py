@@ -410,8 +410,8 @@ REFUSALS = {
     "solve windy-gridworld --shape 7": "shape must be (rows, columns)",
     "solve windy-gridworld --moves": "--moves: expected one argument",
     "solve windy-gridworld --moves king four": "unexpected argument 'four'",
-    "solve cliff-walking --moves king": "cliff-walking has no --moves, which belongs to windy-gridworld, maze; "
-    "cliff-walking has --shape, --is-slippery, --max-steps",
+    "solve cliff-walking --moves king": "cliff-walking has no --moves, which belongs to windy-gridworld, maze,",
+    "solve cliff-walking --moves four": "; cliff-walking has --shape, --is-slippery, --max-steps",
     "solve random-walk --states 4": "states must be odd",
     "moments": "name an environment: windy-gridworld",
     "moments random-walk": "name a method with exact learning curves: td, n-step-td, td-lambda, monte-carlo-prediction",

@@ -44,9 +44,10 @@ def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
 
     def run(seeds):
         algorithm = rl.ALGORITHMS[method]()
-        many = jax.tree.map(
-            lambda x: (x * (1 - 0.01 * seeds)).astype(np.float32), algorithm
-        )  # gamma at most 1
+        # Each lane has other hyperparameters; but what weighs later steps must not come to be above 1.
+        down = {"gamma", "lam", "lam_v"}
+        near = lambda path, x: x + 0.01 * (-seeds if path[-1].name in down else seeds)
+        many = jax.tree_util.tree_map_with_path(lambda *leaf: near(*leaf).astype(np.float32), algorithm)
         budget = Budget(num_steps=200, num_episodes=None, log_every=100, exact=False)
         return batches.run(env, many, seeds, budget)
 
@@ -59,7 +60,9 @@ def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
     assert all(x.shape == (200, 2) for x in jax.tree.leaves(log))
     assert [x.dtype for x in log[:5]] == [jnp.int32, jnp.int32, jnp.float32, jnp.int32, jnp.float32]
     assert (log.steps == 100).all()
-    assert any(not np.array_equal(x[0], x[1]) for x in jax.tree.leaves((q, log)))
+    assert any(
+        (x != x[:1]).any() for x in jax.tree.leaves((q, log))
+    )  # in some mazes few runs come to a reward
 
 
 @pytest.mark.parametrize("name", rl.ENVS)

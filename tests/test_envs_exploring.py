@@ -1,11 +1,14 @@
 """River swim, the chain, two loops, the deep sea and garnets: their tables by hand, and their published numbers."""
 
+import json
+
 import jax
 import numpy as np
 import pytest
 from test_envs import ENVIRONMENTS, merged, table
 
 import jaxrl_tab as rl
+from jaxrl_tab import cli
 from jaxrl_tab.exact import planning
 
 
@@ -82,3 +85,39 @@ def test_garnets_are_drawn_as_they_should_be():
     assert abs(reward.var() - 1) < 5 * np.sqrt(2 / reward.size)
     one, other = (planning.exact_model(rl.make("garnet", number=n)) for n in (0, 1))
     assert (one.reward != other.reward).all()
+
+
+# --- on the command line ------------------------------------------------------------------------------
+
+
+def test_the_command_knows_that_a_task_does_not_end(capsys):
+    """`list` says so, `solve` shows the average reward, and the table of a sweep what a step earns."""
+    assert cli.main(["list", "chain", "deep-sea"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("(continuing)") == 1 and "Tasks that are continuing have no end" in printed
+    assert cli.main(["solve", "chain", "--json"]) == 0
+    solved = json.loads(capsys.readouterr().out)
+    assert solved["average_reward"] == pytest.approx(3.6768)
+    np.testing.assert_array_equal(solved["policy"], [[1, 0]] * 5)
+    typed = [
+        "sweep",
+        "chain",
+        "q-learning",
+        "--alpha",
+        "0.5",
+        "--gamma",
+        "0.9",
+        "--steps",
+        "2000",
+        "--seeds",
+        "2",
+    ]
+    assert cli.main([*typed, "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["summary"]
+    ds = rl.sweep(
+        rl.make("chain"), "q-learning", {"alpha": 0.5, "gamma": 0.9}, num_seeds=2, num_steps=2000
+    ).to_xarray()
+    assert row["reward_per_step"] == pytest.approx(float(ds.rewards[:, -2:].sum()) / 400)
+    assert cli.main(typed) == 0
+    printed = capsys.readouterr().out
+    assert "The task does not end." in printed and "unfinished" not in printed

@@ -76,6 +76,17 @@ def test_an_environment_of_your_own(capsys):
     assert env.num_states == 5
 
 
+def test_a_task_that_does_not_end(capsys):
+    """Rates by hand: shares of a chain are products of up / down; at the left end 0.005 for each step."""
+    names, printed = run_example("continuing", capsys)
+    shares = np.cumprod([1, 12, 7, 7, 7, 0.875])
+    assert names["best"] == pytest.approx(shares[-1] / shares.sum())
+    assert printed[1] == [0.005]
+    (at_left,), (found,) = printed[2:4]
+    assert 0.004 < at_left < 0.0055
+    assert 0.25 < found < names["best"]
+
+
 def test_a_method_of_your_own(capsys):
     """Broken once: the average over actions where there should be the one taken -> fails."""
     names, _ = run_example("my_method", capsys)

@@ -101,6 +101,9 @@ IN_FULL = {
     "cliff-walking": {"num_seeds": 200},
     "k-armed-testbed": {"num_problems": 1000},
     "maximization-bias": {"num_seeds": 1000},
+    "noisy-grid": {"num_seeds": 1000},
+    "speedy": {},
+    "access-control": {},
     "lambda-arrows": {},
     "state-values": {},
     "gamblers-problem": {},
@@ -145,7 +148,16 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
-LONG = {"changing-mazes", "prioritized-sweeping"}  # several programs of methods that take a while to compile
+# Several programs that take a while to compile.
+LONG = {
+    "changing-mazes",
+    "prioritized-sweeping",
+    "upper-confidence-bounds",
+    "gradient-bandit",
+    "bandit-parameters",
+    "reinforce",
+    "deep-sea",
+}
 
 
 @pytest.mark.parametrize(

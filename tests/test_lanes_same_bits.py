@@ -105,7 +105,6 @@ CASES = {
     "weighted-double-q-learning": Case("k-armed-testbed", "weighted-double-q-learning", ALPHAS),
     "maxmin-q-learning": Case("frozen-lake", "maxmin-q-learning", ALPHAS | {"tables": 3}),
     "hysteretic-q-learning": Case("windy-gridworld", "hysteretic-q-learning", ALPHAS),
-    "speedy-q-learning": Case("windy-gridworld", "speedy-q-learning"),
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
     "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
     "r-max": Case("two-doors", "r-max", {"q0": 5.0, "m": [2.0, 3.0], "sweeps": 9}),
@@ -114,6 +113,7 @@ CASES = {
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
     "gradient-bandit": Case("k-armed-testbed", "gradient-bandit", ALPHAS, episodes=20),
     "reinforce": Case("two-doors", "reinforce", ALPHAS, episodes=20),
+    "groups of states": Case("short-corridor", "actor-critic-lambda", ALPHAS | {"groups": "0,0,0,1"}),
     "reinforce-baseline": Case(
         "random-walk", "reinforce-baseline", ALPHAS | {"alpha_v": AVERAGE}, episodes=8
     ),

@@ -84,11 +84,10 @@ def methods(env):
             {"beta": 0.0625},
             lambda key, *args: plain.HystereticQLearning(*args, beta=0.0625),
         ),
-        "speedy": (rl.SpeedyQLearning, {}, lambda key, *args: plain.SpeedyQLearning(*args)),
     }
 
 
-LONG = {"double sarsa", "double expected", "hysteretic", "speedy"}
+LONG = {"double sarsa", "double expected", "hysteretic"}
 
 
 @pytest.mark.parametrize(
@@ -105,8 +104,8 @@ def test_every_step_agrees_with_the_plain_loop(name, env_name):
     """Broken once: Double Q-learning by its own maximum, the coin from bit 8, A' of the target drawn by the
 
     word of the action that is taken, a bootstrap through terminal states; the own table in double Sarsa; the weight the
-    other way round; the largest of all tables in Maxmin; one step size in hysteretic, the latest values alone in speedy
-    Q-learning -> fails.
+    other way round; the largest of all tables in Maxmin; one step size in hysteretic Q-learning
+    -> fails.
     """
     env, task = env_and_task(env_name)
     cls, fixed, plain = methods(env)[name]

@@ -257,6 +257,14 @@ def test_names_are_as_people_write_them():
         title = words.title_of(name)
         assert title[0].isupper() or title[:2] in ("n-", "k-")
         assert "_" not in title
+        # Broken once: each part of a name in lower case -> fails.
+        assert not re.search("q learning|sarsa|lambda|monte carlo|td\\b", title), title
+    titles = {
+        "true-online-sarsa-lambda": "True online Sarsa(λ)",
+        "n-step-expected-sarsa": "n-step Expected Sarsa",
+    }
+    for name, title in titles.items():
+        assert words.title_of(name) == title
     assert words.title_of("windy-gridworld,moves=king") == "Windy gridworld,moves=king"
     assert words.title_of("my-own") == "my-own"
 

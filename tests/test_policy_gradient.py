@@ -1,5 +1,7 @@
 """Methods that learn preferences: against plain loops, against the exact gradient, and in all that shows them."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -9,10 +11,12 @@ import pytest
 import reference
 import reference_gradient as plain
 from marks import slow_but
+from refusals import refused
 from test_reference import STEPS, env_and_task, words_of
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning, schedules
+from jaxrl_tab.cli import main
 
 GAMMA, ALPHA = 0.9, 0.25
 AVERAGE = schedules.sample_average()
@@ -27,6 +31,12 @@ CASES = {
     "reinforce": (rl.Reinforce, {}, plain.Reinforce, {}),
     "reinforce, adam": (rl.Reinforce, {"optimizer": "adam"}, plain.Reinforce, {"optimizer": plain.Adam}),
     "reinforce-baseline": (rl.ReinforceBaseline, {"alpha_v": AVERAGE}, plain.Reinforce, {"alpha_v": one_over}),
+    "groups": (
+        rl.ReinforceBaseline,
+        {"alpha_v": AVERAGE, "groups": "1,0,0,2,1"},
+        plain.Reinforce,
+        {"alpha_v": one_over, "groups": [1, 0, 0, 2, 1]},
+    ),
     "actor-critic": (rl.ActorCritic, {"alpha_v": AVERAGE}, plain.ActorCritic, {"alpha_v": one_over}),
     "actor-critic, adam": (
         rl.ActorCritic,
@@ -43,7 +53,7 @@ CASES = {
 }  # fmt: skip
 
 
-SOME = ["gradient-bandit", "reinforce-baseline", "actor-critic-lambda"]
+SOME = ["gradient-bandit", "groups"]
 
 
 @pytest.mark.parametrize("name", slow_but(SOME, CASES))
@@ -54,6 +64,7 @@ def test_every_step_agrees_with_the_plain_loop(name):
     episode; the visits of pairs counted for V; the optimiser asked in each step of an episode.
     """
     cls, fields, loop, given = CASES[name]
+    given = dict(given)
     env, task = env_and_task("random mdp")
     key = jax.random.key(5)
     with jax.enable_x64():
@@ -62,11 +73,14 @@ def test_every_step_agrees_with_the_plain_loop(name):
     if "optimizer" in given:
         given = given | {"optimizer": given["optimizer"]()}
     rates = reference.Rates(lambda *_: ALPHA, lambda *_: 0)
+    groups = given.pop("groups", None)
     agent = loop((env.num_states, env.num_actions), rates, GAMMA, **given)
+    if groups is not None:
+        agent = plain.Grouped(agent, groups)
     finished = reference.run(agent, task, STEPS, words_of(key))
-    np.testing.assert_allclose(state.q, agent.q, atol=1e-9)
+    np.testing.assert_allclose(state.q, agent.q if groups is None else agent.q[groups], atol=1e-9)
     if hasattr(state, "v") and state.v is not None:
-        np.testing.assert_allclose(state.v, agent.v, atol=1e-9)
+        np.testing.assert_allclose(state.v, agent.v[: len(state.v)], atol=1e-9)
     assert log.episodes[0] == len(finished) > 100
     np.testing.assert_allclose(log.returns[0], sum(float(g) for g, _ in finished), rtol=1e-5)
 
@@ -112,3 +126,88 @@ def test_what_one_episode_adds_is_on_average_the_exact_gradient(cls):
     steps = (np.asarray(state.q, float) - theta)[:, :4]  # in the terminal state nothing is learned
     apart = (steps.mean(0) - exact[:4]) / (steps.std(0) / np.sqrt(len(keys)))
     assert abs(apart).max() < 4 < abs(exact[:4] / steps.std(0)).max() * np.sqrt(len(keys))
+
+
+# --- what is said ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"optimizer": "adm"}, "Reinforce: optimizer: optax has no optimiser 'adm'; did you mean 'adam'?"),
+        ({"optimizer": "adam(b3=1)"}, "'b3'; adam takes b1, b2, eps"),
+        (
+            {"optimizer": "adam(__import__)"},
+            "is not the name of an optimiser in optax with its numbers in paren",
+        ),
+        ({"optimizer": "cosine_decay_schedule(1, 2)"}, "optax has no optimiser"),
+        (
+            {"optimizer": "adam", "alpha": AVERAGE},
+            "alpha cannot go by visits where an optimizer makes one step",
+        ),
+        ({"groups": "0;1"}, "groups must be whole numbers such as \"0,0,1,2\", not '0;1'"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(fields, message):
+    refused(lambda: rl.Reinforce(**fields), message)
+
+
+def test_groups_fit_the_task():
+    refused(
+        lambda: rl.train(jax.random.key(0), rl.ActorCritic(groups="0,1"), rl.RandomWalk(), num_steps=9),
+        "groups has 2",
+    )
+
+
+def test_an_optimiser_is_printed_as_it_is_typed():
+    assert rl.ActorCritic(optimizer="sgd( .5, nesterov=True )").optimizer == "sgd(.5,nesterov=True)"
+    assert rl.ActorCritic(optimizer="sign-sgd()").optimizer == "sign_sgd"
+
+
+def test_exploration_rates_do_not_apply(capsys):
+    """On the command line the line says who has one. Broken once: an option of all methods -> fails."""
+    assert main(["sweep", "short-corridor", "reinforce", "--epsilon", "0.1"]) == 2
+    assert "reinforce has no --epsilon, which belongs to sarsa" in capsys.readouterr().err
+    refused(
+        lambda: rl.sweep(rl.ShortCorridor(), "reinforce", {"epsilon": 0.1}, num_seeds=1, num_steps=1),
+        "has no parameter 'epsilon'",
+    )
+
+
+# --- in all that shows them --------------------------------------------------------------------------
+
+
+def test_exact_values_are_those_of_the_policy_and_there_is_no_error_of_preferences():
+    """Broken once: q_error kept; theta taken for a policy by its greedy actions -> fails."""
+    env = rl.ShortCorridor()
+    given = {"alpha": 2.0**-7, "groups": "0,0,0,1"}
+    result = rl.sweep(env, "actor-critic", given, num_seeds=3, num_episodes=40, log_every=20, exact=True)
+    ds = result.to_xarray()
+    assert ds.attrs["learns"] == "preferences" and "q_error" not in ds and not ds.diverged.any()
+    assert (ds.q[:, 0] == ds.q[:, 1]).all() and (ds.q[:, 0] != ds.q[:, 3]).any()
+    for seed in range(3):
+        pi = np.asarray(jax.nn.softmax(ds.q[seed].values.astype(float)))
+        np.testing.assert_allclose(ds.policy_value[seed, -1], planning.policy_value(env, pi), rtol=1e-5)
+    assert np.isneginf(ds.greedy_value).all()  # who goes always the same way never arrives
+    (explained,) = result.explain().values()
+    lost = planning.start_value(env, planning.value_iteration(env)[0]) - ds.policy_value[:, -1]
+    np.testing.assert_allclose(explained.acting.lost, lost, rtol=1e-4)
+
+
+def test_an_episode_is_told_in_preferences(capsys):
+    assert main(["watch", "two-doors", "actor-critic", "--episodes", "3", "--at", "1"]) == 0
+    shown = capsys.readouterr().out
+    assert "error δ" in shown and "θ(S, A): 0 to" in shown and "Q(" not in shown
+    assert "the probability of each of them" in shown
+
+
+@pytest.mark.slow
+def test_the_page_is_true(capsys):
+    """docs/policy-gradient.md: what it shows is what its lines print."""
+    page = (Path(__file__).parents[1] / "docs/policy-gradient.md").read_text(encoding="utf-8")
+    (code,), (shown,) = (
+        re.findall(r"```python\n(.*?)```", page, re.DOTALL),
+        re.findall(r"```text\n(.*?)```", page, re.DOTALL),
+    )
+    exec(code, {})
+    assert capsys.readouterr().out == shown

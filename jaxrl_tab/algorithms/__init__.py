@@ -35,7 +35,6 @@ from jaxrl_tab.algorithms.retrace import Retrace
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
-from jaxrl_tab.algorithms.speedy_q_learning import SpeedyQLearning
 from jaxrl_tab.algorithms.target_q_learning import TargetQLearning
 from jaxrl_tab.algorithms.td import TDControl, TDState
 from jaxrl_tab.algorithms.tree_backup import TreeBackup
@@ -66,7 +65,6 @@ ALGORITHMS: dict[str, type] = {
     "weighted-double-q-learning": WeightedDoubleQLearning,
     "maxmin-q-learning": MaxminQLearning,
     "hysteretic-q-learning": HystereticQLearning,
-    "speedy-q-learning": SpeedyQLearning,
     "q-learning-target": TargetQLearning,
     "off-policy-monte-carlo": OffPolicyMonteCarlo,
     "gradient-bandit": GradientBandit,
@@ -119,7 +117,6 @@ __all__ = [
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",
-    "SpeedyQLearning",
     "TDControl",
     "TDState",
     "TargetQLearning",

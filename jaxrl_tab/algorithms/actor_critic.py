@@ -34,7 +34,7 @@ class ActorCriticState(NamedTuple):
 
     @property
     def q(self) -> Float[Any, "... S A"]:
-        return self.policy.theta
+        return self.policy.of_states
 
 
 @pytree
@@ -46,19 +46,17 @@ class ActorCritic(ValueBaseline):
     theta <- theta + alpha gamma^t delta grad ln pi(A | S, theta)      (book, box of section 13.5)
     """
 
-    acts_after_update: ClassVar[bool] = True
     backup: ClassVar[Backup] = Backup("action, state", "The value of S' is that of the critic.")
 
     def init(self, num_states: int, num_actions: int) -> ActorCriticState:
         policy, clock = self.begun(num_states, num_actions)
-        v, one = jnp.full(num_states, self.v0, dtype=float), jnp.ones((), policy.theta.dtype)
+        v, one = jnp.full(len(policy.theta), self.v0, dtype=float), jnp.ones((), policy.theta.dtype)
         return ActorCriticState(policy, clock, v, one, z=None, z_v=None)
 
-    def update(self, key, state: ActorCriticState, t: Transition):
+    def learned(self, state: ActorCriticState, t: Transition) -> ActorCriticState:
         state = self.begin(state, t)
         delta = t.r + t.discount * tables.entry(state.v, t.s_next) - tables.entry(state.v, t.s)
-        state = self.learn(state, t, delta)
-        return state, self.policy(key, state, t.s_next)
+        return self.learn(state, t, delta)
 
     def learn(self, state: ActorCriticState, t: Transition, delta: Float[Array, ""]) -> ActorCriticState:
         """V and theta after an error; and counts the step of the episode, or the episode where it is over."""
@@ -98,7 +96,7 @@ class ActorCriticLambda(ActorCritic):
 
     def init(self, num_states: int, num_actions: int) -> ActorCriticState:
         state = super().init(num_states, num_actions)
-        return state._replace(z=jnp.zeros_like(state.q), z_v=jnp.zeros_like(state.v))
+        return state._replace(z=jnp.zeros_like(state.policy.theta), z_v=jnp.zeros_like(state.v))
 
     def learn(self, state: ActorCriticState, t: Transition, delta: Float[Array, ""]) -> ActorCriticState:
         assert state.z is not None and state.z_v is not None

@@ -91,7 +91,7 @@ TABLE = (
         planning.optimality_backup,
         "Q-learning",
         "Q(S, A) <-alpha- R + gamma max_a' Q(S', a')",
-        ("q-learning", "double-q-learning", "weighted-double-q-learning", "speedy-q-learning"),
+        ("q-learning", "double-q-learning", "weighted-double-q-learning"),
     ),
 )
 WIDEST = max((row.full_update for row in TABLE), key=len)

@@ -30,7 +30,7 @@ class GradientBanditState(NamedTuple):
 
     @property
     def q(self) -> Float[Any, "... S A"]:
-        return self.policy.theta
+        return self.policy.of_states
 
 
 @pytree
@@ -47,16 +47,15 @@ class GradientBandit(PolicyGradient):
 
     baseline: bool = static(default=True, help="Whether rewards are compared with their mean, or with 0.")
 
-    acts_after_update: ClassVar[bool] = True
     backup: ClassVar[Backup] = Backup("action, end", "The reward alone counts, not what follows it.")
 
     def init(self, num_states: int, num_actions: int) -> GradientBanditState:
         policy, clock = self.begun(num_states, num_actions)
-        mean = jnp.zeros(num_states, policy.theta.dtype) if self.baseline else None
-        rewards = jnp.zeros(num_states, jnp.int32) if self.baseline else None
+        mean = jnp.zeros(len(policy.theta), policy.theta.dtype) if self.baseline else None
+        rewards = jnp.zeros(len(policy.theta), jnp.int32) if self.baseline else None
         return GradientBanditState(policy, clock, mean, rewards)
 
-    def update(self, key, state: GradientBanditState, t: Transition):
+    def learned(self, state: GradientBanditState, t: Transition) -> GradientBanditState:
         state, x = self.begin(state, t), t.r
         if state.mean is not None and state.rewards is not None:
             n = tables.entry(state.rewards, t.s) + 1
@@ -66,5 +65,4 @@ class GradientBandit(PolicyGradient):
             state = state._replace(
                 mean=tables.put(state.mean, after, t.s), rewards=tables.put(state.rewards, n, t.s)
             )
-        state = state._replace(policy=self.reinforced(state, t, x), clock=end_step(state.clock, t.last))
-        return state, self.policy(key, state, t.s_next)
+        return state._replace(policy=self.reinforced(state, t, x), clock=end_step(state.clock, t.last))

@@ -1,32 +1,49 @@
 """What the methods share that learn a policy itself, by its gradient (book, sections 2.8 and 13.1 to 13.5)."""
 
 import dataclasses
+import re
 from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import clock, optimizers, policies, tables
 from jaxrl_tab.core.checks import assign
 from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.declared import Learns
-from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.errors import InputError, unfit
 from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import Softmax
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Available, Transition
+
+_GROUPS = re.compile(r"[0-9]{1,6}(,[0-9]{1,6})*")
 
 
 class Preferences(NamedTuple):
     """A policy in a table: pi(a | s) is proportional to exp(theta(s, a)).
 
     Attributes:
-        theta: the preferences, float [S, A].
+        theta: the preferences, float [S, A]; a row for each group of states, where there are groups.
         optimizer: the state of the optimiser; None where there is none.
+        rows: the row of each state, int32 [S]; None where each has its own.
     """
 
-    theta: Float[Array, "S A"]
+    theta: Float[Any, "*batch G A"]
     optimizer: Any
+    rows: Int[Any, "*batch S"] | None
+
+    @property
+    def of_states(self) -> Float[Any, "... S A"]:
+        """The preferences in each state; of a batch [..., S, A]."""
+        if self.rows is None:
+            return self.theta
+        return jnp.take_along_axis(self.theta, self.rows[..., None], axis=-2)
+
+    def row_of(self, s: Int[Array, ""]) -> Int[Array, ""]:
+        """The row of a state."""
+        return s if self.rows is None else tables.entry(self.rows, s)
 
 
 @runtime_checkable
@@ -54,7 +71,7 @@ class PolicyGradient(Shown):
     d ln pi(a | s, theta) / d theta(s, b) = 1[a = b] - pi(b | s, theta)      (book, equation 13.9, for a table)
 
     It acts by pi, which explores by itself: there is neither an epsilon nor any other behaviour policy. A method adds
-    its `update`.
+    what it learns from a transition.
 
     In logs and results theta is `q`, as every table that is learned is; the policy that is greedy to it takes the most
     probable actions.
@@ -73,9 +90,18 @@ class PolicyGradient(Shown):
         "alpha is its learning rate. None: plain gradient ascent, as in the book.",
     )
 
+    groups: str | None = static(
+        default=None,
+        help="States that the method cannot tell apart: for each state the number of its row in all tables, such as "
+        '"0,0,0,1" (state aggregation: book, section 9.3). None: each state has its own.',
+    )
+
     learns: ClassVar[Learns] = Learns.PREFERENCES
+    acts_after_update: ClassVar[bool] = True
 
     def __post_init__(self):
+        if self.groups is not None and not _GROUPS.fullmatch(self.groups):
+            raise unfit(type(self).__name__, "groups", 'whole numbers such as "0,0,1,2"', self.groups)
         if self.optimizer is not None:
             try:
                 assign(self, optimizer=optimizers.spelled(self.optimizer))
@@ -89,13 +115,28 @@ class PolicyGradient(Shown):
 
     def restricted_to(self, available: Available) -> Self:
         """The method where states have these actions only, bool [S, A]: it takes no other."""
+        if self.groups is not None:
+            problem = "groups need a task in which every state has every action"
+            raise InputError(problem, who=type(self).__name__, field="groups")
         return dataclasses.replace(self, theta0=policies.among(self.theta0, available))
 
     def begun(self, num_states: int, num_actions: int) -> tuple[Preferences, Clock]:
         """The policy and the clock before the first step."""
-        theta = jnp.full((num_states, num_actions), self.theta0, dtype=float)
+        rows = None if self.groups is None else self._rows(num_states)
+        count = num_states if rows is None else int(rows.max()) + 1
+        theta = jnp.full((count, num_actions), self.theta0, dtype=float)
         optimizer = None if self.optimizer is None else optimizers.start(self.optimizer, theta)
-        return Preferences(theta, optimizer), clock.start(num_states, num_actions, self.by_visit)
+        policy = Preferences(theta, optimizer, None if rows is None else jnp.asarray(rows))
+        return policy, clock.start(count, num_actions, self.by_visit)
+
+    def _rows(self, num_states: int) -> Int[np.ndarray, " S"]:
+        """The row of each state."""
+        assert self.groups is not None
+        rows = np.array(self.groups.split(","), np.int32)
+        if len(rows) != num_states:
+            problem = f"groups has {len(rows)} numbers, and the task has {num_states} states"
+            raise InputError(problem, who=type(self).__name__, field="groups")
+        return rows
 
     @property
     def by_visit(self) -> bool:
@@ -104,10 +145,20 @@ class PolicyGradient(Shown):
 
     def probs(self, state: PreferenceLearner, s: Int[Array, ""]) -> Float[Array, " A"]:
         """pi(. | s, theta), float [A]."""
-        return self.selection.probs(tables.row(state.policy.theta, s), state.clock, s)
+        row = state.policy.row_of(s)
+        return self.selection.probs(tables.row(state.policy.theta, row), state.clock, row)
 
     def policy(self, key: Key[Array, ""], state: PreferenceLearner, s: Int[Array, ""]) -> Int[Array, ""]:
         return policies.sample(key, self.probs(state, s))
+
+    def update(self, key, state, t: Transition):
+        rows = state.policy
+        state = self.learned(state, t._replace(s=rows.row_of(t.s), s_next=rows.row_of(t.s_next)))
+        return state, self.policy(key, state, t.s_next)
+
+    def learned(self, state: Any, t: Transition) -> Any:
+        """The learner after a transition, in which a state is the number of its row."""
+        raise NotImplementedError
 
     def begin(self, state: L, t: Transition) -> L:
         """Counts the step and the visit of (S, A), before anything is learned from them."""
@@ -117,14 +168,14 @@ class PolicyGradient(Shown):
         """The policy after a step of size alpha along a gradient of the whole table, by the optimiser."""
         assert self.optimizer is not None
         by_one, optimizer = optimizers.change(self.optimizer, gradient, policy.optimizer, policy.theta)
-        return Preferences(policy.theta + alpha * by_one, optimizer)
+        return policy._replace(theta=policy.theta + alpha * by_one, optimizer=optimizer)
 
     def reinforced(self, state: PreferenceLearner, t: Transition, x: Float[Array, ""]) -> Preferences:
         """theta <- theta + alpha x grad ln pi(A | S, theta), or what the optimiser makes of that gradient."""
         policy, alpha = state.policy, clock.step_size(self.alpha, state.clock, t.s, t.a)
         gradient = x * grad_log(tables.row(policy.theta, t.s), t.a)  # in row S; it is 0 in all others
         if self.optimizer is None:
-            return Preferences(tables.add_row(policy.theta, t.s, alpha * gradient), None)
+            return policy._replace(theta=tables.add_row(policy.theta, t.s, alpha * gradient))
         here = jnp.arange(len(policy.theta), dtype=jnp.int32) == t.s
         return self.ascended(policy, jnp.where(here[:, None], gradient, 0), alpha)
 

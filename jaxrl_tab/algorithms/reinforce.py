@@ -46,7 +46,7 @@ class ReinforceState(NamedTuple):
 
     @property
     def q(self) -> Float[Any, "... S A"]:
-        return self.policy.theta
+        return self.policy.of_states
 
 
 class Learned(NamedTuple):
@@ -90,7 +90,6 @@ class Reinforce(PolicyGradient):
     along their sum.
     """
 
-    acts_after_update: ClassVar[bool] = True
     backup: ClassVar[Backup] = Backup("action, state, action, ..., end", "The whole return.")
 
     def __post_init__(self):
@@ -113,7 +112,7 @@ class Reinforce(PolicyGradient):
             v=None,
         )
 
-    def update(self, key, state: ReinforceState, t: Transition):
+    def learned(self, state: ReinforceState, t: Transition) -> ReinforceState:
         state = state._replace(clock=state.clock._replace(step=state.clock.step + 1))
         now = state.clock._replace(visits=None)
         rest = jnp.zeros_like(t.r)
@@ -127,8 +126,7 @@ class Reinforce(PolicyGradient):
         if gradient is not None:
             policy, gradient = self._stepped(policy, gradient, t, now)
         ended = end_step(now._replace(visits=after.visits), t.last)
-        state = ReinforceState(policy, ended, remembered, after.returns, gradient, after.v)
-        return state, self.policy(key, state, t.s_next)
+        return ReinforceState(policy, ended, remembered, after.returns, gradient, after.v)
 
     def _stepped(
         self, policy: Preferences, gradient: Array, t: Transition, now: Clock
@@ -162,7 +160,7 @@ class ReinforceBaseline(ValueBaseline, Reinforce):
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ReinforceState:
         state = super().init(num_states, num_actions, max_steps)
-        return state._replace(v=jnp.full(num_states, self.v0, dtype=float))
+        return state._replace(v=jnp.full(len(state.policy.theta), self.v0, dtype=float))
 
 
 def _walk(lane, learned: Learned, walk: Walk, inputs: Inputs) -> Learned:

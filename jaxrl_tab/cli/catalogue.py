@@ -165,7 +165,7 @@ def of_own(name: str) -> Catalogue:
 
 
 def _facts(cls: type) -> dict[str, Any]:
-    """What `list --json` says of a class."""
+    """What `list --json` says of a class; of an environment without an end also that it is "continuing"."""
     from jaxrl_tab.core import describe
     from jaxrl_tab.core.declared import of_method
     from jaxrl_tab.engine.results import label
@@ -174,7 +174,8 @@ def _facts(cls: type) -> dict[str, Any]:
     parameters = {p.name: {"default": default(p), "help": p.help} for p in describe.parameters(cls)}
     backup = of_method(cls).backup if hasattr(cls, "update") else None
     drawn = {} if backup is None else {"backup": to_data(backup)}
-    return {"summary": describe.summary(cls), "parameters": parameters, **drawn}
+    goes_on = {"continuing": True} if getattr(cls, "continuing", False) is True else {}
+    return {"summary": describe.summary(cls), "parameters": parameters, **drawn, **goes_on}
 
 
 def checksum() -> str:

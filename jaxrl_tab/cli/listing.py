@@ -22,6 +22,9 @@ HEADINGS = {
     "prediction": "methods of prediction, of the policy in which all actions are equally likely",
 }
 METHODS = ("methods", "prediction")
+CONTINUING = (
+    "\nTasks that are continuing have no end: take a gamma below 1, or a method of the average reward."
+)
 
 
 LIST = Command(
@@ -76,11 +79,14 @@ def list_command(argv: list[str]) -> int:
             out.print("\n  unless said otherwise, all have")
             out.print(_table(shared))
         for name, entry in entries.items():
-            out.print(f"\n  [bold cyan]{escape(name)}[/]  {escape(entry.summary)}")
+            ends = "" if "continuing" not in catalogue.facts[kind][name] else " (continuing)"
+            out.print(f"\n  [bold cyan]{escape(name)}[/]  {escape(entry.summary)}{ends}")
             if names and (backup := _backup(catalogue.facts[kind][name])):
                 _print_backup(out, backup, "    ")
             if own := [option for option in entry.options if _key(option) not in map(_key, shared)]:
                 out.print(_table(own))
+        if any("continuing" in facts for facts in catalogue.facts[kind].values()):
+            out.print(CONTINUING, soft_wrap=True)
         out.print()
     if not names:
         out.print(escape(catalogue.groups["methods"].help), "\n", soft_wrap=True)

@@ -218,7 +218,12 @@ def _notes(methods: "Methods", choice: bool, digits: Any) -> Iterator[str]:
         from jaxrl_tab.show.rows import early_in_words  # here, for it imports xarray and the statistics
 
         yield early_in_words(methods, digits)
-    if tells("unfinished"):
+    if methods.continuing:
+        yield (
+            "The task does not end. The return is that of an episode which its time limit ended, or of the last tenth, "
+            "as if cut off; what a step earns does not depend on that."
+        )
+    elif tells("unfinished"):
         yield (
             "The unfinished runs end no episode in the last tenth: they score the rewards that they collected there, "
             "as if cut off."

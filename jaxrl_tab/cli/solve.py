@@ -83,6 +83,8 @@ def solve_command(argv: list[str]) -> int:
     start_jax()
     if options.horizon:
         return _until(env, options, options.horizon)
+    if of_environment(env).continuing and options == Solve(env=options.env, json=options.json):
+        return _in_the_long_run(env, options)
     with new_folder(options.out) as folder, busy("solving"):
         found = solved_by(env, way, options.gamma, options.sweeps) if way else None
         best = found[:3] if found else planning.policy_iteration(env, options.gamma)
@@ -184,6 +186,30 @@ def _until(env: Any, options: Solve, horizon: int) -> int:
     else:
         said = "However little time is left, an action that is best now is still best."
     out.print(said, soft_wrap=True)
+    return 0
+
+
+def _in_the_long_run(env: Any, options: Solve) -> int:
+    """What is printed of a task that does not end, where no gamma is given: what a step earns in the long run."""
+    with busy("solving"):
+        rate, bias, policy = planning.relative_value_iteration(env)
+    # The bias of each action: what it pays, and the bias of where it leads, less what a step earns on average.
+    q = planning.backup(planning.exact_model(env), bias, 1.0) - rate
+    if options.json:
+        numbers = {"bias": bias.tolist(), "policy": policy.tolist()}
+        print_json({"environment": options.env, "average_reward": rate} | numbers)
+        return 0
+    out = console()
+    out.print(
+        f"[bold]{options.env}[/] does not end, so at gamma 1 returns are infinite. The best policy earns "
+        f"[bold]{six_digits(rate)}[/] a step in the long run. The values are its bias: how much more comes from a "
+        "state on than on average.",
+        soft_wrap=True,
+    )
+    show(out, *tables(env, bias, q))
+    stated = of_environment(env).discount
+    own = ", which its source states" if stated not in (None, 1) else ""
+    out.print(f"With a discount rate: `--gamma {f'{stated:g}' if own else 0.95}`{own}.")
     return 0
 
 

@@ -10,8 +10,8 @@
 
 **How sure.** Episodes are what is independent of each other, so they are the unit. Of a plain mean over episodes the
 interval is `stats.mean_interval`; of a weighted one, a ratio of means, a bootstrap over episodes, or of very many the
-normal one with the standard error of the linearised ratio. In a small task (600 logs of 20 and of 100 episodes) such 95%
-intervals held the true value in 92 to 96 of 100 logs, whichever the estimator. None knows of an episode with a huge
+normal one with the standard error of the linearised ratio. In a small task (600 logs of 20 and of 100 episodes) such
+95% intervals held the true value in 92 to 96 of 100 logs, whichever the estimator. None knows of an episode with a huge
 ratio that has not occurred: where `importance.diagnose` finds few effective episodes, neither estimate nor interval
 means much.
 """

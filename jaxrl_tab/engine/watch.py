@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.declared import of_method
+from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError, whole
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.names import registered_name
@@ -24,6 +24,7 @@ from jaxrl_tab.engine.train import checked_pair, train
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.show import learning
 from jaxrl_tab.show.steps import Told
+from jaxrl_tab.show.tasks import policy_of
 from jaxrl_tab.show.words import counted, label_of, title_of
 
 EPISODES = 500  # of a run, where nobody says how many
@@ -126,8 +127,11 @@ class Watched:
 
     @cached_property
     def _pictures(self) -> Any:
-        titles = [f"{self.name}\n{title}" for title in self._titles]
-        return learning.pictures(self.env, self.over_time.q, titles)
+        tables, what = self.over_time.q, ""
+        if of_method(self.algorithm).learns is Learns.PREFERENCES:
+            tables, what = policy_of(tables), ": probabilities of actions"
+        titles = [f"{self.name}\n{title}{what}" for title in self._titles]
+        return learning.pictures(self.env, tables, titles)
 
     def __repr__(self) -> str:
         steps = counted(len(self.steps), "steps")

@@ -29,6 +29,7 @@ from jaxrl_tab.envs.racetrack import Racetrack
 from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.recycling_robot import RecyclingRobot
 from jaxrl_tab.envs.river_swim import RiverSwim
+from jaxrl_tab.envs.short_corridor import ShortCorridor
 from jaxrl_tab.envs.taxi import Taxi
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.two_doors import TwoDoors
@@ -42,6 +43,7 @@ ENVS: dict[str, type] = {
     "blackjack": Blackjack,
     "easy21": Easy21,
     "two-doors": TwoDoors,
+    "short-corridor": ShortCorridor,
     "k-armed-testbed": KArmedTestbed,
     "maximization-bias": MaximizationBias,
     "infinite-variance": InfiniteVariance,
@@ -140,6 +142,7 @@ __all__ = [
     "RandomWalk",
     "RecyclingRobot",
     "RiverSwim",
+    "ShortCorridor",
     "ShortcutMaze",
     "Taxi",
     "TraceGridworld",

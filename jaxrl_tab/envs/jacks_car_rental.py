@@ -46,9 +46,9 @@ class JacksCarRental(FixedStart):
     that were moved there as well.
 
     It goes on for ever; the book has gamma 0.9. It leaves open where an episode starts: here with 10 cars at each, of
-    which the optimal value then is 574.948324. Nothing is cut off: that many cars are asked for, or brought back, or
-    more, are probabilities like others. A step draws the four variables; `outcomes` gives the distribution of the next
-    evening, over all 441 states, and the mean of the reward.
+    which the optimal value then is 574.948324. No Poisson variable is cut off: whatever is asked for beyond the cars
+    that are there comes to the same, and so does what is brought back beyond the room. A step draws all four;
+    `outcomes` gives the distribution of the next evening, over all 441 states, and the mean of the reward.
 
     With the changes of exercise 4.7 an employee moves one car to the second location for nothing, and more than 10 cars
     that stay overnight at a location cost 4 dollars for a second parking lot.
@@ -59,11 +59,11 @@ class JacksCarRental(FixedStart):
     exercise: bool = static(default=False, help="Whether it is as changed in exercise 4.7.")
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
+    continuing = True
+
     @property
     def num_states(self) -> int:
         return (self.capacity + 1) ** 2
-
-    continuing = True
 
     @property
     def num_actions(self) -> int:

@@ -29,8 +29,10 @@ class KArmedTestbed(Bandit):
 
     arms: int = static(default=10, at_least=1, help="Number of arms.")
     means: Numbers = field(
-        default=0.0, help="q*, the mean reward of each arm, [arms], or one number for all."
+        default=0.0, help="q*, the mean reward of each arm without `shift`, [arms], or one number for all."
     )
+
+    shift: float = field(default=0.0, help="What is added to every reward (book, figure 2.5: 4).")
 
     def __post_init__(self):
         if isinstance(self.means, np.ndarray) and self.means.ndim == 0:
@@ -49,7 +51,7 @@ class KArmedTestbed(Bandit):
 
     def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
         means = unbatched(self, "means", ndim=1)
-        return jnp.ones(1), tables.entry(means, jnp.asarray(a, jnp.int32))[None]
+        return jnp.ones(1), (tables.entry(means, jnp.asarray(a, jnp.int32)) + self.shift)[None]
 
     def step(self, key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
         mean = super().step(key, s, a)
@@ -63,10 +65,10 @@ class KArmedTestbed(Bandit):
     def expected_best_mean(self) -> float:
         """The mean over problems of max_a q*(a), for comparison with learned rewards; 1.538753 for 10 arms.
 
-        It is the integral of x n phi(x) Phi(x)^(n-1), with the density phi and the distribution Phi of
+        It is `shift` and the integral of x n phi(x) Phi(x)^(n-1), with the density phi and the distribution Phi of
         N(0, 1): by the trapezoidal rule, which for such a function is exact to rounding.
         """
         x, width = np.linspace(-12, 12, 2401, retstep=True)
         density = np.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
         below = np.array([math.erfc(-y / math.sqrt(2)) / 2 for y in x])
-        return float((x * self.arms * density * below ** (self.arms - 1)).sum() * width)
+        return self.shift + float((x * self.arms * density * below ** (self.arms - 1)).sum() * width)

@@ -66,7 +66,10 @@ def _solve(jumps: np.ndarray, target: np.ndarray, source: np.ndarray, begin: np.
     if n <= DENSE:
         matrix = np.eye(n)
         np.subtract.at(matrix, (target, source), jumps)
-        return np.linalg.solve(matrix, begin)
+        try:
+            return np.linalg.solve(matrix, begin)
+        except np.linalg.LinAlgError:
+            raise InputError("a policy takes so long to end that its visits are beyond float64") from None
     from scipy import sparse  # here, because it takes 0.3 s
 
     return sparse_solver(sparse.csc_array((jumps, (target, source)), shape=(n, n)))(begin)

@@ -20,6 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from jaxrl_tab import stats
+from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.core.policies import UNAVAILABLE
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs.base import Grid
@@ -234,7 +235,7 @@ def pictures(
         figures[name] = figure
     if isinstance(env, Grid) and not stats.is_prediction(*methods.values()):
         figures["greedy_path"] = _all_paths(methods, env, width)
-    elif tables_of(env):
+    elif tables_of(env) and _with_values(methods):
         figures["values"] = value_tables(methods, env, width=width)
     if maps := {name: pair for name, ds in methods.items() if (pair := swept_pair(ds))}:
         figures["score_map"] = figure = _all_maps(methods, maps, width)
@@ -280,11 +281,12 @@ def value_tables(
     """The panels of the environment: a row for what each method learned, and one for what is exact.
 
     What a method learned is the mean over seeds of its largest action value, and the action that is greedy
-    most often; of prediction the mean of V. All rows have one scale of colours: from the smallest to the largest
-    of the exact values, or else of all that were learned. Arguments and errors are as in `overview`.
+    most often; of prediction the mean of V. Methods that learn preferences are left out. All rows have one scale of
+    colours: from the smallest to the largest of the exact values, or else of all that were learned. Arguments and
+    errors are as in `overview`.
     """
     learned = {}
-    for label, own in at_setting(datasets, {}, labels):
+    for label, own in at_setting(_with_values(datasets), {}, labels):
         ds = own.ds
         often = sum(greedy_actions(q).sum(0) for q in tables_of_seeds(ds))
         best = often == np.max(often, -1, keepdims=True)
@@ -301,6 +303,11 @@ def value_tables(
     _panels_in_rows(grid, env, learned, tables)
     _say_what_ran(figure, datasets, env)
     return figure
+
+
+def _with_values(datasets: Datasets) -> Datasets:
+    """Those of methods that learned values."""
+    return {name: ds for name, ds in datasets.items() if ds.attrs.get("learns") != Learns.PREFERENCES}
 
 
 def solutions(

@@ -1,6 +1,7 @@
 """Names, numbers and settings as people read them."""
 
 import dataclasses
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -113,40 +114,37 @@ def unusual(env: Environment) -> list[str]:
 
 
 # As people write the names in which not only the first letter is large.
-TITLES = {
-    "expected-sarsa": "Expected Sarsa",
-    "n-step-sarsa": "n-step Sarsa",
-    "n-step-expected-sarsa": "n-step Expected Sarsa",
-    "n-step-off-policy-sarsa": "n-step off-policy Sarsa",
+TITLES = {  # where `_written` says it otherwise than people do
     "q-sigma": "Q(σ)",
-    "sarsa-lambda": "Sarsa(λ)",
-    "true-online-sarsa-lambda": "True online Sarsa(λ)",
-    "expected-sarsa-lambda": "Expected Sarsa(λ)",
-    "tree-backup-lambda": "Tree backup(λ)",
     "retrace": "Retrace(λ)",
     "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
-    "q-learning": "Q-learning",
     "dyna-q": "Dyna-Q",
     "dyna-q-plus": "Dyna-Q+",
     "r-max": "R-max",
     "q-learning-target": "Q-learning of a target policy",
-    "double-q-learning": "Double Q-learning",
-    "q-lambda": "Q(λ)",
-    "monte-carlo": "Monte Carlo",
-    "off-policy-monte-carlo": "Off-policy Monte Carlo",
     "reinforce": "REINFORCE",
     "reinforce-baseline": "REINFORCE with baseline",
-    "actor-critic": "Actor-critic",
-    "actor-critic-lambda": "Actor-critic(λ)",
+    "r-max": "R-max",
+    "psrl": "PSRL",
     "td": "TD(0)",
-    "n-step-td": "n-step TD",
-    "td-lambda": "TD(λ)",
-    "true-online-td-lambda": "True online TD(λ)",
     "offline-lambda-return": "Off-line λ-return",
     "off-policy-td": "Off-policy TD(0)",
-    "monte-carlo-prediction": "Monte Carlo prediction",
-    "off-policy-monte-carlo-prediction": "Off-policy Monte Carlo prediction",
-    "k-armed-testbed": "k-armed testbed",
+    "jacks-car-rental": "Jack's car rental",
+    "gamblers-problem": "Gambler's problem",
+}
+# Parts of names, in lower case and with spaces, and how they are written.
+NAMES = {
+    "q learning": "Q-learning",
+    "r learning": "R-learning",
+    "expected sarsa": "Expected Sarsa",
+    "sarsa": "Sarsa",
+    "monte carlo": "Monte Carlo",
+    "td": "TD",
+    "ucb": "UCB",
+    "n step": "n-step",
+    "off policy": "off-policy",
+    "actor critic": "actor-critic",
+    "k armed": "k-armed",
 }
 SYMBOLS = {
     "alpha": "α",
@@ -166,8 +164,17 @@ def title_of(name: str) -> str:
     """The name of an environment or a method as people write it; a name that a user gave stays as it is."""
     plain, *parameters = name.split(",")  # "random-walk,states=5" of an experiment
     if plain in ENVS or plain in METHODS:
-        plain = TITLES.get(plain, plain.replace("-", " ").capitalize())
+        plain = TITLES.get(plain) or _written(plain)
     return ",".join([plain, *parameters])
+
+
+def _written(name: str) -> str:
+    """The name of what is registered, "double-q-learning", as people write it: "Double Q-learning"."""
+    title = re.sub(" lambda$", "(λ)", name.replace("-", " "))
+    for part, written in NAMES.items():
+        title = re.sub(rf"\b{part}\b", written, title)
+    title = re.sub(r"^q\b", "Q", title)
+    return title if title.startswith(("n-step", "k-armed")) else title[0].upper() + title[1:]
 
 
 def symbol(name: str) -> str:

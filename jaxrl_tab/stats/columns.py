@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError, check_choice, shown
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.stats.along import Datasets, Interval
@@ -137,6 +138,7 @@ COLUMNS = [
         in_summary="",
         screen="episodes",
         report="episodes",
+        continuing=False,
         tables=("all",),
         written="tenths",
     ),
@@ -172,6 +174,7 @@ COLUMNS = [
         "unfinished",
         lambda own: own.unfinished,
         screen="unfinished\nruns",
+        continuing=False,
         report="unfinished",
         written="count",
         help="how many runs finished no episode in the last tenth.",
@@ -333,6 +336,11 @@ class Methods(Mapping[str, xr.Dataset]):
     def prediction(self) -> bool:
         return all(own.prediction for own in self.settings.values())
 
+    @property
+    def continuing(self) -> bool:
+        """Whether the task has no end; False where the environment is not known."""
+        return self.env is not None and of_environment(self.env).continuing
+
     @cached_property
     def by_length(self) -> bool:
         """Whether episodes earn by their length alone: see the function of this name."""
@@ -434,6 +442,7 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
           how many runs finished no episode in the `first_tenth`; `first_tenth_return`, mean `early_score`, and
           `interim_return`, mean `interim_return`, with `first_tenth_low`, `interim_low` and so on. Their intervals
           are those of `mean_interval`, not made wider where the mean rests on few bad runs;
+        - `reward_per_step` in the last tenth, where the task does not end;
         - `last_tenth_return` with `last_tenth_low` and `last_tenth_high`: the mean `score` of all seeds, and
           its interval by `score_interval`;
         - `last_tenth_median` and `last_tenth_iqm`, each with `_low` and `_high`: median and interquartile

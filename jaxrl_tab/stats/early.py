@@ -64,6 +64,14 @@ def steps_per_episode(ds: xr.Dataset, rows: slice = slice(None)) -> xr.DataArray
     return sound_runs((steps / episodes.where(episodes > 0)).fillna(np.inf), ds)
 
 
+def reward_per_step(ds: xr.Dataset, rows: slice = slice(None)) -> xr.DataArray:
+    """What a step in `rows` earned on average, undiscounted, float64 [*hyperparameters, seed].
+
+    NaN where a run diverged. It is what there is to compare where a task does not end.
+    """
+    return sound_runs(_sum(ds, "rewards", rows).astype(float) / _sum(ds, "steps", rows), ds)
+
+
 def steps_of_all(ds: xr.Dataset, rows: slice) -> xr.DataArray:
     """`steps_per_episode` of all runs together, all their steps over all their episodes, [*hyperparameters].
 
@@ -197,6 +205,16 @@ def _control(own: Any, of: Callable[[xr.Dataset], Any]) -> Any:
 
 # Of the table of settings, beside the score: see `columns`.
 EARLY = [
+    Column(
+        "reward_per_step",
+        lambda own: (
+            reward_per_step(own.ds, last_tenth(own.ds)).mean("seed") if own.among.continuing else None
+        ),
+        screen="reward\na step,\nlast tenth",
+        report="reward a step, last tenth",
+        written="exact",
+        help="what a step there earned on average, undiscounted; the task does not end.",
+    ),
     Column(
         "first_episode_steps",
         lambda own: _control(own, lambda ds: first_episode(ds).median("seed")),

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from jaxrl_tab import stats
+from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.show import words
 from jaxrl_tab.show.explorer.measures import STATISTICS, Flat, Measure, measures_of, statistics
@@ -20,6 +21,7 @@ from jaxrl_tab.show.explorer.over_time import RANKS, Again, Block, OverTime, ave
 from jaxrl_tab.show.explorer.packing import as_text, packed_floats
 from jaxrl_tab.show.explorer.scene import Scene, scene
 from jaxrl_tab.show.explorer.scores import Score, intervals, levels_of, scores_of
+from jaxrl_tab.show.tasks import policy_of
 from jaxrl_tab.stats.columns import Method, Methods
 
 # Numbers in a page, of all its chapters together: of curves 4 bytes each, of tables about 5 bits.
@@ -73,7 +75,7 @@ def explorer(
     levels = levels_of(middles, measures[0].kind == "cost")
     scores = _common([scores_of(sweep.flat.ds, measures, levels) for sweep in sweeps.values()])
     first = next(iter(sweeps.values()))
-    stage = scene(env, methods, first.final(first.best).mean(0).max(-1))
+    stage = scene(env, methods, first.shown(first.final(first.best)).mean(0).max(-1))
     blocks, shown = {}, []
     for i, (name, sweep) in enumerate(sweeps.items()):
         blocks[f"curves-{i}"] = as_text(packed_floats(curves[name]))
@@ -144,6 +146,14 @@ class _Sweep:
         """The tables at the end, [seeds, S, A]."""
         return self.flat.flat(self.own.ds.q)[setting]
 
+    def shown(self, tables: np.ndarray) -> np.ndarray:
+        """What people see of tables [..., S, A]: of preferences the policy."""
+        return policy_of(tables) if self.is_policy else tables
+
+    @property
+    def is_policy(self) -> bool:
+        return self.own.ds.attrs.get("learns") == Learns.PREFERENCES
+
     def tables(self, name: str, stage: Scene, again: Again | None) -> Iterator[tuple[int, Block]]:
         """The views of the settings for which there is room, by their numbers."""
         room = TABLES // self.sharers
@@ -155,7 +165,7 @@ class _Sweep:
                 except (InputError, RunError) as error:
                     self.missing = f"{error}."
             if over is None:
-                over = OverTime(self.final(setting)[:, None])
+                over = OverTime(self.shown(self.final(setting))[:, None])
             singles = np.searchsorted(places, self.singles(setting))
             packed = block(over, stage.states, singles, averaged(places))
             room -= packed.numbers
@@ -180,7 +190,7 @@ class _Sweep:
         over = again(name, self.best, places, flat.every)
         if not np.array_equal(over.tables[:, -1], self.final(self.best)[places], equal_nan=True):
             raise RunError("the best setting, run again, gave other numbers: this is another kind of machine")
-        return over, places
+        return over._replace(tables=self.shown(over.tables)), places
 
     def data(self, name: str) -> dict[str, Any]:
         """What the page must know beside the numbers."""
@@ -193,6 +203,7 @@ class _Sweep:
             "draws": [_axis(ds, drawn) for drawn in stats.drawn(ds)],
             "x": self.flat.x.tolist(),
             "ends": self.flat.ends.tolist(),
+            "policy": self.is_policy,
             "best": self.best,
             "kept": self.kept,
             "ranks": list(self._ranks(self.best)),

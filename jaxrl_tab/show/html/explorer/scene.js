@@ -86,6 +86,7 @@ function worth(q) {
 function panelStage(c, box, m, tables) {
   const { scene, state } = c;
   const words = titleOf(c, box, m);
+  const { policy } = c.methods[m].data;
   if (!tables)
     return (
       (words.textContent = "Of this setting there is no table in this page: results.nc has it."),
@@ -101,6 +102,7 @@ function panelStage(c, box, m, tables) {
   const cells = [];
   const exact = c.exact && ((s) => worth(c.exactOf(s)));
   const letters = lettersOf(scene.actions);
+  const largest = scene.panels.length > 3 ? 0.85 : 1.1; // so that two of many are side by side
   for (const panel of scene.panels) {
     const rows = panel.states.length;
     const columns = panel.columns.length;
@@ -118,8 +120,8 @@ function panelStage(c, box, m, tables) {
       box,
     );
     const wide = left + columns * size + 4;
-    svg.style.maxWidth = `${wide * 1.1}px`;
-    const scale = Math.min(1.1, (box.clientWidth || 500) / wide);
+    svg.style.maxWidth = `${wide * largest}px`;
+    const scale = Math.min(largest, (box.clientWidth || 500) / wide);
     const type = typeIn(size * scale);
     svg.style.setProperty("--number", `${type.size / scale}px`);
     svg.style.setProperty("--tick", `${Math.max(12, 10 / scale)}px`);
@@ -236,7 +238,7 @@ function panelStage(c, box, m, tables) {
           ? "·"
           : state.colour === "visits"
             ? visitsText(tables.visits(view, moment, s))
-            : state.colour === "error"
+            : state.colour === "error" && !policy
               ? tight(v - exact(s), cell.type.room)
               : tight(v, cell.type.room);
       cell.text.textContent = shown;
@@ -287,7 +289,7 @@ function panelStage(c, box, m, tables) {
       one.g.setAttribute("tabindex", one.s === state.cell ? 0 : -1);
     }
     const { view, moment } = viewOf(c, tables, m);
-    cellTable(c, about, tables, view, moment);
+    cellTable(c, about, tables, m, view, moment);
   }
 
   const says = () => sentence(cells.find((one) => one.s === state.cell)?.g.getAttribute("aria-label") ?? "");
@@ -298,6 +300,7 @@ function panelStage(c, box, m, tables) {
 function listStage(c, box, m, tables) {
   const { scene } = c;
   const words = titleOf(c, box, m);
+  const { policy } = c.methods[m].data;
   if (!tables)
     return (
       (words.textContent = "Of this setting there is no table in this page: results.nc has it."),
@@ -319,8 +322,8 @@ function listStage(c, box, m, tables) {
   const titles = [
     "state",
     ...(several ? ["greedy"] : []),
-    ...names.map((name) => (several ? `Q(${name})` : name)),
-    ...(c.exact ? names.map((name) => (several ? `q*(${name})` : "exact")) : []),
+    ...names.map((name) => (several ? `${policy ? "π" : "Q"}(${name})` : name)),
+    ...(c.exact && !policy ? names.map((name) => (several ? `q*(${name})` : "exact")) : []),
     ...(tables.visits("mean", 0, 0) ? ["visits"] : []),
   ];
   for (const title of titles) el("th", { scope: "col" }, head, title);
@@ -348,7 +351,7 @@ function listStage(c, box, m, tables) {
       const texts = [
         ...(several ? [best.length === q.length ? "any" : best.map((a) => scene.actions[a]).join(" or ")] : []),
         ...q.map((x) => fixed(x, tables.decimals)),
-        ...(c.exact ? [...c.exactOf(s)].map((x) => fixed(x, tables.decimals)) : []),
+        ...(c.exact && !policy ? [...c.exactOf(s)].map((x) => fixed(x, tables.decimals)) : []),
         ...(visits ? [count(Math.round(total(visits)))] : []),
       ];
       texts.forEach((text, k) => (rows[i][k].textContent = text));

@@ -18,6 +18,13 @@ function rangeOf(c, tables, m) {
       words: `0 to ${count(Math.round(most))} visits (logarithmic).`,
     };
   }
+  if (c.methods[m].data.policy)
+    return {
+      colour: "--ramp",
+      share: (s, q) => worth(q),
+      bar: gradient(pale, tint("--ramp", 1)),
+      words: "The number is how probable the likeliest action is: 0 to 1.",
+    };
   let low = 0;
   let high = 0;
   const see = (v) => Number.isFinite(v) && ((low = Math.min(low, v)), (high = Math.max(high, v)));
@@ -163,8 +170,9 @@ function nameOf(c, s) {
   return `state ${c.scene.states[s]}`;
 }
 
-// Q of each action beside q*, and N, of the state that is looked at.
-function cellTable(c, box, tables, view, moment) {
+// Q of each action beside q*, and N, of the state that is looked at; of a policy how probable each action is.
+function cellTable(c, box, tables, m, view, moment) {
+  const { policy } = c.methods[m].data;
   const { scene, state } = c;
   const s = state.cell;
   const q = tables.q(view, moment, s);
@@ -190,8 +198,8 @@ function cellTable(c, box, tables, view, moment) {
   const head = el("tr", {}, el("thead", {}, table));
   const body = el("tbody", {}, table);
   const several = view === "mean" || view === "median";
-  const columns = [["learned", (a) => fixed(q[a], tables.decimals)]];
-  if (c.exact)
+  const columns = [[policy ? "probability" : "learned", (a) => fixed(q[a], tables.decimals)]];
+  if (c.exact && !policy)
     columns.push(
       ["exact", (a) => fixed(c.exactOf(s)[a], tables.decimals)],
       ["difference", (a) => fixed(q[a] - c.exactOf(s)[a], tables.decimals)],
