@@ -304,7 +304,7 @@ class RMax(Agent):
     def solve(self):
         known = {pair: seen for pair, seen in self.seen.items() if len(seen) == self.m}
         for _ in range(self.sweeps):
-            v = [F(0) if s in self.ends else max(row) for s, row in enumerate(self.q)]
+            v = [F(0) if s in self.ends else row.max() for s, row in enumerate(self.q)]
             means = {
                 pair: np.mean([r + F(self.gamma) * v[x] for r, x in seen]) for pair, seen in known.items()
             }
