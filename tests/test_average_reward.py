@@ -133,7 +133,7 @@ def test_what_has_no_answer_is_refused(call, message):
 def test_exact_values_beside_a_run_are_rates():
     """Of the greedy policy and of the one that acts; and Q - q* but for a constant.
 
-    Broken once: without the second linear system (off by 1e-6), values at gamma = 1, the largest |Q - q*| -> fails.
+    Broken once: values at gamma = 1, the largest |Q - q*| -> fails.
     """
     method, record = rl.DifferentialSarsa(alpha=0.25, epsilon=0.25), lambda state: {"table": state.q}
     _, log = rl.train(jax.random.key(1), method, ENV, num_steps=300, log_every=100, exact=True, record=record)

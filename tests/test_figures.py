@@ -152,11 +152,13 @@ def check_drawing(figure, datasets, file):
 LONG = {
     "changing-mazes",
     "prioritized-sweeping",
+    "blackjack-values",
     "upper-confidence-bounds",
     "gradient-bandit",
     "bandit-parameters",
     "reinforce",
     "deep-sea",
+    "river-swim",
 }
 
 

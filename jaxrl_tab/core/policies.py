@@ -95,8 +95,6 @@ def sample(key: Key[Array, ""], weights: Float[Array, " n"]) -> Int[Array, ""]:
 
 def below(key: Key[Array, ""], count: Int[Array, ""] | int) -> Int[Array, ""]:
     """Draws one of the whole numbers from 0 to below `count`, all equally likely, int32 []; as `sample`, by 24 bits."""
-    if (chosen := choose.get()) is not None and isinstance(count, int):
-        return chosen(jnp.ones(count))
     u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(jnp.result_type(float)) * 2**-24
     # Never `count` itself, however the product is rounded.
     return (u * jnp.asarray(count, u.dtype)).astype(jnp.int32)

@@ -9,7 +9,7 @@ from jaxrl_tab.figures.figure import EXACT, Figure, Number
 
 GAMMA = 0.9
 TABLE, VALUES = "table", "values"
-STAYS_LOW = np.arange(101) / 100
+STAYS_LOW = np.arange(51) / 50
 ALPHA, BETA, SEARCHING, WAITING = 0.7, 0.6, 2.0, 1.0  # of the robot by default
 # (s, a, s', p(s' | s, a), r(s, a, s')) as the book prints them; where p is 0 it prints no reward.
 PRINTED = (
@@ -112,7 +112,7 @@ FIGURE = Figure(
         # By hand: v(high) = 2 / (1 - 0.9 0.7 - 0.81 0.3), v(low) = 0.9 v(high).
         Number("v* with a high battery", 2 / (1 - 0.63 - 0.243), EXACT, _v(HIGH)),
         Number("v* with a low battery", 1.8 / (1 - 0.63 - 0.243), EXACT, _v(LOW)),
-        # It is better from 3 / (5 - 0.09 v(high)) = 0.8374 on, and hundredths are looked at.
+        # It is better from 3 / (5 - 0.09 v(high)) = 0.8374 on, and fiftieths are looked at.
         Number("β from which it should search with a low battery", 0.84, EXACT, _searches_from),
     ),
     draw=_draw,
