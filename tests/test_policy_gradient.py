@@ -204,6 +204,7 @@ def test_exact_values_are_those_of_the_policy_and_there_is_no_error_of_preferenc
         np.testing.assert_allclose(ds.policy_value[seed, -1], planning.policy_value(env, pi), rtol=1e-5)
     assert np.isneginf(ds.greedy_value).all()  # who goes always the same way never arrives
     (explained,) = result.explain().values()
+    assert explained.acting is not None
     lost = planning.start_value(env, planning.value_iteration(env)[0]) - ds.policy_value[:, -1]
     np.testing.assert_allclose(explained.acting.lost, lost, rtol=1e-4)
 
