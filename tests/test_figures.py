@@ -152,6 +152,7 @@ def check_drawing(figure, datasets, file):
 LONG = {
     "changing-mazes",
     "prioritized-sweeping",
+    "blackjack-values",
     "upper-confidence-bounds",
     "gradient-bandit",
     "bandit-parameters",

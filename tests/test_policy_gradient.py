@@ -174,6 +174,16 @@ def test_exploration_rates_do_not_apply(capsys):
     )
 
 
+def test_optimisers_and_groups_are_typed(capsys):
+    """Broken once: text without a default taken for a table of probabilities -> fails."""
+    typed = ["--groups", "0,0,0,1", "--optimizer", "adam", "sgd(momentum=0.9)"]
+    assert (
+        main(["sweep", "short-corridor", "actor-critic", *typed, "--alpha", "0.1", "--dry-run", "--json"])
+        == 0
+    )
+    assert '"programs": 2' in capsys.readouterr().out
+
+
 # --- in all that shows them --------------------------------------------------------------------------
 
 

@@ -358,7 +358,8 @@ def _takes_table(parameter: describe.Parameter) -> bool:
 
 
 def _only_table(parameter: describe.Parameter) -> bool:
-    return parameter.default is None and not describe.takes_policy(parameter)
+    is_text = parameter.type == str | None
+    return parameter.default is None and not is_text and not describe.takes_policy(parameter)
 
 
 def _plain(key: str, value: Any) -> Any:

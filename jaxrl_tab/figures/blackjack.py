@@ -66,7 +66,7 @@ def _draw(datasets):
             ax.set_title(f"{title}\n{name}", fontsize=plot.TYPE)
         for column, (title, q) in enumerate(surfaces.items()):
             deep.append(ax := canvas.add_subplot(grid[2 + row, column], projection="3d"))
-            values = _surface(ax, q[usable].max(-1))
+            values = surface(ax, q[usable].max(-1))
             ax.set_title(f"{title}\n{name}", fontsize=plot.TYPE)
     plot.color_bar(shares, flat, "share that hit", length=0.5)
     plot.color_bar(values, deep, length=0.5)
@@ -98,7 +98,7 @@ def _policy(ax, hit, best):
     return image
 
 
-def _surface(ax, v):
+def surface(ax, v):
     """Values over the dealer's card and the player's sum."""
     from jaxrl_tab.show import plot
 
