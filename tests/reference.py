@@ -283,6 +283,35 @@ class PrioritizedSweeping(Agent):
         return self.act(s_next, u)
 
 
+class RMax(Agent):
+    """Pairs with m visits are known, by the mean of these; the others keep their Q."""
+
+    def __init__(self, *args, m, sweeps, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.m, self.sweeps = m, sweeps
+        self.seen, self.ends = {}, set()
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        seen = self.seen.setdefault((s, a), [])
+        if terminal:
+            self.ends.add(s_next)
+        if len(seen) < self.m:
+            seen.append((r, s_next))
+            if len(seen) == self.m:
+                self.solve()
+        return self.act(s_next, u)
+
+    def solve(self):
+        known = {pair: seen for pair, seen in self.seen.items() if len(seen) == self.m}
+        for _ in range(self.sweeps):
+            v = [F(0) if s in self.ends else row.max() for s, row in enumerate(self.q)]
+            means = {
+                pair: np.mean([r + F(self.gamma) * v[x] for r, x in seen]) for pair, seen in known.items()
+            }
+            for pair, mean in means.items():
+                self.q[pair] = mean
+
+
 class MonteCarlo(Agent):
     """Every visit, in order, towards its return (book, equation 6.1), with its own step size."""
 

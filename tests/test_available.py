@@ -140,6 +140,7 @@ PLAIN = {
         {"kappa": 0.25},
         lambda key: reference.DynaQ(*SHARED, words=planning_words(key), kappa=0.25),
     ),
+    "r-max": ({"m": 3, "sweeps": 9}, lambda key: reference.RMax(*SHARED, m=3, sweeps=9)),
     "prioritized-sweeping": ({}, lambda key: reference.PrioritizedSweeping(*SHARED)),
     "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, version="watkins")),
     "gradient-bandit": ({}, lambda key: reference_gradient.GradientBandit(*SHARED)),

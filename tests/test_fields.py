@@ -41,6 +41,8 @@ OUTSIDE = {
     "steps": [0.5],
     "planning_steps": [-1],
     "kappa": [-0.1],
+    "m": [0.5],
+    "sweeps": [0],
     "change_at": [-1],
     "changed": [-0.1, 1.1],
     "theta": [-0.1],

@@ -107,6 +107,7 @@ CASES = {
     "hysteretic-q-learning": Case("windy-gridworld", "hysteretic-q-learning", ALPHAS),
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
     "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
+    "r-max": Case("two-doors", "r-max", {"q0": 5.0, "m": [2.0, 3.0], "sweeps": 9}),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
     "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),

@@ -1,4 +1,10 @@
-"""Methods that plan with a model that they learn: against plain loops, and by hand."""
+"""Methods that plan with a model that they learn: against plain loops, and by hand; and docs/models.md."""
+
+import inspect
+import re
+import textwrap
+from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +16,10 @@ from test_one_step import ALPHAS, EPSILON, words_of_updates
 from test_reference import GAMMAS, STEPS, env_and_task, initial_tables, uniforms, words_of
 
 import jaxrl_tab as rl
+from jaxrl_tab import planning
+from jaxrl_tab.cli import main
 from jaxrl_tab.core import policies, rng
+from jaxrl_tab.figures import FIGURES
 
 
 def planning_words(key, n=5):
@@ -36,10 +45,15 @@ METHODS = {
         {"planning_steps": 3, "theta": 0.25},
         lambda key, *args: reference.PrioritizedSweeping(*args, n=3, theta=0.25),
     ),
+    "r-max": (
+        rl.RMax,
+        {"m": 3, "sweeps": 9},
+        lambda key, *args: reference.RMax(*args, m=3, sweeps=9),
+    ),
 }
 
 
-@pytest.mark.parametrize("name", slow_but(["dyna-q-plus", "prioritized-sweeping"], METHODS))
+@pytest.mark.parametrize("name", slow_but(["dyna-q-plus", "prioritized-sweeping", "r-max"], METHODS))
 def test_every_step_agrees_with_the_plain_loop(name):
     """In a random task, whose last outcomes change. Broken once: a state is twice in the list; a lower priority
     replaces a higher one -> fails.
@@ -77,3 +91,40 @@ def test_below_draws_each_number_alike_and_never_the_count():
         drawn = np.asarray(jax.vmap(lambda w, n=count: policies.below(rng.as_key(w), jnp.int32(n)))(words))
         assert drawn.min() >= 0 and drawn[-1] == count - 1 == drawn.max()
         assert abs(drawn.mean() - (count - 1) / 2) <= 4 * count / np.sqrt(12 * len(words))
+
+
+def test_r_max_swims_up_the_river_where_others_stay_at_the_bank():
+    """Where q0 is optimistic. Broken once: q0 = 0 -> fails."""
+    env = rl.make("river-swim")
+    budget: Any = {"num_seeds": 20, "num_steps": 6000, "log_every": 3000}
+    best = planning.start_value(env, planning.value_iteration(env, 0.95)[0])
+    settings = {"r-max": {"q0": 20 * best, "m": 30}, "q-learning": {}}
+    earned = {
+        method: rl.sweep(env, method, {"gamma": 0.95, **grid}, **budget).log.rewards[:, -1]
+        for method, grid in settings.items()
+    }
+    assert np.median(earned["r-max"]) > 20 * np.median(earned["q-learning"])
+
+
+# --- docs/models.md ----------------------------------------------------------------------------------
+
+PAGE = (Path(__file__).parent.parent / "docs/models.md").read_text(encoding="utf-8")
+
+
+def test_the_page_shows_the_code_that_there_is():
+    """Broken once: a line of the page changed -> fails."""
+    (shown,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    assert shown == textwrap.dedent(inspect.getsource(rl.DynaQ.update))
+
+
+def test_the_commands_of_the_page_are_understood(capsys):
+    """Broken once: an option misspelt -> fails."""
+    commands = [line.partition("#")[0].split() for line in PAGE.splitlines() if line.startswith("jaxrl-tab ")]
+    assert len(commands) == 8
+    for _, command, *words in commands:
+        if command == "sweep":
+            assert main([command, *words, "--dry-run"]) == 0
+        elif command == "figure":
+            assert words[0] in FIGURES
+    named = re.findall(r"`jaxrl-tab figure ([a-z-]+)`", PAGE)
+    assert len(named) == 3 and {*named} <= FIGURES.keys()

@@ -17,6 +17,10 @@ from test_reference import STEPS, env_and_task, words_of
 import jaxrl_tab as rl
 from jaxrl_tab import planning, schedules
 from jaxrl_tab.cli import main
+from jaxrl_tab.core.policies import UNAVAILABLE
+from jaxrl_tab.show.explorer.chapter import explorer
+from jaxrl_tab.show.tasks import policy_of
+from jaxrl_tab.stats.columns import Methods
 
 GAMMA, ALPHA = 0.9, 0.25
 AVERAGE = schedules.sample_average()
@@ -200,8 +204,20 @@ def test_exact_values_are_those_of_the_policy_and_there_is_no_error_of_preferenc
         np.testing.assert_allclose(ds.policy_value[seed, -1], planning.policy_value(env, pi), rtol=1e-5)
     assert np.isneginf(ds.greedy_value).all()  # who goes always the same way never arrives
     (explained,) = result.explain().values()
+    assert explained.acting is not None
     lost = planning.start_value(env, planning.value_iteration(env)[0]) - ds.policy_value[:, -1]
     np.testing.assert_allclose(explained.acting.lost, lost, rtol=1e-4)
+
+
+def test_the_report_shows_the_policy():
+    """Broken once: preferences shown as values -> fails."""
+    env = rl.TwoDoors()
+    ds = rl.sweep(env, "reinforce", {"alpha": 0.5}, num_seeds=3, num_episodes=20).to_xarray()
+    page = explorer("doors", Methods.of({"reinforce": ds}, env))
+    (method,) = page.data["methods"]
+    (table,) = method["tables"].values()
+    assert method["policy"] and 0 <= table["low"] < 1  # the smallest number that is shown
+    np.testing.assert_allclose(policy_of(np.array([[0.0, np.log(3), UNAVAILABLE]])), [[0.25, 0.75, 0]])
 
 
 def test_an_episode_is_told_in_preferences(capsys):

@@ -29,6 +29,7 @@ from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.q_sigma import QSigma
 from jaxrl_tab.algorithms.r_learning import RLearning
+from jaxrl_tab.algorithms.r_max import RMax
 from jaxrl_tab.algorithms.reinforce import Reinforce, ReinforceBaseline
 from jaxrl_tab.algorithms.retrace import Retrace
 from jaxrl_tab.algorithms.sarsa import Sarsa
@@ -77,6 +78,7 @@ ALGORITHMS: dict[str, type] = {
     "dyna-q": DynaQ,
     "dyna-q-plus": DynaQPlus,
     "prioritized-sweeping": PrioritizedSweeping,
+    "r-max": RMax,
 }
 
 __all__ = [
@@ -108,6 +110,7 @@ __all__ = [
     "QLearning",
     "QSigma",
     "RLearning",
+    "RMax",
     "Reinforce",
     "ReinforceBaseline",
     "Retrace",

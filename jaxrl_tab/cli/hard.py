@@ -26,7 +26,7 @@ def _rows(env: Any, found: planning.Hardness, gamma: float) -> list[tuple[str, f
     where = "no action is worse than another"
     if np.isfinite(gaps.smallest):
         action = of_environment(env).action_names[gaps.action]
-        where = f"what the closest wrong action loses: {action} in state {gaps.state}; to tell takes 1/gap² samples"
+        where = f"what the closest wrong action loses: {action} in state {gaps.state}; samples to tell grow as 1/gap²"
     counted = "steps of an episode" if gamma == 1 else "steps from the start, that at t counted γ^t times"
     forgets = (
         "steps until the state says next to nothing about where one was (to 1/4), if {}; ∞: in a fixed rhythm"

@@ -120,6 +120,7 @@ TITLES = {  # where `_written` says it otherwise than people do
     "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
     "dyna-q": "Dyna-Q",
     "dyna-q-plus": "Dyna-Q+",
+    "r-max": "R-max",
     "q-learning-target": "Q-learning of a target policy",
     "reinforce": "REINFORCE",
     "reinforce-baseline": "REINFORCE with baseline",
