@@ -16,7 +16,7 @@ from jaxrl_tab.cli.options import Typed
 from jaxrl_tab.cli.typed import Classes, values_of
 from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import build
-from jaxrl_tab.core.errors import InputError, one_line
+from jaxrl_tab.core.errors import InputError, listed, one_line
 from jaxrl_tab.engine import by_xla, programs
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, storage
@@ -95,7 +95,7 @@ def find(group: Classes, name: str) -> type:
     """The class that a word names, which must be of the kind of this group."""
     assert group.kind
     if not name:
-        raise InputError(f"name {group.kind.noun}: {', '.join(group.registry)}")
+        raise InputError(f"name {group.kind.noun}: {listed(group.registry)}")
     return group.registry[name] if name in group.registry else names.find(group.kind, name).cls
 
 

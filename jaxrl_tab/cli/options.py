@@ -24,6 +24,7 @@ from jaxrl_tab.core.errors import (
     InputError,
     check_choice,
     in_words,
+    listed,
     nearest,
     one_line,
     shown,
@@ -33,6 +34,7 @@ from jaxrl_tab.core.errors import (
 
 Typed = dict[str, tuple[str, ...]]
 """The options that were typed, each with its words; none for a switch."""
+MOST = 2 / 3  # of a part of a registry, from where on its name stands for those that are meant
 NONE = "–"  # stands where there is no default
 
 
@@ -95,11 +97,12 @@ class Group(NamedTuple):
     entry_points: str = ""
 
     def owners(self, names: Sequence[str]) -> str:
-        """Names of the registry in few words: the name of a part instead of all that are in it."""
+        """Names of the registry in few words: the name of a part instead of all, or most, that are in it."""
         remaining, in_words = list(names), []
         for part, members in self.parts.items():
-            if set(members) <= set(remaining):
-                in_words.append(part)
+            share = len(set(members) & set(remaining)) / len(members)
+            if share > MOST:
+                in_words.append(part if share == 1 else f"most of {part}")
                 remaining = [name for name in remaining if name not in members]
         return ", ".join(in_words + remaining)
 
@@ -250,7 +253,7 @@ def _hint(owned: Mapping[str, Option], group: Group) -> str:
 def checked_name(kind: str, name: str, choices: Collection[str]) -> str:
     """`name`, which must be one of `choices`."""
     if not name:
-        raise InputError(f"name {kind}: {', '.join(choices)}")
+        raise InputError(f"name {kind}: {listed(choices)}")
     if name not in choices:
         raise InputError(f"{shown(name)} is not {kind}; {nearest(name, choices)}")
     return name

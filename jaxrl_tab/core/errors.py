@@ -103,6 +103,9 @@ def reason(error: BaseException) -> str:
     return one_line(getattr(error, "strerror", None) or str(error)) or type(error).__name__
 
 
+MOST_LISTED, FEW_LISTED = 16, 8  # names in a message
+
+
 def nearest(name: Any, names: Iterable[str], otherwise: str = "") -> str:
     """Returns "did you mean 'x'?" for the name most like `name`, or one that begins so.
 
@@ -111,7 +114,15 @@ def nearest(name: Any, names: Iterable[str], otherwise: str = "") -> str:
     names, name = list(names), (name if isinstance(name, str) else "").lower().replace("_", "-")
     begins = [x for x in names if name and x.startswith(name)]
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5) or begins
-    return f"did you mean '{close[0]}'?" if close else otherwise or f"choose one of {', '.join(names)}"
+    return f"did you mean '{close[0]}'?" if close else otherwise or f"choose one of {listed(names)}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """All names, "a, b, c"; where they are more than a line holds the first ones, and where all are shown."""
+    names = list(names)
+    if len(names) <= MOST_LISTED:
+        return ", ".join(names)
+    return f"{', '.join(names[:FEW_LISTED])}, ... (`jaxrl-tab list` shows all {len(names)})"
 
 
 def check_choice(name: str | None, what: str, value: Any, choices: Iterable[str]) -> None:

@@ -17,7 +17,7 @@ from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import clock, describe, names, policies, schedules
 from jaxrl_tab.core.checks import build, repeated
 from jaxrl_tab.core.declared import Learns, of_method
-from jaxrl_tab.core.errors import InputError, nearest, shown
+from jaxrl_tab.core.errors import InputError, listed, nearest, shown
 from jaxrl_tab.core.pytree import checked_dataclass, field, static
 from jaxrl_tab.engine import axes
 from jaxrl_tab.engine.axes import DRAW
@@ -233,7 +233,7 @@ def _tables(
                 )
             table = dict(table) if isinstance(table, Mapping) else {"name": table}
             if "name" not in table:
-                raise InputError(f"the {key} has no name: one of {', '.join(kind.registry)}")
+                raise InputError(f"the {key} has no name: one of {listed(kind.registry)}")
             with at("name"):
                 if dataclasses.is_dataclass(table["name"]) and not isinstance(table["name"], type):
                     table = table_of(kind, table["name"]) | {k: x for k, x in table.items() if k != "name"}
@@ -246,7 +246,7 @@ def _tables(
             tables.append({**table, **about})
     if not tables:
         with at(key):
-            raise InputError(f"there is no {key}: name one or more of {', '.join(kind.registry)}")
+            raise InputError(f"there is no {key}: name one or more of {listed(kind.registry)}")
     return tables
 
 

@@ -35,7 +35,7 @@ from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import memory, modules, notebook
 from jaxrl_tab.core.checks import checked
 from jaxrl_tab.core.declared import Learns, of_method
-from jaxrl_tab.core.errors import InputError, as_path, nearest, one_line, shown
+from jaxrl_tab.core.errors import InputError, as_path, listed, nearest, one_line, shown
 from jaxrl_tab.core.pytree import field
 from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.engine.budget import Budget
@@ -191,7 +191,7 @@ class Experiment:
                         raise InputError(f"an experiment has no {shown(key)}; {hint}")
             for key, registry in (("environment", ENVS), ("method", METHODS)):
                 if key not in data:
-                    raise InputError(f"there is no [[{key}]]: name one or more of {', '.join(registry)}")
+                    raise InputError(f"there is no [[{key}]]: name one or more of {listed(registry)}")
         return cls(**data, source=source)
 
     def data(self) -> dict[str, Any]:
