@@ -320,7 +320,7 @@ def test_options_with_help(here, capsys):
         cli.main(["sweep", "mine.py:Coin", "mine.py:Hasty", "--help"])
     text = " ".join(capsys.readouterr().out.split())
     assert "--haste X [X ...] by what the error is multiplied. (of mine.py:Hasty; default: 1)" in text
-    assert "--heads X how likely heads are. (of mine.py:Coin; default: 0.5)" in text
+    assert "--heads X [X ...] how likely heads are. (of mine.py:Coin; default: 0.5)" in text
     assert cli.main(["sweep", "random-walk", "mine.py:Hasty", "--hast", "1"]) == 2
     assert "there is no option --hast; did you mean '--haste'?" in capsys.readouterr().err
 
