@@ -93,7 +93,7 @@ class PolicyGradient(Shown):
     groups: str | None = static(
         default=None,
         help="States that the method cannot tell apart: for each state the number of its row in all tables, such as "
-        '"0,0,0,1" (state aggregation: book, section 9.3). None: each state has its own.',
+        '"0,0,0,1" (state aggregation: book, section 9.3). By default each has its own.',
     )
 
     learns: ClassVar[Learns] = Learns.PREFERENCES
