@@ -672,6 +672,30 @@ class NStepValues(Values):
             self.v[s] += step_size * (g - self.v[s])
 
 
+class NStepOffPolicyValues(Values):
+    """n-step TD off-policy (equation 7.9), the whole episode kept in lists; or with control variates (7.13)."""
+
+    def __init__(self, *args, n, control_variates=False, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.n, self.control_variates = n, control_variates
+
+    def learn_value(self, s, a, r, s_next, discount, ended, alpha):
+        self.steps.append((s, r, alpha(), self.pi[s][a] / self.acting[s][a], discount))
+        length = len(self.steps)
+        for tau in range(max(length - self.n, 0), length if ended else length - self.n + 1):
+            s, _, step_size, *_ = self.steps[tau]
+            if self.control_variates:
+                g = self.v[s_next]
+                for state, r, _, rho, gamma in reversed(self.steps[tau:]):
+                    g = rho * (r + gamma * g) + (1 - rho) * self.v[state]
+                self.v[s] += step_size * (g - self.v[s])
+                continue
+            g = sum(self.gamma ** (i - tau) * self.steps[i][1] for i in range(tau, length))
+            g += self.gamma ** (length - 1 - tau) * discount * self.v[s_next]
+            rho = np.prod([step[3] for step in self.steps[tau:]])
+            self.v[s] += step_size * rho * (g - self.v[s])
+
+
 class TraceValues(Values):
     """TD(lambda) (boxes of sections 12.2 and 12.5)."""
 

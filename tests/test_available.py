@@ -198,7 +198,7 @@ def test_every_step_agrees_with_the_plain_loop(name):
         agent, words, task = plain(key), words_of(key), task_of(few_actions(TEMPTING))
         common = {"alpha": ALPHA, "epsilon": EPSILON, "gamma": GAMMA, "q0": 0.5, "theta0": 0.5}
         taken = {f.name for f in dataclasses.fields(rl.ALGORITHMS[name])}
-        method = rl.ALGORITHMS[name](**{k: x for k, x in common.items() if k in taken}, **fields)
+        method = rl.ALGORITHMS[name](**{k: x for k, x in common.items() if k in taken} | fields)
         state, log = played(method, num_steps=STEPS, log_every=STEPS)
     if getattr(agent, "exploring_starts", False):
         task = task._replace(initial=[1, 1, 1, 1, 0])

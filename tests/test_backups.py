@@ -126,6 +126,7 @@ SHAPES = {
     "n-step-td": ("state, action, state, ..., action, state",),
     "monte-carlo-prediction": ("state, action, state, ..., end",),
     "off-policy-td": TD0,
+    "n-step-off-policy-td": ("state, action, state, ..., action, state",),
     "off-policy-monte-carlo-prediction": ("state, action, state, ..., end",),
 }
 SHAPES["q-sigma"] = SHAPES["tree-backup"]
@@ -189,6 +190,7 @@ IN_WORDS = {  # what no circle shows
     "differential-sarsa": "from each reward the average is taken off",
     "off-policy-monte-carlo": "over the actions after A_t",
     "off-policy-td": "multiplied by the ratio",
+    "n-step-off-policy-td": "over the actions from A_t on",
     "off-policy-monte-carlo-prediction": "over the actions from A_t on",
     "dyna-q": "from what the model remembers",
     "r-max": "By the model",

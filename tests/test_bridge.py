@@ -74,9 +74,7 @@ def test_the_mean_of_td_0_is_iterative_policy_evaluation(name):
     pi = np.random.default_rng(1).dirichlet(np.ones(4), size=env.num_states) * [0, 1, 1, 1]
     pi /= pi.sum(1, keepdims=True)
     b = (pi > 0) / 3
-    method = PREDICTION[name](
-        pi=pi, gamma=GAMMA, **({"behaviour": b} if name.startswith("off-policy") else {})
-    )
+    method = PREDICTION[name](pi=pi, gamma=GAMMA, **({"behaviour": b} if "off-policy" in name else {}))
     v = np.random.default_rng(0).normal(size=env.num_states)
     if name in bridge.TABLE[0].methods:
         want = planning.evaluation_backup(env, v, pi, GAMMA)

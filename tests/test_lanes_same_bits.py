@@ -131,6 +131,8 @@ CASES = {
     "true-online-td-lambda": Case("random-walk", "true-online-td-lambda", ALPHAS),
     "offline-lambda-return": Case("random-walk", "offline-lambda-return", ALPHAS, episodes=8),
     "monte-carlo-prediction": Case("blackjack", "monte-carlo-prediction", episodes=20),
+    "n-step-off-policy-td": Case("two-doors", "n-step-off-policy-td", ALPHAS | {"n": 2}, episodes=20),
+    "control variates": Case("random-walk", "n-step-off-policy-td", ALPHAS | {"control_variates": True}),
     "off-policy-td": Case("jacks-car-rental", "off-policy-td", ALPHAS | {"gamma": 0.9}),
     "off-policy-monte-carlo-prediction": Case("two-doors", "off-policy-monte-carlo-prediction", episodes=20),
     "one task for each run": Case(

@@ -24,6 +24,7 @@ from jaxrl_tab.algorithms.prediction import (
     PREDICTION,
     TD,
     MonteCarloPrediction,
+    NStepOffPolicyTD,
     NStepTD,
     OffPolicyMonteCarloPrediction,
     OffPolicyPrediction,
@@ -58,6 +59,13 @@ KINDS = {
     "off-line": (PREDICTION["offline-lambda-return"], {"lam": LAM}, reference.LambdaReturnValues, "1/N"),
     "every visit": (MonteCarloPrediction, {}, reference.ReturnValues, "1/N"),
     "first visit": (MonteCarloPrediction, {"first_visit": True}, reference.ReturnValues, "episode"),
+    "n-step off-policy": (NStepOffPolicyTD, {"n": 3}, reference.NStepOffPolicyValues, "1/N"),
+    "n-step, control variates": (
+        NStepOffPolicyTD,
+        {"n": 3, "control_variates": True},
+        reference.NStepOffPolicyValues,
+        "constant",
+    ),
     "off-policy td": (OffPolicyTD, {}, reference.Values, "constant"),
     **{
         f"{weighting}, first {first}": (

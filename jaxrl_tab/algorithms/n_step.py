@@ -139,6 +139,12 @@ class Sums(NamedTuple):
         return self._replace(g=self.g + self.weight * t.r, weight=self.weight * t.discount)
 
 
+def bootstrapped(lane, read, s_next, a_next):
+    """G = the rewards and, with its weight, Q(S', A'); as `NStepControl.learned` asks for it."""
+    reached = lane, tables.entry(s_next, lane), tables.entry(a_next, lane)
+    return lambda q, i, step: step.g + step.weight * tables.entry(q, *reached)
+
+
 # --- returns that are worked out backwards, by the Q of the moment --------------------------------------
 
 

@@ -4,8 +4,7 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from jaxrl_tab.algorithms.n_step import NStepControl, NStepState, Sums
-from jaxrl_tab.algorithms.n_step_sarsa import bootstrapped
+from jaxrl_tab.algorithms.n_step import NStepControl, NStepState, Sums, bootstrapped
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.coverage import check_coverage

@@ -2,8 +2,7 @@
 
 from typing import ClassVar
 
-from jaxrl_tab.algorithms.n_step import NStepControl, NStepState, Sums
-from jaxrl_tab.core import tables
+from jaxrl_tab.algorithms.n_step import NStepControl, NStepState, Sums, bootstrapped
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
@@ -35,9 +34,3 @@ class NStepSarsa(NStepControl):
         a_next = self.policy(key, state, t.s_next)
         memory = self.remember(state, t, g=0, weight=1).rewarded(t)
         return self.learned(state, t, memory, bootstrapped, t.s_next, a_next), a_next
-
-
-def bootstrapped(lane, read, s_next, a_next):
-    """G = the rewards and, with its weight, Q(S', A'); as `NStepControl.learned` asks for it."""
-    reached = lane, tables.entry(s_next, lane), tables.entry(a_next, lane)
-    return lambda q, i, step: step.g + step.weight * tables.entry(q, *reached)

@@ -87,12 +87,12 @@ class PolicyGradient(Shown):
     optimizer: str | None = static(
         default=None,
         help='The optimiser of the policy, as the call that makes it in optax, such as "adam" or "sgd(momentum=0.9)"; '
-        "alpha is its learning rate. None: plain gradient ascent, as in the book.",
+        "alpha is its learning rate. Plain gradient ascent, as in the book, where none is given.",
     )
     groups: str | None = static(
         default=None,
         help="States that the method cannot tell apart: for each state the number of its row in all tables, such as "
-        '"0,0,0,1" (state aggregation: book, section 9.3). None: each state has its own.',
+        '"0,0,0,1" (state aggregation: book, section 9.3). By default each has its own.',
     )
 
     learns: ClassVar[Learns] = Learns.PREFERENCES

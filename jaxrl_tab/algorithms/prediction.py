@@ -31,6 +31,7 @@ from jaxrl_tab.algorithms import (
     SarsaLambdaForward,
     TrueOnlineSarsaLambda,
 )
+from jaxrl_tab.algorithms.n_step_of_states import NStepOfStates
 from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
 from jaxrl_tab.core import names, policies, tables
 from jaxrl_tab.core.backups import Backup, lambda_return
@@ -289,6 +290,40 @@ class OffPolicyTD(OffPolicyPrediction, TD):
 
 
 @pytree
+class NStepOffPolicyTD(OffPolicyPrediction, NStepTD):
+    """n-step TD with importance sampling (book, sections 7.3 and 7.4).
+
+    V(S_t) <- V(S_t) + alpha rho_{t:t+n-1} [G_{t:t+n} - V(S_t)]      (equation 7.9)
+
+    rho is the product of the ratios pi(A | S) / b(A | S) over the n actions from A_t on. With `control_variates` there
+    is one ratio for each decision, and where it is 0 the value stays instead of falling to 0:
+
+    V(S_t) <- V(S_t) + alpha [G_{t:t+n} - V(S_t)],  G_{t:h} = rho_t (R_{t+1} + gamma G_{t+1:h}) + (1 - rho_t) V(S_t)
+                                                                                                  (equation 7.13)
+
+    (Off-policy TD, `OffPolicyTD`, multiplies the target alone, as the lecture does.)
+    """
+
+    control_variates: bool = static(default=False, help="One ratio for each decision, with control variates.")
+
+    multiplies_returns: ClassVar[bool] = True
+    acts_after_update: ClassVar[bool] = True
+    learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
+    method: ClassVar[type] = NStepOfStates
+    backup: ClassVar[Backup] = Backup(
+        NStepTD.backup.columns,
+        "Another policy b acts. The error counts by the product of π(A | S) / b(A | S) over the actions from A_t on.",
+    )
+
+    def update(self, key, state: ValueState, t: Transition):
+        assert state.target is not None
+        rho = tables.entry(state.target, t.s, t.a) / tables.entry(state.acting, t.s, t.a)
+        learner = self.control().weighed(state.learner, t._replace(a=jnp.zeros_like(t.a)), rho)
+        state = state._replace(learner=learner)
+        return state, self.policy(key, state, t.s_next)
+
+
+@pytree
 class _OfStates(OffPolicyMonteCarlo):
     """Off-policy Monte Carlo with one entry a state, of which the ratio of its own action is a part."""
 
@@ -371,6 +406,7 @@ PREDICTION: dict[str, type] = {
     "offline-lambda-return": OfflineLambdaReturn,
     "monte-carlo-prediction": MonteCarloPrediction,
     "off-policy-td": OffPolicyTD,
+    "n-step-off-policy-td": NStepOffPolicyTD,
     "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,
 }
 # The methods of control come first, for a ChainMap begins with its last map.

@@ -48,12 +48,13 @@ def _draw(datasets):
 
     canvas = plot.canvas(plot.WIDTH)
     walk, loop = canvas.subplots(1, 2)
+    lambdas = datasets[TRACES[0]].lam.values
+    at = np.arange(len(lambdas))
     for trace, color, marker in zip(TRACES, plot.COLORS, plot.MARKERS, strict=False):
         mean = datasets[trace].rms.mean("row", skipna=False)
         best = mean.mean("seed", skipna=False).fillna(np.inf).argmin("alpha")
-        at = np.arange(best.size)
         plot.mean_curve(walk, at, mean.isel(alpha=best).rename(lam="row"), trace, color, marker=marker)
-    walk.set_xticks(at, [f"{lam:g}" for lam in datasets[trace].lam.values])
+    walk.set_xticks(at, [f"{lam:g}" for lam in lambdas])
     plot.tidy(walk, "λ, each with its best step size α", f"RMS error, first {EPISODES} episodes")
     walk.set_title("TD(λ) on the random walk", fontsize=plot.TYPE)
     for (name, color), dash in zip(zip(VISITS, plot.COLORS, strict=False), plot.DASHES, strict=False):
@@ -64,8 +65,10 @@ def _draw(datasets):
     loop.set_title(f"Monte Carlo in a loop, left with probability {1 - STAYS:.1f}", fontsize=plot.TYPE)
     for ax in (walk, loop):
         plot.legend(ax)
-    seeds = f"{datasets[trace].sizes['seed']} and {datasets[name].sizes['seed']} seeds"
-    plot.head(canvas, f"A state that comes again: mean and pointwise 95% interval over {seeds}")
+    seeds = " and ".join(
+        str(datasets[name].sizes["seed"]) for name in (TRACES[0], *VISITS) if name != "every visit"
+    )
+    plot.head(canvas, f"A state that comes again: mean and pointwise 95% interval over {seeds} seeds")
     return canvas
 
 
