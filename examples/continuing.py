@@ -10,7 +10,8 @@ left = planning.average_reward(env, [[1, 0]] * 6)
 print(f"always to swim left:          {left:.4f}")
 
 # Without an end, returns are sums of discounted rewards. Where all values begin as high as they can be, what is not
-# known looks good: that is exploration enough. Where they begin at 0, the small reward on the left is all that is found.
+# known looks good: that is exploration enough. Where they begin at 0, the small reward on the left is all
+# that is found.
 GAMMA, STEPS = 0.95, 20_000
 grid = {"alpha": 0.1, "epsilon": 0.1, "gamma": GAMMA, "q0": [0.0, 1 / (1 - GAMMA)]}
 ds = rl.sweep(env, rl.QLearning, grid, num_seeds=20, num_steps=STEPS, log_every=2000).to_xarray()

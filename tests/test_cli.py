@@ -414,7 +414,7 @@ REFUSALS = {
     "solve cliff-walking --moves four": "; cliff-walking has --shape, --is-slippery, --max-steps",
     "solve random-walk --states 4": "states must be odd",
     "moments": "name an environment: windy-gridworld",
-    "moments random-walk": "name a method with exact learning curves: td, n-step-td, td-lambda, true-online-td-lambda,",
+    "moments random-walk": "name a method with exact learning curves: td, n-step-td, td-lambda, monte-carlo-prediction",
     "moments random-walk sarsa": "'sarsa' is not a method with exact learning curves; choose one of td,",
     "moments random-walk td-lamda": "did you mean 'td-lambda'?",
     "moments random-walk td --n 4": "td has no --n, which belongs to n-step-td",
@@ -423,7 +423,7 @@ REFUSALS = {
     "moments random-walk td-lambda": "the traces of on-line TD(lambda) remember the whole episode",
     "moments random-walk monte-carlo-prediction": "alpha must be a number, for a schedule is not the same",
     "moments k-armed-testbed td --alpha 0.1": "each run has a problem of its own there",
-    "figure": "name a figure: " + ", ".join([*FIGURES][:8]) + f", ... (`jaxrl-tab list` shows all {len(FIGURES)})",
+    "figure": "name a figure: " + ", ".join(FIGURES),
     "figure windy": "did you mean 'windy-gridworld'?",
     "sweep": "name an environment",
     "sweep sarsa": "'sarsa' is not an environment",
@@ -469,7 +469,7 @@ REFUSALS = {
     "sweep windy-gridworld n-step-sarsa --n 1.5": "--n takes a whole number, not '1.5'",
     "sweep blackjack monte-carlo --batch 0": "batch must be a whole number of at least 1, not 0",
     "sweep blackjack off-policy-monte-carlo --weighting x": "choose one of weighted, ordinary, per-decision",
-    "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which belongs to most of the methods of control; td has",
+    "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which belongs to the methods of control that learn",
     "sweep random-walk td-lambda --lam -1": "td-lambda: lam must be between 0 and 1, not -1.0",
     "sweep random-walk td --pi 0.5": "there is no option --pi",
     "sweep random-walk td sarsa": "sweep methods of prediction and of control apart",
@@ -606,12 +606,12 @@ def test_list_names_everything(capsys):
     assert found["environments"]["windy-gridworld"]["parameters"]["wind"]["default"][6] == 2
     assert set(found["figures"]) == set(FIGURES)
     assert "methods of prediction, of the policy in which all actions are equally likely" in text
-    lines = [line.split()[0] for line in text.splitlines() if line.startswith("    --")]
-    assert lines.count("--epsilon") == 1  # what most have stands there once, and who has not says so
-    assert "    without --epsilon, --q0, --behaviour\n" in text
-    assert text.count("--alpha") == 2 + sum(
+    # What all have stands there once, and again where it has another default.
+    others = {getattr(cls(), "epsilon", 0.1) for cls in ALGORITHMS.values()} - {0.1}
+    assert text.count("--epsilon ") == 1 + len(others)
+    assert text.count("--alpha ") == 3 + sum(
         not isinstance(cls().alpha, float) for cls in METHODS.values()
-    )  # for control, for prediction, and where it is by default a schedule
+    )  # for control, of values and of policies, for prediction, and where it is by default a schedule
     assert "A policy is one of greedy, epsilon-greedy[:EPSILON], softmax[:TEMPERATURE], ucb[:C]." in text
     line, *_ = [line for line in text.splitlines() if "--wind " in line]
     assert "0 0 0 1 1 1 2 2 1 0  Strength of each column" in line

@@ -171,7 +171,9 @@ def test_an_optimiser_is_printed_as_it_is_typed():
 def test_exploration_rates_do_not_apply(capsys):
     """On the command line the line says who has one. Broken once: an option of all methods -> fails."""
     assert main(["sweep", "short-corridor", "reinforce", "--epsilon", "0.1"]) == 2
-    assert "reinforce has no --epsilon, which belongs to most of the methods of control" in capsys.readouterr().err
+    assert (
+        "reinforce has no --epsilon, which belongs to the methods of control that" in capsys.readouterr().err
+    )
     refused(
         lambda: rl.sweep(rl.ShortCorridor(), "reinforce", {"epsilon": 0.1}, num_seeds=1, num_steps=1),
         "has no parameter 'epsilon'",

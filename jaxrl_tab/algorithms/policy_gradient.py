@@ -89,18 +89,17 @@ class PolicyGradient(Shown):
         help='The optimiser of the policy, as the call that makes it in optax, such as "adam" or "sgd(momentum=0.9)"; '
         "alpha is its learning rate. Plain gradient ascent, as in the book, where none is given.",
     )
-
     groups: str | None = static(
         default=None,
         help="States that the method cannot tell apart: for each state the number of its row in all tables, such as "
-        '"0,0,0,1" (state aggregation: book, section 9.3). None: each state has its own.',
+        '"0,0,0,1" (state aggregation: book, section 9.3). By default each has its own.',
     )
 
     learns: ClassVar[Learns] = Learns.PREFERENCES
     acts_after_update: ClassVar[bool] = True
 
     def __post_init__(self):
-        if self.groups is not None and not _GROUPS.fullmatch(self.groups):
+        if self.groups is not None and not _GROUPS.fullmatch(str(self.groups)):
             raise unfit(type(self).__name__, "groups", 'whole numbers such as "0,0,1,2"', self.groups)
         if self.optimizer is not None:
             try:
@@ -132,7 +131,7 @@ class PolicyGradient(Shown):
     def _rows(self, num_states: int) -> Int[np.ndarray, " S"]:
         """The row of each state."""
         assert self.groups is not None
-        rows = np.array(self.groups.split(","), np.int32)
+        rows = np.array(str(self.groups).split(","), np.int32)
         if len(rows) != num_states:
             problem = f"groups has {len(rows)} numbers, and the task has {num_states} states"
             raise InputError(problem, who=type(self).__name__, field="groups")

@@ -16,6 +16,7 @@ from jaxrl_tab.cli.options import Typed
 from jaxrl_tab.cli.typed import Classes, values_of
 from jaxrl_tab.core import names
 from jaxrl_tab.core.checks import build
+from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError, listed, one_line
 from jaxrl_tab.engine import by_xla, programs
 from jaxrl_tab.envs import ENVS
@@ -28,13 +29,18 @@ ENVIRONMENTS = ENVIRONMENT._replace(
     help="Parameters of the environment; where one has several values, each is an environment of its own.",
     grids=True,
 )
+OF_VALUES = [name for name, cls in ALGORITHMS.items() if of_method(cls).learns is Learns.ACTIONS]
 HYPERPARAMETERS = Classes(
     METHODS,
     "Of the methods; several values make a grid.",
     kind=METHOD,
     grids=True,
     defaults={"alpha": ALPHAS},
-    parts={"the methods of control": ALGORITHMS, "the methods of prediction": PREDICTION},
+    parts={
+        "the methods of control": ALGORITHMS,
+        "the methods of control that learn values": OF_VALUES,
+        "the methods of prediction": PREDICTION,
+    },
 )
 OF_ONE_METHOD = HYPERPARAMETERS._replace(help="Of the method.", grids=False, defaults={})
 # Some parameters of the executors are called otherwise here, where they stand beside options of other things.

@@ -1,7 +1,7 @@
 """`jaxrl-tab list`: the environments and the methods, with their parameters and their backup diagrams."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +73,8 @@ def list_command(argv: list[str]) -> int:
         )
         return 0
     out = console()
-    for kind, entries in catalogue.listed.items():
-        out.print(f"[bold]{HEADINGS[kind]}[/]")
+    for kind, heading, entries in _alike(catalogue.listed):
+        out.print(f"[bold]{heading}[/]")
         if shared := _shared(entries) if len(entries) > 1 else []:
             out.print("\n  unless said otherwise, all have")
             out.print(_table(shared))
@@ -176,6 +176,18 @@ def _draw(drawn: Mapping[str, Backup], folder: Path) -> None:
         figure = plot.backups({title_of(name): backup for name, backup in drawn.items()})
         for ending in ("png", "svg"):
             plot.save(figure, new / f"backups.{ending}")
+
+
+def _alike(listed: Mapping[str, Mapping[str, Entry]]) -> Iterator[tuple[str, str, Mapping[str, Entry]]]:
+    """The kind, the heading and the entries of what is listed; methods that learn preferences have one of their own."""
+    for kind, entries in listed.items():
+        of_policy = {
+            name: x for name, x in entries.items() if any(option.name == "theta0" for option in x.options)
+        }
+        if others := {name: x for name, x in entries.items() if name not in of_policy}:
+            yield kind, HEADINGS[kind], others
+        if of_policy:
+            yield kind, f"{HEADINGS[kind]} that learn a policy itself", of_policy
 
 
 def _shared(entries: Mapping[str, Entry]) -> list[Option]:

@@ -124,7 +124,6 @@ TITLES = {  # where `_written` says it otherwise than people do
     "q-learning-target": "Q-learning of a target policy",
     "reinforce": "REINFORCE",
     "reinforce-baseline": "REINFORCE with baseline",
-    "r-max": "R-max",
     "psrl": "PSRL",
     "td": "TD(0)",
     "offline-lambda-return": "Off-line λ-return",
