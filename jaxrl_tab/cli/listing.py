@@ -85,8 +85,6 @@ def list_command(argv: list[str]) -> int:
                 _print_backup(out, backup, "    ")
             if own := [option for option in entry.options if _key(option) not in map(_key, shared)]:
                 out.print(_table(own))
-            if missing := [option.flag for option in shared if option.flag not in entry.by_flag]:
-                out.print(f"    without [green]{', '.join(missing)}[/]")
         if any("continuing" in facts for facts in catalogue.facts[kind].values()):
             out.print(CONTINUING, soft_wrap=True)
         out.print()
@@ -191,10 +189,15 @@ def _alike(listed: Mapping[str, Mapping[str, Entry]]) -> Iterator[tuple[str, str
 
 
 def _shared(entries: Mapping[str, Entry]) -> list[Option]:
-    """The options that two of three entries have, in the very same form."""
+    """The options that all entries have, in the form that most of them have."""
+    names = [{option.name for option in entry.options} for entry in entries.values()]
     counts = Counter(_key(option) for entry in entries.values() for option in entry.options)
     options = {_key(option): option for entry in entries.values() for option in entry.options}
-    return [options[key] for key, n in counts.items() if 3 * n >= 2 * len(entries)]
+    return [
+        options[key]
+        for key, n in counts.items()
+        if 2 * n > len(entries) and all(options[key].name in of_one for of_one in names)
+    ]
 
 
 def _key(option: Option) -> tuple[str, str, str]:

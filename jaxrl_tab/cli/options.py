@@ -99,11 +99,11 @@ class Group(NamedTuple):
     def owners(self, names: Sequence[str]) -> str:
         """Names of the registry in few words: the name of a part instead of all, or most, that are in it."""
         remaining, in_words = list(names), []
-        for part, members in self.parts.items():
-            share = len(set(members) & set(remaining)) / len(members)
-            if share > MOST:
-                in_words.append(part if share == 1 else f"most of {part}")
-                remaining = [name for name in remaining if name not in members]
+        for least, most_of in ((1, ""), (MOST, "most of ")):
+            for part, members in self.parts.items():
+                if len(set(members) & set(remaining)) >= least * len(members):
+                    in_words.append(most_of + part)
+                    remaining = [name for name in remaining if name not in members]
         return ", ".join(in_words + remaining)
 
 
