@@ -165,7 +165,8 @@ def test_an_option_goes_to_all_methods_that_have_it():
     ):
         options.values(["td", "sarsa"], {"--n": ("1",)}, HYPERPARAMETERS)
     with pytest.raises(
-        rl.InputError, match=r"td has no --q0, which belongs to the methods of control that learn values; td has --a"
+        rl.InputError,
+        match=r"td has no --q0, which belongs to the methods of control that learn values; td has --a",
     ):
         options.values(["td"], {"--q0": ("1",)}, HYPERPARAMETERS)
 
@@ -184,7 +185,10 @@ def test_help_says_how_a_schedule_is_typed(capsys):
     for name in policies.POLICIES:
         assert policies.form(name) in text
     assert "--q0 X [X ...] Initial value of every entry of Q" in text
-    assert "it is optimistic (book, section 2.6). (of the methods of control that learn values; default: 0)" in text
+    assert (
+        "above the true values it is optimistic (book, section 2.6). (of the methods of control that learn values"
+        in text
+    )
     assert "--n N [N ...] How many rewards it looks ahead. A whole number of at least 1." in text
     assert "(of n-step-sarsa, n-step-expected-sarsa, n-step-off-policy-sarsa, tree-backup, q-sigma," in text
     assert "n-step-td, n-step-off-policy-td; default: 4)" in text
