@@ -423,7 +423,9 @@ REFUSALS = {
     "moments random-walk td-lambda": "the traces of on-line TD(lambda) remember the whole episode",
     "moments random-walk monte-carlo-prediction": "alpha must be a number, for a schedule is not the same",
     "moments k-armed-testbed td --alpha 0.1": "each run has a problem of its own there",
-    "figure": "name a figure: " + ", ".join([*FIGURES][:8]) + f", ... (`jaxrl-tab list` shows all {len(FIGURES)})",
+    "figure": "name a figure: "
+    + ", ".join([*FIGURES][:8])
+    + f", ... (`jaxrl-tab list` shows all {len(FIGURES)})",
     "figure windy": "did you mean 'windy-gridworld'?",
     "sweep": "name an environment",
     "sweep sarsa": "'sarsa' is not an environment",
