@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxrl_tab.core import rng
+from jaxrl_tab.core import errors, rng
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import FiniteEnvironment, Outcome
@@ -563,7 +563,7 @@ def reward_with(index, value, rewards=R):
         ),
         (
             lambda: make("pong"),
-            f"'pong' is not an environment; choose one of {', '.join(ENVS)}",
+            f"'pong' is not an environment; choose one of {errors.listed(ENVS)}",
         ),
         (windy(move="king"), "windy-gridworld has no parameter 'move'; did you mean 'moves'?"),
         (windy(max_step=3), "windy-gridworld has no parameter 'max_step'; did you mean 'max_steps'?"),

@@ -123,7 +123,7 @@ def test_what_was_chosen_runs_again_on_seeds_of_no_other_sweep(windy, undisturbe
 
 
 def test_a_number_is_chosen_among_schedules_as_it_is_labelled(windy):
-    """The axis has text: "0.25" and "power:2:step". Broken once: the number compared with its text -> fails.
+    """The axis has 0.25 and "power:2:step". Broken once: the number compared with its text -> fails.
 
     Each is a program of its own. Broken once: runs counted in the program, not in the part -> fails.
     """
@@ -131,7 +131,7 @@ def test_a_number_is_chosen_among_schedules_as_it_is_labelled(windy):
     select = {"fresh_seeds": 2}
     outcome = rl.run(rl.Experiment("windy-gridworld", method, seeds=4, steps=4000, select=select))
     (row,) = outcome.selection.to_dict("records")
-    assert row["alpha"] == "0.25"
+    assert row["alpha"] == 0.25
     alphas = [rl.schedules.parse("power:2:step"), 0.25]
     expected = rl.sweep(windy, "sarsa", {"alpha": alphas}, num_seeds=4, num_steps=4000).to_xarray()
     xr.testing.assert_equal(outcome.datasets["windy-gridworld/sarsa"], expected)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import reference
 from by_hand import learned as learned_by_hand
-from marks import slow_but
 from test_reference import STEPS, env_and_task, random_mdp, words_of
 
 import jaxrl_tab as rl
@@ -42,7 +41,8 @@ GAMMAS, LAMBDAS, ALPHAS = (0.0, 0.5, 0.9, 1.0), (0.75, 1.0, 0.5, 0.875), (0.5, 0
 @pytest.mark.parametrize(
     ("kind", "env_name"),
     [
-        *((kind, "random mdp") for kind in slow_but([*KINDS][:-1], KINDS)),
+        *((kind, "random mdp") for kind in [*KINDS][:-1]),
+        pytest.param([*KINDS][-1], "random mdp", marks=pytest.mark.slow),
         pytest.param("SarsaLambda, dutch", "windy, stochastic, king", marks=pytest.mark.slow),
         pytest.param("QLambda, accumulating", "cliff", marks=pytest.mark.slow),
     ],
@@ -303,7 +303,8 @@ def test_the_action_that_is_learned_from_is_the_one_that_is_taken(kind):
     assert set(np.asarray(a_next)) == {0, 1, 2, 3}
     if cls is rl.QLambda:
         np.testing.assert_array_equal(value, np.full(64, 0.5 * 0.5 * 8))
-        np.testing.assert_array_equal(z, np.where(a_next == 3, 0.5, 0))
+        goes_on = (a_next == 3) | (fields.get("version", "watkins") != "watkins")
+        np.testing.assert_array_equal(z, np.where(goes_on, 0.5, 0))
     else:
         np.testing.assert_array_equal(value, 0.5 * 0.5 * q[1][a_next])
         np.testing.assert_array_equal(z, np.full(64, 0.5))

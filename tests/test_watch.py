@@ -48,14 +48,17 @@ def bits(x):
 SOME = ["sarsa", "double-q-learning", "monte-carlo", "sarsa-lambda", "off-policy-td"]
 
 
+@pytest.mark.usefixtures("optimised")  # what XLA makes of a sum of products else is not what a sweep has
 @pytest.mark.parametrize("name", slow_but(SOME, METHODS))
 def test_each_method_learns_what_it_learns_in_a_sweep(name):
     """To the last bit, with a step size that is no binary fraction; and nothing that it learns is left out.
 
-    Broken once: changes since the beginning of the episode -> fails.
+    Broken once: changes since the beginning of the episode; an argument of `learn` that is not handed on -> fails.
     """
-    env = rl.make("random-walk", states=5)
-    grid = {of_method(METHODS[name]).learns.initial: 0.5, "gamma": 0.9}  # every step changes something
+    goes_on = of_method(METHODS[name]).in_the_long_run
+    env = rl.make("chain", max_steps=20) if goes_on else rl.make("random-walk", states=5)
+    # Every step changes something.
+    grid = {of_method(METHODS[name]).learns.initial: 0.5, "gamma": 1.0 if goes_on else 0.9}
     grid |= {} if "monte-carlo" in name else {"alpha": 0.37}
     seen = watched(env, METHODS[name](**grid), num_episodes=9, at=1)
     swept = rl.sweep(env, name, grid, num_seeds=SEED + 1, num_episodes=1, seed=ROOT)

@@ -99,7 +99,7 @@ class PolicyGradient(Shown):
     acts_after_update: ClassVar[bool] = True
 
     def __post_init__(self):
-        if self.groups is not None and not _GROUPS.fullmatch(str(self.groups)):
+        if self.groups is not None and not (isinstance(self.groups, str) and _GROUPS.fullmatch(self.groups)):
             raise unfit(type(self).__name__, "groups", 'whole numbers such as "0,0,1,2"', self.groups)
         if self.optimizer is not None:
             try:
@@ -131,7 +131,7 @@ class PolicyGradient(Shown):
     def _rows(self, num_states: int) -> Int[np.ndarray, " S"]:
         """The row of each state."""
         assert self.groups is not None
-        rows = np.array(str(self.groups).split(","), np.int32)
+        rows = np.array(self.groups.split(","), np.int32)
         if len(rows) != num_states:
             problem = f"groups has {len(rows)} numbers, and the task has {num_states} states"
             raise InputError(problem, who=type(self).__name__, field="groups")

@@ -80,9 +80,9 @@ def _telling(method: Any, tell: Callable[[Float[Array, ""]], None]) -> Any:
     """A method that does the same, and tells each error that it learns from (by `learn`, as `TDControl` has it)."""
     cls = type(method)
 
-    def learn(self: Any, state: Any, t: Transition, delta: Float[Array, ""], **more: Any) -> Any:
+    def learn(self: Any, state: Any, t: Transition, delta: Float[Array, ""], *more: Any, **named: Any) -> Any:
         tell(delta)
-        return cls.learn(self, state, t, delta, **more)
+        return cls.learn(self, state, t, delta, *more, **named)
 
     def control(self: Any, **policies: Any) -> Any:
         return _telling(cls.control(self, **policies), tell)

@@ -94,7 +94,7 @@ FIGURE = Figure(
     shows="Most of the updates that Dyna-Q draws change nothing, for nothing is known yet where they look ahead. "
     "Prioritized sweeping updates only where something has changed, backwards from the goal, and makes a fiftieth of "
     "them. Each makes five at most after a real step; a maze counts as solved when the greedy way is at most a fifth "
-    "longer than the shortest. (The book's sizes lie between, and its mazes were drawn otherwise.)",
+    "longer than the shortest. The book's sizes lie between, and its mazes were drawn otherwise.",
     experiment=_experiment,
     small={"num_seeds": 2, "steps": 200},
     numbers=(
