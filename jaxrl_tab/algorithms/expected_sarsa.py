@@ -7,7 +7,6 @@ from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
-from jaxrl_tab.core.policies import Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -22,15 +21,12 @@ class ExpectedSarsa(OffPolicyControl):
     Q-learning. A' is drawn from the behaviour policy after the update.
     """
 
+    on_policy: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
     backup: ClassVar[Backup] = Backup(
         "action, state, each action", "π is the policy that acts, or the target where there is one."
     )
-
-    @property
-    def pi(self) -> Policy:
-        return self.selection if self.target is None else self.target
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)

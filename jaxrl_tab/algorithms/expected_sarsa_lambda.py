@@ -5,9 +5,7 @@ from typing import ClassVar
 from jaxrl_tab.algorithms.off_policy_traces import ExpectedTraces
 from jaxrl_tab.algorithms.traces import TraceState
 from jaxrl_tab.core.backups import Backup, lambda_return
-from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.declared import LearnsFrom
-from jaxrl_tab.core.policies import Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -25,6 +23,8 @@ class ExpectedSarsaLambda(ExpectedTraces):
     from the behaviour policy after the update.
     """
 
+    on_policy: ClassVar[bool] = True
+    weighs_by_ratios: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
     backup: ClassVar[Backup] = Backup(
@@ -32,19 +32,6 @@ class ExpectedSarsaLambda(ExpectedTraces):
         "π is the policy that acts. With another target an action that was taken, but for the first, goes on by "
         "π(A | S) / b(A | S), and the mean over actions takes the rest.",
     )
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.target is not None:
-            check_coverage(type(self).__name__, self.target, self.selection)
-
-    @property
-    def pi(self) -> Policy:
-        return self.selection if self.target is None else self.target
-
-    @property
-    def multiplies_returns(self) -> bool:
-        return self.target is not None
 
     def update(self, key, state: TraceState, t: Transition):
         rho = 1.0 if self.target is None else self.ratio(state, t.s, t.a)

@@ -9,9 +9,7 @@ from jax import lax
 from jaxrl_tab.algorithms.n_step import NStepControl, NStepState, Sums
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.core.backups import Backup
-from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.declared import LearnsFrom
-from jaxrl_tab.core.policies import Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -31,6 +29,8 @@ class NStepExpectedSarsa(OffPolicyControl, NStepControl):
     """
 
     remembers: ClassVar[type] = Sums
+    on_policy: ClassVar[bool] = True
+    weighs_by_ratios: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
     backup: ClassVar[Backup] = Backup(
@@ -38,19 +38,6 @@ class NStepExpectedSarsa(OffPolicyControl, NStepControl):
         "π is the policy that acts. With another target the error counts by the product of π(A | S) / b(A | S) over "
         "the actions between.",
     )
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.target is not None:
-            check_coverage(type(self).__name__, self.target, self.selection)
-
-    @property
-    def pi(self) -> Policy:
-        return self.selection if self.target is None else self.target
-
-    @property
-    def multiplies_returns(self) -> bool:
-        return self.target is not None
 
     def update(self, key, state: NStepState, t: Transition):
         if self.target is not None:

@@ -7,8 +7,6 @@ import jax.numpy as jnp
 from jaxrl_tab.algorithms.n_step import NStepControl, NStepState, Sums, bootstrapped
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.core.backups import Backup
-from jaxrl_tab.core.coverage import check_coverage
-from jaxrl_tab.core.policies import Greedy, Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -28,19 +26,11 @@ class NStepOffPolicySarsa(OffPolicyControl, NStepControl):
     """
 
     remembers: ClassVar[type] = Sums
-    multiplies_returns: ClassVar[bool] = True
+    weighs_by_ratios: ClassVar[bool] = True
     backup: ClassVar[Backup] = Backup(
         "action, state, action, ..., state, action",
         "Another policy b acts. The error counts by the product of π(A | S) / b(A | S) over the actions after A_t.",
     )
-
-    def __post_init__(self):
-        super().__post_init__()
-        check_coverage(type(self).__name__, self.pi, self.selection)
-
-    @property
-    def pi(self) -> Policy:
-        return Greedy() if self.target is None else self.target
 
     def update(self, key, state: NStepState, t: Transition):
         state = self.begin(state, t)

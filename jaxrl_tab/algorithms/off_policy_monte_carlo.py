@@ -9,9 +9,7 @@ from jaxrl_tab.algorithms.whole_returns import FIRST_VISIT, MonteCarloState, Who
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Rate
-from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.declared import LearnsFrom
-from jaxrl_tab.core.policies import Greedy, Policy
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import Transition
@@ -48,6 +46,7 @@ class OffPolicyMonteCarlo(OffPolicyControl, WholeReturns):
     weighting: Weighting = static(default="weighted", help="The kind of importance sampling.")
     first_visit: bool = static(default=False, help=FIRST_VISIT)
 
+    weighs_by_ratios: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
     backup: ClassVar[Backup] = Backup(
@@ -56,17 +55,9 @@ class OffPolicyMonteCarlo(OffPolicyControl, WholeReturns):
         "that with the greedy π nothing is learned from what comes before an action that is not greedy.",
     )
 
-    def __post_init__(self):
-        super().__post_init__()
-        check_coverage(type(self).__name__, self.pi, self.selection)
-
     @property
     def multiplies_returns(self) -> bool:
         return self.weighting != "weighted"
-
-    @property
-    def pi(self) -> Policy:
-        return Greedy() if self.target is None else self.target
 
     def update(self, key, state: MonteCarloState, t: Transition):
         b = tables.entry(self.probs(state, t.s), t.a)

@@ -7,9 +7,7 @@ from jaxtyping import Array, Float, Int
 from jaxrl_tab.algorithms.n_step import Branching, NStepState
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Rate, exploration
-from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.declared import LearnsFrom
-from jaxrl_tab.core.policies import Policy
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Transition
 
@@ -63,23 +61,15 @@ class QSigma(Branching):
     )
 
     remembers: ClassVar[type] = Steps
+    on_policy: ClassVar[bool] = True
+    weighs_by_ratios: ClassVar[bool] = True
     acts_after_update: ClassVar[bool] = True
-    multiplies_returns: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
     backup: ClassVar[Backup] = Backup(
         "action, state, each action, ..., state, each action",
         "The action that was taken goes on with the weight σ ρ + (1 − σ) π(A | S), where ρ = π(A | S) / b(A | S) is 1 "
         "if π acts: σ = 1 samples, σ = 0 is tree backup.",
     )
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.target is not None:
-            check_coverage(type(self).__name__, self.target, self.selection)
-
-    @property
-    def pi(self) -> Policy:
-        return self.selection if self.target is None else self.target
 
     @property
     def rates(self) -> tuple[Rate, ...]:

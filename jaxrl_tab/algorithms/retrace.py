@@ -8,7 +8,6 @@ from jaxrl_tab.algorithms.off_policy_traces import ExpectedTraces
 from jaxrl_tab.algorithms.traces import TraceState
 from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.declared import LearnsFrom
-from jaxrl_tab.core.policies import Greedy, Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -33,10 +32,6 @@ class Retrace(ExpectedTraces):
         "Each action that was taken, but for the first, goes on by min(1, π(A | S) / b(A | S)) alone, and the mean "
         "over actions takes the rest.",
     )
-
-    @property
-    def pi(self) -> Policy:
-        return Greedy() if self.target is None else self.target
 
     def update(self, key, state: TraceState, t: Transition):
         return self.traced(key, state, t, c=jnp.minimum(1, self.ratio(state, t.s, t.a)))

@@ -9,7 +9,6 @@ from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
-from jaxrl_tab.core.policies import Greedy, Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -30,10 +29,6 @@ class TargetQLearning(OffPolicyControl):
         "action, state, action",
         "A' is drawn from the target policy π, and only looked at: another action is taken.",
     )
-
-    @property
-    def pi(self) -> Policy:
-        return Greedy() if self.target is None else self.target
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)

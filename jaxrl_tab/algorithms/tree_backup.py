@@ -7,7 +7,6 @@ from jaxtyping import Array, Float, Int
 from jaxrl_tab.algorithms.n_step import Branching, NStepState
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
-from jaxrl_tab.core.policies import Greedy, Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -44,10 +43,6 @@ class TreeBackup(Branching):
         "Of the actions of a state the one that was taken goes on, and the others count with their values; π is "
         "greedy, or any target.",
     )
-
-    @property
-    def pi(self) -> Policy:
-        return Greedy() if self.target is None else self.target
 
     def update(self, key, state: NStepState, t: Transition):
         state = self.branched(self.begin(state, t), t, _follow)

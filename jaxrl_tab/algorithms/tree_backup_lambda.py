@@ -7,7 +7,6 @@ from jaxrl_tab.algorithms.traces import TraceState
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.declared import LearnsFrom
-from jaxrl_tab.core.policies import Greedy, Policy
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
 
@@ -30,10 +29,6 @@ class TreeBackupLambda(ExpectedTraces):
         lambda_return("action", "state, each action"),
         "Of the actions of a state the one that was taken goes on, and the others count with their values.",
     )
-
-    @property
-    def pi(self) -> Policy:
-        return Greedy() if self.target is None else self.target
 
     def update(self, key, state: TraceState, t: Transition):
         return self.traced(key, state, t, c=tables.entry(self.target_probs(state, t.s), t.a))
