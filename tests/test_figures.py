@@ -148,23 +148,11 @@ def check_drawing(figure, datasets, file):
     assert min(sizes) >= plot.SMALL
 
 
-# Several programs that take a while to compile.
-LONG = {
-    "changing-mazes",
-    "prioritized-sweeping",
-    "blackjack-values",
-    "upper-confidence-bounds",
-    "gradient-bandit",
-    "bandit-parameters",
-    "reinforce",
-    "deep-sea",
-    "river-swim",
-}
+# Trial runs that are quick, of each kind: exact tables, sweeps, mazes, preferences. All others take some seconds each.
+QUICK = ("recycling-robot", "gpi", "two-doors", "trace", "testbed", "short-corridor", "dyna-maze")
 
 
-@pytest.mark.parametrize(
-    "name", slow_but({*FIGURES} - LONG, [x for x in FIGURES if x not in {*IN_FULL, *BY_HAND}])
-)
+@pytest.mark.parametrize("name", slow_but(QUICK, [x for x in FIGURES if x not in {*IN_FULL, *BY_HAND}]))
 def test_the_figure_runs_is_drawn_and_has_its_numbers(name, tmp_path):
     """In a trial run: of two seeds, say, so of no worth, but all is there."""
     figure = small(FIGURES[name])
