@@ -111,6 +111,9 @@ CASES = {
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
     "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
+    "arms that drift": Case(
+        "drifting-testbed", "q-learning", {"alpha": [0.1, schedules.Unbiased(0.1)]}, episodes=20
+    ),
     "gradient-bandit": Case("k-armed-testbed", "gradient-bandit", ALPHAS, episodes=20),
     "reinforce": Case("two-doors", "reinforce", ALPHAS, episodes=20),
     "groups of states": Case("short-corridor", "actor-critic-lambda", ALPHAS | {"groups": "0,0,0,1"}),

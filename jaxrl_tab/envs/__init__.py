@@ -16,6 +16,7 @@ from jaxrl_tab.envs.chain import Chain
 from jaxrl_tab.envs.changing_mazes import BlockingMaze, ShortcutMaze
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.deep_sea import DeepSea
+from jaxrl_tab.envs.drifting_testbed import DriftingTestbed
 from jaxrl_tab.envs.easy21 import Easy21
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
 from jaxrl_tab.envs.gamblers_problem import GamblersProblem
@@ -45,6 +46,7 @@ ENVS: dict[str, type] = {
     "two-doors": TwoDoors,
     "short-corridor": ShortCorridor,
     "k-armed-testbed": KArmedTestbed,
+    "drifting-testbed": DriftingTestbed,
     "maximization-bias": MaximizationBias,
     "infinite-variance": InfiniteVariance,
     "trace-gridworld": TraceGridworld,
@@ -125,6 +127,7 @@ __all__ = [
     "Chain",
     "CliffWalking",
     "DeepSea",
+    "DriftingTestbed",
     "Easy21",
     "Finite",
     "FiniteMDP",
