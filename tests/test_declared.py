@@ -44,7 +44,7 @@ class Mean:
     behaviour = None
 
     def init(self, num_states, num_actions):
-        return rl.algorithms.td.TDState(jnp.zeros((num_states, num_actions)), None)
+        return rl.algorithms.TDState(jnp.zeros((num_states, num_actions)), None)
 
     def policy(self, key, state, s):
         return jax.random.randint(key, (), 0, state.q.shape[1])
