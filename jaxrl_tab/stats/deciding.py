@@ -8,7 +8,7 @@ any reason, and read whatever the intervals say. A pair is decided where its int
 differences that do not matter. Methods all of whose pairs are decided get no more seeds.
 
 The levels spend the error equally on each doubling of the seeds (Lan and DeMets 1983, Biometrika 70, 659-663).
-[docs/deciding.md] has the error rates and the power, from simulating all of it, and where it cannot hold.
+docs/deciding.md has the error rates and the power, from simulating all of it, and where it cannot hold.
 """
 
 import functools
