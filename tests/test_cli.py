@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -612,8 +613,10 @@ def test_list_names_everything(capsys):
     others = {getattr(cls(), "epsilon", 0.1) for cls in ALGORITHMS.values()} - {0.1}
     assert text.count("--epsilon ") == 1 + len(others)
     assert text.count("--alpha ") == 3 + sum(
-        not isinstance(cls().alpha, float) for cls in METHODS.values()
+        not isinstance(getattr(cls(), "alpha", 0.1), float) for cls in METHODS.values()
     )  # for control, of values and of policies, for prediction, and where it is by default a schedule
+    (r_max,) = re.findall(r"\n  r-max .*?\n\n", text, re.DOTALL)
+    assert "without --alpha\n" in r_max and "--alpha " not in r_max
     assert "A policy is one of greedy, epsilon-greedy[:EPSILON], softmax[:TEMPERATURE], ucb[:C]." in text
     line, *_ = [line for line in text.splitlines() if "--wind " in line]
     assert "0 0 0 1 1 1 2 2 1 0  Strength of each column" in line

@@ -145,6 +145,7 @@ CASES = {
         name: Case(name, "q-learning", ALPHAS | {"gamma": 0.9})
         for name in ("river-swim", "chain", "two-loops", "deep-sea", "garnet")
     },
+    "a finite horizon": Case(rl.FiniteHorizon(rl.make("frozen-lake"), 7), "q-learning", ALPHAS, exact=True),
     # policies and schedules
     "greedy": Case("gamblers-problem", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
     "softmax": Case("recycling-robot", "expected-sarsa", {"behaviour": policies.Softmax(0.3), "gamma": 0.9}),

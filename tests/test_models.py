@@ -63,7 +63,8 @@ def test_every_step_agrees_with_the_plain_loop(name):
     keys, q0 = jax.random.split(jax.random.key(11), 4), initial_tables(env)
 
     def run(key, alpha, gamma, q0):
-        method = cls(alpha=alpha, epsilon=EPSILON, gamma=gamma, q0=q0, **fixed)
+        step_size = {"alpha": alpha} if hasattr(cls, "alpha") else {}
+        method = cls(epsilon=EPSILON, gamma=gamma, q0=q0, **step_size, **fixed)
         return rl.train(key, method, env, num_steps=STEPS, log_every=STEPS)
 
     state, log = jax.jit(jax.vmap(run))(keys, jnp.array(ALPHAS), jnp.array(GAMMAS), q0)
