@@ -204,6 +204,7 @@ def arrays(result):
 FIRST = {"sarsa", "monte-carlo", "td", "schedules", "record"}
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", slow_but(FIRST, CASES))
 def test_lanes_gives_what_xla_gives(name):
     """The tables, and all of the log. Broken once: no product fused -> fails.
@@ -251,6 +252,7 @@ ALONE = [
 ]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", ALONE)
 def test_a_run_alone_gives_what_it_gives_among_others(name):
     """Broken once: a turn takes the action of the one before -> fails."""
@@ -271,6 +273,7 @@ def targets():
     return [host(), host()._replace(features=of_eight), narrow()]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("env", "method", "by"),
     [

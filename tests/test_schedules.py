@@ -140,6 +140,7 @@ def diverges(sums):
     return sums[-1] > 0 and sums[-1] / sums[-2] > 0.98
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(families | st.sampled_from([0, 0.1, 1.0]))
 def test_the_conditions_agree_with_the_sums(rate):
