@@ -31,6 +31,7 @@ MODULES = {
     "sweep": "sweep",
     "resume": "sweep",
     "explain": "explain",
+    "compare": "compare",
     "moments": "moments",
     "figure": "figure",
 }
@@ -51,6 +52,7 @@ commands:
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
   resume    go on with a sweep that was interrupted
   explain   where the methods of a sweep lose what they earn less than the best policy
+  compare   results beside others: the same bits, or better, or worse
   moments   exact learning curves of prediction, without a single run
   figure    make published figures again, and check their numbers
 
@@ -65,6 +67,7 @@ examples:
   {PROG} sweep --write-template experiment.toml
   {PROG} resume runs/windy
   {PROG} explain runs/windy
+  {PROG} compare runs/last-month runs/today
   {PROG} moments random-walk td --alpha 0.05 0.1 0.2 --episodes 100
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures
