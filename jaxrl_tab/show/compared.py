@@ -290,7 +290,7 @@ def cells(row: Compared, digits: int | None = None) -> list[str]:
 
 
 def p_of(p: float) -> str:
-    return "–" if math.isnan(p) else "< 0.0001" if p < 0.0001 else f"{p:.2g}"
+    return "–" if math.isnan(p) else "<\xa00.0001" if p < 0.0001 else f"{p:.2g}"
 
 
 # --- the page ----------------------------------------------------------------------------------------
@@ -324,7 +324,7 @@ def _chapter(other: Beside) -> dict[str, Any]:
 def _mark(row: Compared, reach: float) -> dict[str, float] | None:
     """Where an interval is drawn, from 0 to 160 about 80; None where there is none."""
     at = lambda x: 80 + 76 * float(np.clip(x / reach, -1, 1))
-    if not all(map(math.isfinite, (row.low, row.high, row.difference))):
+    if row.verdict == "same" or not all(map(math.isfinite, (row.low, row.high, row.difference))):
         return None
     return {"low": at(row.low), "high": at(row.high), "middle": at(row.difference)}
 

@@ -127,7 +127,8 @@ def versus(
     for name, own in first.items():
         pairs = [*_pairs(own, second[name], name not in fresh)]
         if name in fresh:
-            pairs.append(_pair("fresh", *fresh[name], {}, {}, 1, own, second[name]))
+            once, again = fresh[name]
+            pairs.append(_pair("fresh", once, again, once.best, again.best, 1, own, second[name]))
         found += [(name, own.prediction, pair) for pair in pairs]
     return found
 
@@ -156,7 +157,7 @@ def compared(pairs: Sequence[tuple[str, bool, _Pair]], confidence: float) -> lis
         else:
             verdict = "better" if (test.by_loss or test.gain) > 0 else "worse"
         sign = -1 if prediction else 1
-        low, high = sorted((sign * test.low, sign * test.high))
+        low, high = (0.0, 0.0) if whole[i] else sorted((sign * test.low, sign * test.high))
         rows.append(
             Compared(
                 name=name,
