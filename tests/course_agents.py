@@ -410,6 +410,7 @@ OF_ONE_STEP = [
     ),
 ]
 OF_SARSA = [
+    (TARGET, "(self.alpha * reward + (target - reward) - self.q[state, action])", "brackets"),
     ("        return next_action\n", "", "draws-again"),
     ("self.q[next_state, next_action]", "self.q[next_state].max()", "max-target"),
     ("self.q[next_state, next_action]", "self.q[next_state, action]", "same-action"),
@@ -422,6 +423,7 @@ OF_SARSA = [
     ),
 ]
 OF_Q_LEARNING = [
+    ("np.zeros", "np.ones", "starts-elsewhere"),
     ("self.q[next_state].max()", "self.q[next_state, self.act(next_state)]", "explores-in-target"),
     ("self.q[next_state].max()", "self.q[next_state].argmax()", "action-index"),
     ("self.q[next_state].max()", "self.q[state].max()", "old-state"),
@@ -439,6 +441,16 @@ OF_REMEMBERING = [
 FIRST_VISIT = "if (s, a) not in pairs[:t]:"
 RETURN = "g = self.gamma * g + r"
 OF_MONTE_CARLO = [
+    (
+        RETURN,
+        "g = sum(self.gamma**k * x[2] for k, x in enumerate(self.episode[t + 1 :]))",
+        "own-reward-missing",
+    ),
+    (
+        f"{FIRST_VISIT}\n                self.count[s, a] += 1",
+        f"self.count[s, a] += 1\n            {FIRST_VISIT}",
+        "counts-all",
+    ),
     (FIRST_VISIT, "if True:", "every-visit"),
     (FIRST_VISIT, "if (s, a) not in pairs[t + 1:]:", "last-visit"),
     (FIRST_VISIT, "if s not in [x for x, _ in pairs[:t]]:", "first-of-state"),
@@ -455,6 +467,8 @@ OF_MONTE_CARLO = [
 ]
 LEARNS_N = "if len(self.memory) == self.n:"
 OF_N_STEP = [
+    ("s, a, _ = self.memory.pop(0)", "s, a, _ = self.memory[-1]; self.memory.pop(0)", "newest-pair"),
+    (ENDED, f"if truncated: self.memory = []\n        {ENDED}", "no-flush-at-time-limit"),
     ("g = 0.0 if terminated else self.q", "g = self.q", "terminal"),
     ("next_action, terminated)\n", "next_action, terminated or truncated)\n", "time-limit"),
     (LEARNS_N, "if len(self.memory) == self.n - 1:", "n-too-small"),
@@ -472,6 +486,10 @@ OF_N_STEP = [
     ("self.alpha * (g", "self.alpha**2 * (g", "alpha-twice"),
     ("        return next_action\n", "", "draws-again"),
     ("self.q[next_state, next_action]", "self.q[next_state].max()", "max-target"),
+]
+OF_BOX = [
+    ("self.gamma ** (upto - tau) *", "self.gamma *", "gamma-once"),
+    ("self.gamma ** (i - tau - 1) *", "", "undiscounted-rewards"),
 ]
 OF_LAMBDA = [
     ("0.0 if terminated else", "0.0 if False else", "terminal"),
@@ -497,12 +515,14 @@ OF_LAMBDA = [
     ("        return next_action\n", "", "draws-again"),
     ("self.q[next_state, next_action]", "self.q[next_state].max()", "max-target"),
 ]
+ANY_OF_ALL = "return rng.integers(len(values))"
 OF_FUNCTION = [
     ("values == values.max()", "np.arange(len(values)) == values.argmax()", "first-of-ties"),
     ("rng.random() < epsilon", "rng.random() > epsilon", "epsilon-swapped"),
+    (ANY_OF_ALL, "return rng.choice(np.delete(np.arange(len(values)), values.argmax()))", "explores-others"),
     (
-        "        return rng.integers(len(values))",
-        "        return rng.choice(np.delete(np.arange(len(values)), values.argmax()))",
+        ANY_OF_ALL,
+        "return rng.choice([a for a, v in enumerate(values) if v < max(values)] or range(4))",
         "explores-others",
     ),
 ]

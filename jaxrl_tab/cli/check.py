@@ -1,6 +1,6 @@
 """`jaxrl-tab check`: whether a student's agent is right, and which mistake is in it that is not."""
 
-from collections.abc import Sequence
+import textwrap
 from pathlib import Path
 
 from rich.markup import escape
@@ -66,17 +66,12 @@ def _show(checked: Checked) -> None:
     out.print(f"[bold]{escape(checked.title)}[/]", soft_wrap=True)
     for x in checked.verdicts:
         out.print(f"{'[green]✓[/]' if x.right else '[bold red]✗[/]'} {escape(x.about)}")
-        _indented(x.sentences)
+        for line in x.sentences:
+            text = textwrap.fill(line, out.width, initial_indent="  ", subsequent_indent="  ")
+            out.print(text, markup=False, soft_wrap=True)
     out.print(f"[bold {'green' if checked.right else 'red'}]{checked.conclusion}[/]")
     for line in checked.reward:
         out.print(line, markup=False)
-
-
-def _indented(lines: Sequence[str]) -> None:
-    from rich.padding import Padding
-
-    for line in lines:
-        console().print(Padding(escape(line), (0, 0, 0, 2)))
 
 
 def _hand_out(folder: Path) -> int:

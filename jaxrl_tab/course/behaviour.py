@@ -13,15 +13,20 @@ from jaxrl_tab.course.updates import Setting, Step
 
 DRAWS = 400  # in each of four places
 ERROR = 1e-7  # a right agent is refused with this probability
+FAR = 1e-2  # what is shown as wrong comes from right agents with this probability
 TIES = {"": "any", "first-of-ties": "first", "last-of-ties": "last"}
-EXPLORES = (
-    "",
-    "never-explores",
-    "always-explores",
-    "explores-others",
-    "epsilon-swapped",
-    "takes-worst",
-)
+# How one explores -> the name of that mistake. One explores among the others than the one that was drawn as the best,
+# than the first of the best ones, or than all of them.
+EXPLORES = {
+    "": "",
+    "never": "never-explores",
+    "always": "always-explores",
+    "others": "explores-others",
+    "all but the first": "explores-others",
+    "worse ones": "explores-others",
+    "swapped": "epsilon-swapped",
+    "to the worst": "takes-worst",
+}
 Row = tuple[float, ...]  # the values of the actions in a state
 
 
@@ -43,19 +48,21 @@ class Choice(NamedTuple):
 def probabilities(row: Row, epsilon: float, ties: str = "any", explores: str = "") -> np.ndarray:
     """The probability of each action, float [A]."""
     q, count = np.array(row), len(row)
-    best = np.flatnonzero(q == (q.min() if explores == "takes-worst" else q.max()))
+    best = np.flatnonzero(q == (q.min() if explores == "to the worst" else q.max()))
+    all_best = best
     best = {"any": best, "first": best[:1], "last": best[-1:]}[ties]
     greedy = np.bincount(best, minlength=count) / len(best)
-    if explores == "never-explores":
-        return greedy
-    if explores == "always-explores":
-        return np.full(count, 1 / count)
-    if explores == "explores-others":
-        # First a best one is drawn; one explores among all but that.
-        return (1 - epsilon) * greedy + epsilon * (1 - greedy) / (count - 1)
-    if explores == "epsilon-swapped":
+    if explores in ("never", "always"):
+        return greedy if explores == "never" else np.full(count, 1 / count)
+    random = np.full(count, 1 / count)
+    if explores == "others":
+        random = (1 - greedy) / (count - 1)
+    if explores == "all but the first" or (explores == "worse ones" and len(all_best) < count):
+        random[all_best[:1] if explores == "all but the first" else all_best] = 0
+        random /= random.sum()
+    if explores == "swapped":
         epsilon = 1 - epsilon
-    return (1 - epsilon) * greedy + epsilon / count
+    return (1 - epsilon) * greedy + epsilon * random
 
 
 def doubt(choices: Sequence[Choice], law: Callable[[Row], np.ndarray]) -> float:
@@ -93,8 +100,8 @@ def diagnose(choices: Sequence[Choice], epsilon: float) -> tuple[tuple[str, ...]
     found: list[tuple[float, tuple[str, ...], str]] = []
     for explores, ties in product(EXPLORES, TIES):
         law = lambda row, e=explores, t=ties: probabilities(row, epsilon, TIES[t], e)
-        named = tuple(filter(None, (ties, explores)))
-        if named and not (explores == "always-explores" and ties):
+        named = tuple(filter(None, (ties, EXPLORES[explores])))
+        if named and not (explores == "always" and ties):
             found.append((doubt(choices, law) / 1e2 ** (len(named) - 1), named, ""))
     for ties in TIES:
         other = _fitted(choices, TIES[ties])
@@ -179,9 +186,9 @@ def try_function(code: Code, seed: int = 3) -> list[Choice]:
     rng, epsilon = np.random.default_rng(seed), Setting().epsilon
     np.random.seed(seed)  # noqa: NPY002  of which a student may draw
     choices = []
-    for row in ROWS:
+    for k, row in enumerate(ROWS, 1):
         for _ in range(2 * DRAWS):
-            choices.append(Choice(f"of the values {list(row)}", row, _drawn(code, row, epsilon, rng)))
+            choices.append(Choice(f"row {k}", row, _drawn(code, row, epsilon, rng)))
     return choices
 
 
@@ -192,13 +199,18 @@ def _drawn(code: Code, row: Row, epsilon: float, rng: Any) -> int:
 
 
 def counted(choices: Sequence[Choice], epsilon: float) -> list[str]:
-    """Lines that say in each place how often which action was taken, and how often it should be."""
+    """Lines that say, where that is far apart, how often which action was taken, and how often it should be."""
     lines = []
     for where in dict.fromkeys(x.where for x in choices):
         own = [x for x in choices if x.where == where]
+        if doubt(own, lambda row: probabilities(row, epsilon)) > FAR:
+            continue
         got = np.bincount([x.action for x in own], minlength=len(own[0].row)) / len(own)
         wanted = np.mean([probabilities(x.row, epsilon) for x in own], axis=0)
-        lines.append(f"{where}: actions were taken with frequencies {_list(got)}; right is {_list(wanted)}")
+        values = ", ".join(f"{x:.4g}" for x in own[-1].row)
+        lines.append(
+            f"{where} (values {values}): it took actions with frequencies {_list(got)}, not {_list(wanted)}"
+        )
     return lines
 
 

@@ -163,7 +163,7 @@ def _acts(about: str, choices: Sequence[behaviour.Choice]) -> Verdict:
     if found == ((), ""):
         return Verdict(about, True)
     mistakes, word = found or ((), "")
-    told = [f"With ε = {epsilon}, {line}." for line in behaviour.counted(choices, epsilon)]
+    told = [f"With ε = {epsilon}, {line}.".replace("-", "−") for line in behaviour.counted(choices, epsilon)]
     if word:
         told.insert(0, f"It looks like ε = {word}, and should be {epsilon}.")
     return Verdict(about, False, mistakes, tuple(told))
@@ -203,7 +203,7 @@ def _first(x: Seen, seen: Sequence[Seen], exercise: Exercise, late: bool) -> lis
     end = ", terminated" if step.terminated else ", truncated" if step.truncated else ""
     next_action = "" if x.a_next is None or step.last else f", then A' = {x.a_next}"
     happened = (
-        f"The first time is in episode {x.episode}, step {x.number}: S = {step.s}, A = {step.a}, "
+        f"It shows first in episode {x.episode}, step {x.number}: S = {step.s}, A = {step.a}, "
         f"R = {_number(step.r)}, S' = {step.s_next}{end}{next_action}."
     )
     right = min(tables, key=lambda t: float(np.abs(t - x.after).max()))

@@ -4,7 +4,9 @@ import contextlib
 import ctypes
 import inspect
 import io
+import linecache
 import random
+import re
 import sys
 import threading
 import time
@@ -55,15 +57,23 @@ class Code:
 
     def line(self, of: Any) -> str:
         """ "my_agent.py, line 12" of a function or a class."""
-        with contextlib.suppress(OSError, TypeError):
-            return f"{self.where}, line {inspect.getsourcelines(of)[1]}"
-        return self.where
+        number = None
+        if inspect.isfunction(of):
+            number = of.__code__.co_firstlineno
+        elif inspect.isclass(of):
+            begins = re.compile(rf"\s*class {of.__name__}\b")
+            number = next(
+                (k for k, x in enumerate(linecache.getlines(self.file), 1) if begins.match(x)), None
+            )
+        return f"{self.where}, line {number}" if number else self.where
 
     def call(self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Calls a function of the student. Raises Unusable where that fails; `what` is what it is called."""
         self._busy = time.monotonic(), what
         try:
             return function(*args, **kwargs)
+        except TookTooLong as error:
+            raise Unusable(f"{self._at(error)}, in {what}: {_too_long()}") from None
         except (Exception, SystemExit) as error:
             raise Unusable(f"{self._at(error)}, in {what}: {type(error).__name__}: {_told(error)}") from error
         finally:
@@ -95,7 +105,7 @@ class Code:
             with contextlib.redirect_stdout(_Nowhere()):
                 yield
         except TookTooLong as error:
-            raise Unusable(f"{self._at(error)}: it has not ended after {PATIENCE:g} seconds") from None
+            raise Unusable(f"{self._at(error)}: {_too_long()}") from None
         finally:
             sys.stdin = stdin
             done.set()
@@ -109,6 +119,10 @@ class _Nowhere(io.TextIOBase):
 
 def _told(error: BaseException) -> str:
     return one_line(str(error)) or "no more is said"
+
+
+def _too_long() -> str:
+    return f"it has not ended after {PATIENCE:g} seconds"
 
 
 def _file_of(made: Any) -> str:
