@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch
@@ -111,11 +112,9 @@ def test_some_runs_alone_give_what_they_give_among_all(windy):
     some = compute(part, runs)
     for x, y in zip(jax.tree.leaves(some[:2]), jax.tree.leaves(whole[:2]), strict=True):
         np.testing.assert_array_equal(x, y[runs])
-    later = result(
-        late := prepare(windy, "sarsa", grid, Budget(**BUDGET), num_seeds=2, first_seed=1), compute(late)
-    )
-    np.testing.assert_array_equal(later.q, result(part, whole).q[:, :, 1:])
-    assert later.to_xarray().seed.values.tolist() == [1, 2]
+    later = rl.sweep(windy, "sarsa", grid, num_seeds=2, first_seed=1, **BUDGET).to_xarray()
+    assert later.seed.values.tolist() == [1, 2]
+    xr.testing.assert_equal(later, result(part, whole).to_xarray().sel(seed=[1, 2]))
 
 
 def test_runs_that_diverge_are_marked_and_leave_the_others_as_they_are(windy):
@@ -200,6 +199,8 @@ def test_wind_can_be_batched():
         ({"algorithm": int}, "int is not a method: it has no gamma, init, policy, update"),
         ({"env": rl.WindyGridworld}, "env must be an instance, such as WindyGridworld(), not the class"),
         ({"env": Leaky()}, "the probabilities of the outcomes of (s, a) = (0, 0) are not a distribution"),
+        ({"first_seed": -1}, "first_seed must be a whole number of at least 0, not -1"),
+        ({"first_seed": 2**31 - 1}, "numbers below 2**31: 2 from 2,147,483,647 on are too many"),
         ({"num_steps": None}, "give either a number of steps or one of episodes"),
         ({"algorithm": "sarsaa"}, "'sarsaa' is not a method; did you mean 'sarsa'?"),
         ({"algorithm": rl.Sarsa()}, "algorithm must be a class such as Sarsa, not an instance"),

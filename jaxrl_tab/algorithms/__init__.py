@@ -6,6 +6,7 @@ class only.
 
 from jaxrl_tab.algorithms.actor_critic import ActorCritic, ActorCriticLambda
 from jaxrl_tab.algorithms.average_reward import AverageReward
+from jaxrl_tab.algorithms.control import TDState, ValueControl
 from jaxrl_tab.algorithms.differential_q_learning import DifferentialQLearning
 from jaxrl_tab.algorithms.differential_sarsa import DifferentialSarsa
 from jaxrl_tab.algorithms.double_expected_sarsa import DoubleExpectedSarsa
@@ -36,7 +37,7 @@ from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.target_q_learning import TargetQLearning
-from jaxrl_tab.algorithms.td import TDControl, TDState
+from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.algorithms.tree_backup import TreeBackup
 from jaxrl_tab.algorithms.tree_backup_lambda import TreeBackupLambda
 from jaxrl_tab.algorithms.true_online_sarsa_lambda import TrueOnlineSarsaLambda
@@ -123,5 +124,6 @@ __all__ = [
     "TreeBackup",
     "TreeBackupLambda",
     "TrueOnlineSarsaLambda",
+    "ValueControl",
     "WeightedDoubleQLearning",
 ]

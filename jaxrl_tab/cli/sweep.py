@@ -111,6 +111,7 @@ class Sweep(Where):
         methods: Names of one or more methods; see `jaxrl-tab list`; or of your own, mine.py:MyMethod. An
             option goes to all that have it.
         seeds: How many seeds.
+        first_seed: The number of the first of them, from which the others follow.
         steps: How many steps each run takes.
         episodes: How many episodes each run finishes, instead of --steps.
         log_every: How many steps, or episodes, are summed up in one row of the log: 100 steps, or 1 episode,
@@ -132,6 +133,7 @@ class Sweep(Where):
     env: str = word("ENV|FILE")
     methods: tuple[str, ...] = word("METHOD ...", many=True)
     seeds: int = field(default=SEEDS, at_least=1)
+    first_seed: int = field(default=0, at_least=0)
     steps: int = field(default=STEPS, at_least=1)
     episodes: int | None = field(default=None, at_least=1)
     log_every: int | None = field(default=None, at_least=1)
@@ -148,6 +150,7 @@ class Sweep(Where):
 
 OF_EXPERIMENT = (
     "--seeds",
+    "--first-seed",
     "--steps",
     "--episodes",
     "--log-every",
@@ -222,6 +225,7 @@ def _experiment(
         [env],
         methods,
         seeds=options.seeds,
+        first_seed=options.first_seed,
         steps=options.steps if options.episodes is None else None,
         episodes=options.episodes,
         log_every=options.log_every,

@@ -37,6 +37,7 @@ def sweep(
     grid: Mapping[str, Any] | None = None,
     *,
     num_seeds: int,
+    first_seed: int = 0,
     num_draws: int | None = None,
     num_steps: int | None = None,
     num_episodes: int | None = None,
@@ -63,6 +64,8 @@ def sweep(
             such as `LogGrid(0.01, 1, 5)` and `LogUniform(0.01, 1)`: see `axes`. What is not named keeps its
             default.
         num_seeds: how many seeds, at least 1.
+        first_seed: the number of the first of them, a whole number >= 0; the others follow it, and the coordinate
+            `seed` of the results says so. So 30 seeds from 20 on go on where 20 seeds from 0 ended, to the last bit.
         num_draws: how many trials of what is drawn at random; they are the axis `draw` of the result.
         num_steps, num_episodes, log_every, exact, record, exact_every: as in `train`.
         seed: which sequence of seeds, a whole number >= 0.
@@ -91,6 +94,7 @@ def sweep(
         num_seeds=num_seeds,
         num_draws=num_draws,
         seed=seed,
+        first_seed=first_seed,
     )
     state = Progress(
         f"{registered_name(METHODS, part.algorithm)} in {registered_name(ENVS, type(env))}",
@@ -126,7 +130,6 @@ def prepare(
 
     Args:
         budget: how long each run is and what it records.
-        first_seed: the first of the `num_seeds` seeds, which follow each other.
         Others: as in `sweep`.
 
     Raises:
@@ -154,6 +157,8 @@ def prepare(
             f"{len(configs):,} settings x {num_seeds:,} seeds are more than the 2**31 runs that can be numbered: "
             "take fewer seeds or settings"
         )
+    if int(first_seed) + int(num_seeds) > 2**31:
+        raise InputError(f"seeds have numbers below 2**31: {num_seeds:,} from {first_seed:,} on are too many")
     available = available_actions(env)
     for config in configs:
         restricted(config, available)  # raises InputError where the actions do not fit the method

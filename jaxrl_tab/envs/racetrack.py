@@ -84,6 +84,10 @@ class Racetrack(Finite):
     `state` and `places`. The last one is terminal. With gamma 1 the optimal values from the start are -11.694577 on the
     left track and -8.895873 on the right one.
 
+    The book draws its tracks and prints no table of them. Of the left one all public copies that were looked at agree.
+    The right one has the 30 rows of two copies that were made independently, one cell by cell and one by rules; in
+    another one, which was copied on, the widest part is one row higher.
+
     In a map of your own `S` is the starting line, `G` the finish line, `.` the track, and `#` is not. Cars drive up and
     to the right only.
     """

@@ -17,8 +17,9 @@ class TwoLoops(FixedStart):
 
     There is one choice, in state 0: short (action 0) or long (action 1). Then every action leads on along the loop,
     and its last step comes back to state 0 and pays. So a robot may serve a printer, 5 steps for 5, or fetch the mail,
-    10 steps for 20 (after Mahadevan 1996). In the long run the long loop is the better one, with 2 a step and not 1;
-    but with gamma^5 < 1/3, up to 0.8027, the short one has the larger discounted value.
+    10 steps for 20 (after Mahadevan 1996; written from memory, for no public copy of that page was found). In the long
+    run the long loop is the better one, with 2 a step and not 1; but with gamma^5 < 1/3, up to 0.8027, the short one
+    has the larger discounted value.
     """
 
     short: int = static(default=5, at_least=1, help="Steps of the short loop.")

@@ -58,6 +58,7 @@ from jaxrl_tab.experiment.resolve import (
 )
 
 MOST_BYTES = 2**26  # of a file
+LATER = {"first_seed": 0}  # what was added to experiments since: left out as it was before, fingerprints stay
 TEMPLATE = Path(__file__).with_name("template.toml")
 
 
@@ -79,6 +80,7 @@ class Experiment:
             or LogGrid(0.01, 1, 5). A schedule or a policy is as it is typed: "glie", "softmax:0.5". A policy
             can also be probabilities [S][A].
         seeds: how many seeds.
+        first_seed: the number of the first of them, from which the others follow, as in `sweep`.
         steps, episodes: how long each run is; one of the two.
         log_every: how many steps, or episodes, are summed up in a row of the log.
         seed: the root seed, of runs and of draws.
@@ -96,6 +98,7 @@ class Experiment:
     environment: Any
     method: Any
     seeds: int = field(default=100, at_least=1)
+    first_seed: int = field(default=0, at_least=0)
     steps: int | None = field(default=None, at_least=1)
     episodes: int | None = field(default=None, at_least=1)
     log_every: int | None = field(default=None, at_least=1)
@@ -196,7 +199,8 @@ class Experiment:
 
     def data(self) -> dict[str, Any]:
         """All that decides what is computed, as JSON has it: with defaults filled in, and draws drawn."""
-        return {name: value for name in keys(type(self)) if (value := getattr(self, name)) is not None}
+        data = {name: value for name in keys(type(self)) if (value := getattr(self, name)) is not None}
+        return {name: value for name, value in data.items() if LATER.get(name) != value}
 
     @property
     def fingerprint(self) -> str:
@@ -236,6 +240,7 @@ class Experiment:
                             budget,
                             num_seeds=self.seeds,
                             seed=self.seed,
+                            first_seed=self.first_seed,
                         )
                     with at("record"):
                         recorded_shapes(record, part.configs[0], env)

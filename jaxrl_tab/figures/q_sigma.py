@@ -1,4 +1,8 @@
-"""Q(sigma) between tree backup and sampling, with and without control variates (De Asis et al. 2018; book, 7.6)."""
+"""Q(sigma) between tree backup and sampling, with and without control variates (De Asis et al. 2018; book, 7.6).
+
+The task and its settings, n = 3, alpha = 0.4, gamma = 1 and sigma times .95 with each episode, are the paper's, as two
+public programs that repeat its experiment have them, too. How many episodes its curves show was not found out.
+"""
 
 import jax.numpy as jnp
 import numpy as np
