@@ -15,6 +15,10 @@ if TYPE_CHECKING:  # which takes its time to import
     from jaxrl_tab.stats.along import Datasets
 
 LONGEST = 60  # characters of a name
+DOES_NOT_END = (
+    "The task does not end. The return is that of an episode which its time limit ended, or of the last tenth, as if "
+    "cut off; what a step earns does not depend on that."
+)
 
 
 def six_digits(x: float) -> str:
