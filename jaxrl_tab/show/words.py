@@ -121,6 +121,7 @@ def unusual(env: Environment) -> list[str]:
 TITLES = {  # where `_written` says it otherwise than people do
     "q-sigma": "Q(σ)",
     "retrace": "Retrace(λ)",
+    "q-pi-lambda": "Q^π(λ)",
     "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
     "dyna-q": "Dyna-Q",
     "dyna-q-plus": "Dyna-Q+",
