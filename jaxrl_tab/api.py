@@ -6,6 +6,7 @@ from typing import Any
 from jaxrl_tab import algorithms, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
+    UCBVI,
     ActorCritic,
     ActorCriticLambda,
     DifferentialQLearning,
@@ -42,6 +43,7 @@ from jaxrl_tab.algorithms import (
     TreeBackup,
     TreeBackupLambda,
     TrueOnlineSarsaLambda,
+    UCBQLearning,
     WeightedDoubleQLearning,
     bridge,
     moments,
@@ -113,6 +115,7 @@ __all__ = [
     "ALGORITHMS",
     "ENVS",
     "PREDICTION",
+    "UCBVI",
     "AccessControl",
     "ActorCritic",
     "ActorCriticLambda",
@@ -177,6 +180,7 @@ __all__ = [
     "TreeBackupLambda",
     "TrueOnlineSarsaLambda",
     "TwoDoors",
+    "UCBQLearning",
     "Uniform",
     "Watched",
     "WeightedDoubleQLearning",

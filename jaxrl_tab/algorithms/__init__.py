@@ -41,6 +41,8 @@ from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.algorithms.tree_backup import TreeBackup
 from jaxrl_tab.algorithms.tree_backup_lambda import TreeBackupLambda
 from jaxrl_tab.algorithms.true_online_sarsa_lambda import TrueOnlineSarsaLambda
+from jaxrl_tab.algorithms.ucb_q_learning import UCBQLearning
+from jaxrl_tab.algorithms.ucbvi import UCBVI
 from jaxrl_tab.algorithms.weighted_double_q_learning import WeightedDoubleQLearning
 
 ALGORITHMS: dict[str, type] = {
@@ -80,10 +82,13 @@ ALGORITHMS: dict[str, type] = {
     "dyna-q-plus": DynaQPlus,
     "prioritized-sweeping": PrioritizedSweeping,
     "r-max": RMax,
+    "ucb-q-learning": UCBQLearning,
+    "ucbvi": UCBVI,
 }
 
 __all__ = [
     "ALGORITHMS",
+    "UCBVI",
     "ActorCritic",
     "ActorCriticLambda",
     "AverageReward",
@@ -124,6 +129,7 @@ __all__ = [
     "TreeBackup",
     "TreeBackupLambda",
     "TrueOnlineSarsaLambda",
+    "UCBQLearning",
     "ValueControl",
     "WeightedDoubleQLearning",
 ]
