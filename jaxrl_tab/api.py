@@ -93,6 +93,7 @@ from jaxrl_tab.experiment.spec import Experiment
 
 # Imported when they are first used, because they take a second: name -> where it is.
 _LATER = {
+    "course": "course",
     "export": "stats.export",
     "figures": "figures",
     "plot": "show.plot",

@@ -133,6 +133,7 @@ def td():
     return dict(zip(("exact", "plain"), runs, strict=True))
 
 
+@pytest.mark.slow
 def test_a_dataset_says_what_was_learned_whatever_was_recorded(td):
     assert [ds.attrs["learns"] for ds in td.values()] == ["states"] * 2
     assert stats.is_prediction(*td.values())

@@ -94,6 +94,7 @@ def test_below_draws_each_number_alike_and_never_the_count():
         assert abs(drawn.mean() - (count - 1) / 2) <= 4 * count / np.sqrt(12 * len(words))
 
 
+@pytest.mark.slow
 def test_r_max_swims_up_the_river_where_others_stay_at_the_bank():
     """Where q0 is optimistic. Broken once: q0 = 0 -> fails."""
     env = rl.make("river-swim")
