@@ -6,6 +6,7 @@ from typing import Any
 from jaxrl_tab import algorithms, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
+    PSRL,
     ActorCritic,
     ActorCriticLambda,
     DifferentialQLearning,
@@ -112,6 +113,7 @@ __all__ = [
     "ALGORITHMS",
     "ENVS",
     "PREDICTION",
+    "PSRL",
     "AccessControl",
     "ActorCritic",
     "ActorCriticLambda",

@@ -108,6 +108,10 @@ CASES = {
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
     "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
     "r-max": Case("two-doors", "r-max", {"q0": 5.0, "m": [2.0, 3.0], "sweeps": 9}),
+    "psrl": Case("frozen-lake", "psrl", {"spread": [0.3, 1.0], "gamma": 0.9, "every": 10.0, "sweeps": 9}),
+    "optimistic posterior sampling": Case(
+        "chain", "psrl", {"samples": 3, "gamma": 0.9, "every": [7.0, 20.0]}
+    ),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
     "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),

@@ -26,6 +26,7 @@ from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
 from jaxrl_tab.algorithms.policy_gradient import PolicyGradient
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
+from jaxrl_tab.algorithms.psrl import PSRL
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.q_sigma import QSigma
@@ -80,10 +81,12 @@ ALGORITHMS: dict[str, type] = {
     "dyna-q-plus": DynaQPlus,
     "prioritized-sweeping": PrioritizedSweeping,
     "r-max": RMax,
+    "psrl": PSRL,
 }
 
 __all__ = [
     "ALGORITHMS",
+    "PSRL",
     "ActorCritic",
     "ActorCriticLambda",
     "AverageReward",
