@@ -71,6 +71,7 @@ from jaxrl_tab.envs import (
     Blackjack,
     CliffWalking,
     Easy21,
+    FiniteHorizon,
     FiniteMDP,
     FrozenLake,
     InfiniteVariance,
@@ -91,6 +92,7 @@ from jaxrl_tab.experiment.spec import Experiment
 
 # Imported when they are first used, because they take a second: name -> where it is.
 _LATER = {
+    "course": "course",
     "export": "stats.export",
     "figures": "figures",
     "plot": "show.plot",
@@ -132,6 +134,7 @@ __all__ = [
     "ExpectedSarsaLambda",
     "Experience",
     "Experiment",
+    "FiniteHorizon",
     "FiniteMDP",
     "FrozenLake",
     "GradientBandit",

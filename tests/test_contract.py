@@ -31,10 +31,8 @@ def in_the_long_run(method):
     return method in METHODS and of_method(METHODS[method]).in_the_long_run
 
 
-@pytest.mark.parametrize(
-    ("method", "env_name"),
-    [pytest.param(*x, marks=pytest.mark.slow) if i % 2 else x for i, x in enumerate(pairs())],
-)
+@pytest.mark.one_in(5)
+@pytest.mark.parametrize(("method", "env_name"), pairs())
 def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
     """Bitwise: runs among others, and in another order. (On one device and on two: see test_batch.)
 
@@ -139,6 +137,7 @@ def test_no_policy_and_no_schedule_mixes_types(behaviour):
 ACTS_LATE = [name for name, cls in rl.ALGORITHMS.items() if getattr(cls, "acts_after_update", False)]
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("name", ACTS_LATE)
 def test_methods_that_say_that_they_act_after_their_update_do(name):
     """For then the driver draws A' in their place: from the same key it must be the same."""

@@ -104,7 +104,19 @@ class Door:
 
 
 def test_an_environment_without_a_base_class_declares_nothing_and_runs():
-    assert of_environment(Door()) == (None, None, None, None, tuple, None, ("0", "1"), None, None, False)
+    assert of_environment(Door()) == (
+        None,
+        None,
+        None,
+        None,
+        tuple,
+        None,
+        ("0", "1"),
+        None,
+        None,
+        False,
+        None,
+    )
     ds = rl.sweep(Door(), Mean, num_seeds=2, num_steps=20).to_xarray()
     assert ds.attrs["learns"] == "actions"
     np.testing.assert_array_equal(ds.q[:, 0], [[0, 1]] * 2)
@@ -121,6 +133,7 @@ def td():
     return dict(zip(("exact", "plain"), runs, strict=True))
 
 
+@pytest.mark.slow
 def test_a_dataset_says_what_was_learned_whatever_was_recorded(td):
     assert [ds.attrs["learns"] for ds in td.values()] == ["states"] * 2
     assert stats.is_prediction(*td.values())

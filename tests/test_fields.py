@@ -54,6 +54,7 @@ OUTSIDE = {
     "n": [0],
     "batch": [0],
     "arms": [0],
+    "drift": [-0.1],
     "tables": [0],
     "states": [0],
     "actions": [1],

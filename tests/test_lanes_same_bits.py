@@ -115,6 +115,9 @@ CASES = {
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
     "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
+    "arms that drift": Case(
+        "drifting-testbed", "q-learning", {"alpha": [0.1, schedules.Unbiased(0.1)]}, episodes=20
+    ),
     "gradient-bandit": Case("k-armed-testbed", "gradient-bandit", ALPHAS, episodes=20),
     "reinforce": Case("two-doors", "reinforce", ALPHAS, episodes=20),
     "groups of states": Case("short-corridor", "actor-critic-lambda", ALPHAS | {"groups": "0,0,0,1"}),
@@ -146,6 +149,7 @@ CASES = {
         name: Case(name, "q-learning", ALPHAS | {"gamma": 0.9})
         for name in ("river-swim", "chain", "two-loops", "deep-sea", "garnet")
     },
+    "a finite horizon": Case(rl.FiniteHorizon(rl.make("frozen-lake"), 7), "q-learning", ALPHAS, exact=True),
     # policies and schedules
     "greedy": Case("gamblers-problem", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
     "softmax": Case("recycling-robot", "expected-sarsa", {"behaviour": policies.Softmax(0.3), "gamma": 0.9}),
@@ -204,6 +208,7 @@ def arrays(result):
 FIRST = {"sarsa", "monte-carlo", "td", "schedules", "record"}
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", slow_but(FIRST, CASES))
 def test_lanes_gives_what_xla_gives(name):
     """The tables, and all of the log. Broken once: no product fused -> fails.
@@ -251,6 +256,7 @@ ALONE = [
 ]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", ALONE)
 def test_a_run_alone_gives_what_it_gives_among_others(name):
     """Broken once: a turn takes the action of the one before -> fails."""
@@ -271,6 +277,7 @@ def targets():
     return [host(), host()._replace(features=of_eight), narrow()]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("env", "method", "by"),
     [

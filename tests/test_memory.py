@@ -38,6 +38,7 @@ SHAPES = {  # tables and log; traces in many states; episodes and their memory; 
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("case", "blocks"),
     [
@@ -115,6 +116,7 @@ def widths(monkeypatch):
     return noted
 
 
+@pytest.mark.slow
 def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, widths, caplog):
     """One block at a time, and all results in files.
 
@@ -269,6 +271,7 @@ def test_an_experiment_ends_in_bounded_memory(tmp_path):
     assert int(run.stdout) < 50_000_000 + shards.SHARD_BYTES + 2 * memory.BLOCK
 
 
+@pytest.mark.slow
 def test_results_in_files_are_written_some_at_a_time(tmp_path):
     """112 MB of tables. Broken once: as a whole -> 110 MB are taken for it."""
     code = """if True:

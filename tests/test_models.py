@@ -146,6 +146,7 @@ def test_logarithms_and_exponentials_are_right_to_the_last_bits():
     np.testing.assert_allclose(back, np.exp(logs.astype(np.float32).astype(float)), rtol=3e-7)
 
 
+@pytest.mark.slow
 def test_those_who_explore_with_a_model_swim_up_the_river_where_others_stay_at_the_bank():
     """R-max where q0 is optimistic, PSRL anyhow. Broken once: q0 = 0; the mean model -> fails."""
     env = rl.make("river-swim")

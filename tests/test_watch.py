@@ -110,6 +110,7 @@ def by_hand(seen, target):
     return np.array(errors), q
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("env", "method", "target"),
     [
@@ -387,6 +388,7 @@ def test_the_command_refuses_in_one_line(typed, capsys, nothing_compiled):
 # --- the command -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_prints_all_steps_where_nobody_looks_on(capsys, tmp_path):
     """Those of the library, of the same run. Broken once: `seed` and `root_seed` exchanged -> fails."""
     file = tmp_path / "learning.gif"

@@ -107,6 +107,8 @@ class OfEnvironment(NamedTuple):
         discount: the discount rate that its source states; None where it states none. What counts is gamma, which
             belongs to the method: this is what the command mentions.
         continuing: whether it has no terminal states, so that only its time limit ends an episode.
+        horizon: after how many steps every episode has ended, where its states tell how many were taken; None where
+            an episode may go on, or its states do not tell.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
     """
 
@@ -120,6 +122,7 @@ class OfEnvironment(NamedTuple):
     wind: Any = None
     discount: float | None = None
     continuing: bool = False
+    horizon: int | None = None
 
     @property
     def differs(self) -> str:
