@@ -6,6 +6,7 @@ from typing import Any
 from jaxrl_tab import algorithms, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
+    PSRL,
     UCBVI,
     ActorCritic,
     ActorCriticLambda,
@@ -116,6 +117,7 @@ __all__ = [
     "ALGORITHMS",
     "ENVS",
     "PREDICTION",
+    "PSRL",
     "UCBVI",
     "AccessControl",
     "ActorCritic",

@@ -11,7 +11,7 @@ import reference
 import reference_gradient
 import reference_one_step as plain
 from marks import slow_but
-from test_models import planning_words
+from test_models import PSRL, planning_words, posterior_numbers
 from test_one_step import heads, target_words
 from test_reference import STEPS, task_of, words_of
 
@@ -142,6 +142,10 @@ PLAIN = {
         lambda key: reference.DynaQ(*SHARED, words=planning_words(key), kappa=0.25),
     ),
     "r-max": ({"m": 3, "sweeps": 9}, lambda key: reference.RMax(*SHARED, m=3, sweeps=9)),
+    "psrl": (
+        PSRL,
+        lambda key: reference.PSRL(*SHARED, numbers=posterior_numbers(key, 20, 5), samples=1, **PSRL),
+    ),
     "prioritized-sweeping": ({}, lambda key: reference.PrioritizedSweeping(*SHARED)),
     "q-lambda": ({}, lambda key: reference.Traces(*SHARED, lam=0.9, version="watkins")),
     "gradient-bandit": ({}, lambda key: reference_gradient.GradientBandit(*SHARED)),

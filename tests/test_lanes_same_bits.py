@@ -112,6 +112,10 @@ CASES = {
     "ucb-q-learning": Case(SHORT, "ucb-q-learning", {"c": [1.0, 0.01]}, episodes=20),
     "ucbvi": Case(SHORT, "ucbvi", {"c": [1.0, 0.01]}, episodes=20),
     "a stationary task": Case(SHORT, "ucbvi", {"c": [1.0, 0.01], "stationary": True}, episodes=20),
+    "psrl": Case("frozen-lake", "psrl", {"spread": [0.3, 1.0], "gamma": 0.9, "every": 10.0, "sweeps": 9}),
+    "optimistic posterior sampling": Case(
+        "chain", "psrl", {"samples": 3, "gamma": 0.9, "every": [7.0, 20.0]}
+    ),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
     "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),

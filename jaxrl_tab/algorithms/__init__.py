@@ -26,6 +26,7 @@ from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
 from jaxrl_tab.algorithms.policy_gradient import PolicyGradient
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
+from jaxrl_tab.algorithms.psrl import PSRL
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.q_sigma import QSigma
@@ -84,10 +85,12 @@ ALGORITHMS: dict[str, type] = {
     "r-max": RMax,
     "ucb-q-learning": UCBQLearning,
     "ucbvi": UCBVI,
+    "psrl": PSRL,
 }
 
 __all__ = [
     "ALGORITHMS",
+    "PSRL",
     "UCBVI",
     "ActorCritic",
     "ActorCriticLambda",
