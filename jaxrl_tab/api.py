@@ -6,6 +6,8 @@ from typing import Any
 from jaxrl_tab import algorithms, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
+    PSRL,
+    UCBVI,
     ActorCritic,
     ActorCriticLambda,
     DifferentialQLearning,
@@ -43,6 +45,7 @@ from jaxrl_tab.algorithms import (
     TreeBackup,
     TreeBackupLambda,
     TrueOnlineSarsaLambda,
+    UCBQLearning,
     WeightedDoubleQLearning,
     bridge,
     moments,
@@ -115,6 +118,8 @@ __all__ = [
     "ALGORITHMS",
     "ENVS",
     "PREDICTION",
+    "PSRL",
+    "UCBVI",
     "AccessControl",
     "ActorCritic",
     "ActorCriticLambda",
@@ -180,6 +185,7 @@ __all__ = [
     "TreeBackupLambda",
     "TrueOnlineSarsaLambda",
     "TwoDoors",
+    "UCBQLearning",
     "Uniform",
     "Watched",
     "WeightedDoubleQLearning",
