@@ -1,4 +1,7 @@
-"""True online TD(lambda) on a random task with tabular features (van Seijen et al. 2016)."""
+"""True online TD(lambda) on a random task with tabular features (van Seijen et al. 2016).
+
+The paper of 2014, which introduced the method, has walks alone whose states share features.
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -106,8 +109,8 @@ FIGURE = Figure(
     experiment=_experiment,
     small={"num_seeds": 2},
     numbers=(
-        # By another program, which draws the same task. The others over 200 000 runs of a plain loop, with normal noise;
-        # the paper prints curves alone.
+        # By another program, which draws the same task. The others over 200 000 runs of a plain loop, with normal
+        # noise; the paper prints curves alone.
         Number("average reward", -0.185384, EXACT, lambda datasets: _average_reward()),
         *(
             Number(f"{name}, λ = {lam:g}, α = {alpha:g}", expected, error, _mse(name, lam=lam, alpha=alpha))
