@@ -175,7 +175,7 @@ def test_the_page_shows_the_code_that_there_is():
 def test_the_commands_of_the_page_are_understood(capsys):
     """Broken once: an option misspelt -> fails."""
     commands = [line.partition("#")[0].split() for line in PAGE.splitlines() if line.startswith("jaxrl-tab ")]
-    assert len(commands) == 8
+    assert len(commands) == 11
     for _, command, *words in commands:
         if command == "sweep":
             assert main([command, *words, "--dry-run"]) == 0
