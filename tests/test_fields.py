@@ -42,6 +42,8 @@ OUTSIDE = {
     "planning_steps": [-1],
     "kappa": [-0.1],
     "m": [0.5],
+    "p": [0, 1],
+    "r_max": [0],
     "sweeps": [0],
     "prior": [0],
     "spread": [-0.1],
