@@ -6,6 +6,8 @@ from typing import Any
 from jaxrl_tab import algorithms, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
+    PSRL,
+    UCBVI,
     ActorCritic,
     ActorCriticLambda,
     DifferentialQLearning,
@@ -29,6 +31,7 @@ from jaxrl_tab.algorithms import (
     PrioritizedSweeping,
     QLambda,
     QLearning,
+    QPiLambda,
     QSigma,
     Reinforce,
     ReinforceBaseline,
@@ -42,6 +45,7 @@ from jaxrl_tab.algorithms import (
     TreeBackup,
     TreeBackupLambda,
     TrueOnlineSarsaLambda,
+    UCBQLearning,
     WeightedDoubleQLearning,
     bridge,
     moments,
@@ -92,6 +96,7 @@ from jaxrl_tab.experiment.spec import Experiment
 
 # Imported when they are first used, because they take a second: name -> where it is.
 _LATER = {
+    "course": "course",
     "export": "stats.export",
     "figures": "figures",
     "plot": "show.plot",
@@ -114,6 +119,8 @@ __all__ = [
     "ALGORITHMS",
     "ENVS",
     "PREDICTION",
+    "PSRL",
+    "UCBVI",
     "AccessControl",
     "ActorCritic",
     "ActorCriticLambda",
@@ -158,6 +165,7 @@ __all__ = [
     "PrioritizedSweeping",
     "QLambda",
     "QLearning",
+    "QPiLambda",
     "QSigma",
     "RLearning",
     "RMax",
@@ -178,6 +186,7 @@ __all__ = [
     "TreeBackupLambda",
     "TrueOnlineSarsaLambda",
     "TwoDoors",
+    "UCBQLearning",
     "Uniform",
     "Watched",
     "WeightedDoubleQLearning",
