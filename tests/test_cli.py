@@ -426,7 +426,7 @@ REFUSALS = {
     "compare a b --fail-if-wors": "did you mean '--fail-if-worse'?",
     "compare a b --html nowhere/x.html": "there is no folder nowhere for x.html",
     "swep": "did you mean 'sweep'?",
-    "xyzzy": "choose one of list, bridge, schedule, solve, watch, sweep, resume, explain, compare, moments, figure, check",
+    "xyzzy": "watch, sweep, resume, explain, compare, moments, figure, check",
     "list --jsn": "did you mean '--json'?",
     "list sara": "'sara' is not an environment, a method or a figure; did you mean 'sarsa'?",
     "list mine.py:Mine": "there is no file",
