@@ -1,4 +1,9 @@
-"""Methods that explore with a guarantee: against plain loops, decision for decision; and their bounds."""
+"""Methods that explore with a guarantee: against plain loops, and their bounds; and docs/exploring.md."""
+
+import inspect
+import re
+import textwrap
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +18,7 @@ from test_reference import task_of, words_of
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning
 from jaxrl_tab.core.policies import UNAVAILABLE
+from jaxrl_tab.figures import FIGURES
 
 H, P = 5, 0.1
 CS, GAMMAS, R_MAXES = (1.0, 0.02, 0.05), (1.0, 1.0, 0.9), (1.0, 1.0, 2.0)
@@ -148,3 +154,25 @@ def test_a_task_that_may_go_on_is_refused(capsys):
         assert str(error.value) == message
     assert cli.main(["sweep", "chain", "ucbvi", "--episodes", "2"]) == 2
     assert message in capsys.readouterr().err
+
+
+# --- docs/exploring.md -------------------------------------------------------------------------------
+
+PAGE = (Path(__file__).parent.parent / "docs/exploring.md").read_text(encoding="utf-8")
+
+
+def test_the_page_shows_the_code_that_there_is():
+    """Broken once: a line of the page changed -> fails."""
+    (shown,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    assert shown == textwrap.dedent(inspect.getsource(rl.UCBQLearning.update))
+
+
+def test_the_commands_of_the_page_are_understood():
+    """Broken once: an option misspelt -> fails."""
+    commands = [line.partition("#")[0].split() for line in PAGE.splitlines() if line.startswith("jaxrl-tab ")]
+    assert [command for _, command, *_ in commands] == ["sweep"] * 3 + ["watch", "figure", "solve", "solve"]
+    for _, command, *words in commands:
+        if command == "sweep":
+            assert cli.main([command, *words, "--dry-run"]) == 0
+        elif command == "figure":
+            assert words[0] in FIGURES
