@@ -4,6 +4,7 @@ import inspect
 import re
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -39,7 +40,8 @@ THERE = np.append(np.tile(HAS, (H, 1)), HAS[:1], axis=0)
 class Optimist(reference.Agent):
     def __init__(self, c, gamma, r_max):
         rates = reference.Rates(lambda *_: 0, lambda *_: 0)
-        super().__init__(THERE.shape, rates, gamma, np.where(THERE, F(r_max * H), -np.inf))
+        most: Any = np.where(THERE, F(r_max * H), -np.inf)
+        super().__init__(THERE.shape, rates, gamma, most)
         self.c, self.most = F(c * r_max), F(r_max * H)
 
 
@@ -84,7 +86,9 @@ class UCBVI(Optimist):
                     # What followed the last step is not seen, and does not matter.
                     follows = [s_next for step, _, s_next in seen if step < H - 1 or h == H - 1]
                     if follows:
-                        mean = np.mean([0 if x is None else v[x] for x in follows]) if h < H - 1 else 0
+                        mean = (
+                            np.mean([0.0 if x is None else float(v[x]) for x in follows]) if h < H - 1 else 0
+                        )
                         value = (
                             np.mean([r for _, r, _ in seen])
                             + self.gamma * mean

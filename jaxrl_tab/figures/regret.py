@@ -63,10 +63,9 @@ def _draw(datasets):
     }
     canvas = plot.canvas(plot.NARROW)
     ax = canvas.subplots()
+    episodes = EVERY * (np.arange(datasets["ucbvi"].sizes["row"]) + 1)
     for name, (method, c, color, style) in lines.items():
-        regret = _at(datasets, method, c)
-        episodes = EVERY * (np.arange(regret.sizes["row"]) + 1)
-        plot.mean_curve(ax, episodes, regret, name, plot.COLORS[color], ls=style)
+        plot.mean_curve(ax, episodes, _at(datasets, method, c), name, plot.COLORS[color], ls=style)
     middle = episodes[len(episodes) // 3]
     for power, name, beside in ((1, "∝ k", (-16, 4)), (0.5, "∝ √k", (0, -14))):
         ax.plot(episodes, 7 * episodes**power, color=plot.INK, lw=0.8)
