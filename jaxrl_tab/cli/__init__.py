@@ -82,9 +82,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code: 0, 2 (wrong input), 130 (Ctrl-C), or 1.
 
     1 says that a figure is off, that an agent is wrong, that results are worse (if that was asked), or that something
-    could not be finished, as where the disk is full. Where the reader of its output goes away, as `| head` does, it ends quietly with 1; where stdout or
-    stderr is closed nothing is said there, and the work is done. What the encoding of either lacks is replaced. A
-    defect of this package is one line, too, and exit code 1; with `JAXRL_TAB_TRACEBACK=1` it is raised.
+    could not be finished, as where the disk is full. Where the reader of its output goes away, as `| head` does, it
+    ends quietly with 1; where stdout or stderr is closed nothing is said there, and the work is done. What the
+    encoding of either lacks is replaced. A defect of this package is one line, too, and exit code 1; with
+    `JAXRL_TAB_TRACEBACK=1` it is raised.
     """
     argv = sys.argv[1:] if argv is None else list(argv)
     prepare_streams()
