@@ -13,7 +13,8 @@ import numpy as np
 
 from jaxrl_tab.engine.part import Part
 from jaxrl_tab.engine.results import parameters
-from jaxrl_tab.experiment.resolve import as_plain
+from jaxrl_tab.engine.sweep import configurations
+from jaxrl_tab.experiment.resolve import as_plain, grid_of
 from jaxrl_tab.experiment.spec import Experiment, change, difference
 
 LENGTH = ("steps", "episodes", "log_every")
@@ -203,9 +204,10 @@ def _settings(experiment: Experiment) -> dict[str, dict[tuple[str, int], int]]:
     """For each method, by its label, what tells each of its settings from others, with its number."""
     found = {}
     for method in experiment.method:
-        part = experiment.parts()[f"{experiment.environment[0]['label']}/{method['label']}"]
+        cls = experiment.references[method["name"]].cls
+        _, configs = configurations(cls, grid_of(method, cls, experiment.seed))
         which = f"{method['name']} {method.get('sha256')} "
-        keys = _told_apart(which + _setting(config) for config in part.configs)
+        keys = _told_apart(which + _setting(config) for config in configs)
         found[method["label"]] = {key: i for i, key in enumerate(keys)}
     return found
 

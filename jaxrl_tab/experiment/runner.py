@@ -261,7 +261,8 @@ def _grown(path: Path, found: Found, new: Experiment, limit: int | None, command
     records = records_of(store)
     with backend.using(new.backend), settings_of(store, records):
         Origin.of(store, records, mixed, libraries).check(path)
-    _check_room(new.parts(), limit, path, sum(x.stat().st_size for x in (path / storage.SHARDS).iterdir()))
+        there = sum(file.stat().st_size for file in (path / storage.SHARDS).iterdir())
+        _check_room(new.parts(), limit, path, there)
     what = growth.added(old, new)
     if growth.is_anew(old, new):
         what += (
