@@ -20,7 +20,7 @@ def test_every_registered_method_declares_what_it_learns(name):
     learns = of_method(METHODS[name]).learns
     of_control = Learns.PREFERENCES if issubclass(METHODS[name], PolicyGradient) else Learns.ACTIONS
     assert learns is (Learns.STATES if name in PREDICTION else of_control)
-    assert hasattr(METHODS[name], learns.initial)
+    assert hasattr(METHODS[name], learns.initial) or of_method(METHODS[name]).needs_horizon
 
 
 def test_what_is_learned_from_is_a_text_with_two_consequences():
@@ -44,7 +44,7 @@ class Mean:
     behaviour = None
 
     def init(self, num_states, num_actions):
-        return rl.algorithms.td.TDState(jnp.zeros((num_states, num_actions)), None)
+        return rl.algorithms.TDState(jnp.zeros((num_states, num_actions)), None)
 
     def policy(self, key, state, s):
         return jax.random.randint(key, (), 0, state.q.shape[1])
@@ -104,7 +104,19 @@ class Door:
 
 
 def test_an_environment_without_a_base_class_declares_nothing_and_runs():
-    assert of_environment(Door()) == (None, None, None, None, tuple, None, ("0", "1"), None, None, False)
+    assert of_environment(Door()) == (
+        None,
+        None,
+        None,
+        None,
+        tuple,
+        None,
+        ("0", "1"),
+        None,
+        None,
+        False,
+        None,
+    )
     ds = rl.sweep(Door(), Mean, num_seeds=2, num_steps=20).to_xarray()
     assert ds.attrs["learns"] == "actions"
     np.testing.assert_array_equal(ds.q[:, 0], [[0, 1]] * 2)
@@ -121,6 +133,7 @@ def td():
     return dict(zip(("exact", "plain"), runs, strict=True))
 
 
+@pytest.mark.slow
 def test_a_dataset_says_what_was_learned_whatever_was_recorded(td):
     assert [ds.attrs["learns"] for ds in td.values()] == ["states"] * 2
     assert stats.is_prediction(*td.values())

@@ -2,8 +2,8 @@
 
 from typing import ClassVar
 
+from jaxrl_tab.algorithms.control import TDState
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
-from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom

@@ -4,7 +4,8 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from jaxrl_tab.algorithms.td import TDControl, TDState
+from jaxrl_tab.algorithms.control import TDState
+from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import step_size

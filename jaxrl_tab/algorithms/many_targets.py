@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
+from jaxrl_tab.algorithms.control import TDState
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
-from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import coverage, policies, tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.checks import as_array, first, is_distribution

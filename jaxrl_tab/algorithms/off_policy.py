@@ -4,7 +4,8 @@ from typing import Any, ClassVar, Self
 
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.algorithms.td import Learner, TDControl
+from jaxrl_tab.algorithms.control import Learner
+from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.policies import EpsilonGreedy, Greedy, Policy, Table

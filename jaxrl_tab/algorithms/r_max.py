@@ -6,14 +6,13 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxrl_tab.algorithms.control import ValueControl
 from jaxrl_tab.algorithms.models import Counts, planned
-from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Clock, Rate, end_step
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.pytree import field, pytree, static
-from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import Transition
 
 
@@ -32,7 +31,7 @@ class ModelState(NamedTuple):
 
 
 @pytree
-class RMax(TDControl):
+class RMax(ValueControl):
     """Control that plans with what it knows, and takes all else to be as good as can be, so that it goes there.
 
     Q(s, a) = r(s, a) + gamma sum_s' p(s' | s, a) max_a' Q(s', a')    where (s, a) was tried m times or more
@@ -43,7 +42,6 @@ class RMax(TDControl):
     gamma) where no reward is above Rmax, or 0 where all are costs.
     """
 
-    alpha: Rate = field(default=sample_average(), help="Not asked for: what is known is a mean of m visits.")
     epsilon: Rate = field(default=0.0, help="Probability of exploring besides.")
     m: float = field(
         default=2.0, at_least=1, help="Visits that make a pair known; the more, the more is random."

@@ -2,7 +2,8 @@
 
 from typing import ClassVar
 
-from jaxrl_tab.algorithms.td import TDControl, TDState
+from jaxrl_tab.algorithms.control import TDState
+from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.pytree import pytree

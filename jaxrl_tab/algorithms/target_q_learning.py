@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import jax
 
+from jaxrl_tab.algorithms.control import TDState
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
-from jaxrl_tab.algorithms.td import TDState
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom

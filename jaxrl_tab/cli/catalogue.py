@@ -146,7 +146,7 @@ def of_own(name: str) -> Catalogue:
     from jaxrl_tab.core.modules import is_table
     from jaxrl_tab.envs import ENVIRONMENT
 
-    no_method = is_table(name) or name.partition(":")[0] in ENVIRONMENT.libraries
+    no_method = is_table(name) or name.partition(":")[0] in (*ENVIRONMENT.libraries, *ENVIRONMENT.around)
     refusals = []
     for one in (ENVIRONMENT,) if no_method else (METHOD, ENVIRONMENT):
         try:

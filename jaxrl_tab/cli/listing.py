@@ -85,6 +85,8 @@ def list_command(argv: list[str]) -> int:
                 _print_backup(out, backup, "    ")
             if own := [option for option in entry.options if _key(option) not in map(_key, shared)]:
                 out.print(_table(own))
+            if without := [x.flag for x in shared if x.name not in {option.name for option in entry.options}]:
+                out.print(f"    without {', '.join(without)}")
         if any("continuing" in facts for facts in catalogue.facts[kind].values()):
             out.print(CONTINUING, soft_wrap=True)
         out.print()
@@ -189,14 +191,14 @@ def _alike(listed: Mapping[str, Mapping[str, Entry]]) -> Iterator[tuple[str, str
 
 
 def _shared(entries: Mapping[str, Entry]) -> list[Option]:
-    """The options that all entries have, in the form that most of them have."""
-    names = [{option.name for option in entry.options} for entry in entries.values()]
+    """The options that all entries have, or nearly all, in the form that most of them have."""
+    names = Counter(option.name for entry in entries.values() for option in entry.options)
     counts = Counter(_key(option) for entry in entries.values() for option in entry.options)
     options = {_key(option): option for entry in entries.values() for option in entry.options}
     return [
         options[key]
         for key, n in counts.items()
-        if 2 * n > len(entries) and all(options[key].name in of_one for of_one in names)
+        if 2 * n > len(entries) and 4 * names[options[key].name] > 3 * len(entries)
     ]
 
 

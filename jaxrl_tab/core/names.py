@@ -6,6 +6,7 @@ Wherever one is named (in Python, on the command line, in a file), it may be
     path/to/mine.py:Mine       a class, or a function that records, in a file: see `core.modules`
     package.module:Mine        the same in a module that can be imported
     gymnasium:FrozenLake-v1    an environment of another library
+    finite-horizon:20:chain    an environment that ends after so many steps, whatever is named at the end
     mdp.npz                    a table that `FiniteMDP.save` wrote
     tiger.POMDP                a file in Cassandra's format, also .MDP
 """
@@ -59,6 +60,8 @@ class Kind:
         add: puts a class into the registry.
         hint: what a message suggests in place of an unknown name.
         libraries: prefix of a name -> the class of what another library has under the rest of it.
+        around: prefix of a name -> what the rest of it stands for, where that names another one, which the function
+            that is given with it finds.
         table: the class of what is in the file of a table; None where there are no such files.
     """
 
@@ -69,6 +72,9 @@ class Kind:
     add: Callable[[str, type], None]
     hint: Callable[[Any], str]
     libraries: dict[str, Callable[[str], type]] = dataclasses.field(default_factory=dict)
+    around: dict[str, Callable[[str, Callable[[str], Reference]], Reference]] = dataclasses.field(
+        default_factory=dict
+    )
     table: Callable[[File], type] | None = None
 
     def __post_init__(self):
@@ -147,6 +153,8 @@ def find(kind: Kind, name: Any, base: Path | None = None, sha256: str | None = N
     if (name, sha256) in _here:
         return _here[name, sha256]
     prefix, _, rest = name.partition(":")
+    if prefix in kind.around and rest:
+        return kind.around[prefix](rest, lambda inner: find(kind, inner, base, sha256))
     if prefix in kind.libraries and rest:
         return Reference(name, kind.libraries[prefix](rest), rest)
     if kind.table and modules.is_table(name):
@@ -188,10 +196,10 @@ def add_entry_points(kind: Kind) -> list[str]:
 def is_from_outside(name: str) -> bool:
     """Whether a name has one of the forms of what is in no registry: a file, a module, another library."""
     prefix, _, rest = name.partition(":")
-    libraries = {library for kind in KINDS for library in kind.libraries}
+    prefixes = {prefix for kind in KINDS for prefix in (*kind.libraries, *kind.around)}
     if modules.is_table(name) or name.endswith(".py") or name.rpartition(":")[0].endswith(".py"):
         return True
-    return bool(rest and prefix in libraries) or _IN_MODULE.fullmatch(name) is not None
+    return bool(rest and prefix in prefixes) or _IN_MODULE.fullmatch(name) is not None
 
 
 def registered_name(registry: Mapping[str, type], cls: type) -> str:

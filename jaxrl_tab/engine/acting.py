@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxrl_tab.algorithms.control import ValueControl
 from jaxrl_tab.algorithms.monte_carlo import MonteCarlo
 from jaxrl_tab.algorithms.policy_gradient import PolicyGradient
-from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.core.clock import Clock
 from jaxrl_tab.core.errors import RunError
@@ -19,7 +19,7 @@ from jaxrl_tab.core.types import available_actions, restricted
 from jaxrl_tab.engine.part import Part, compute
 
 # Methods that act by their Q as it is, and by what the clock has counted.
-BY_Q = (TDControl.probs, TraceControl.probs, PolicyGradient.probs)
+BY_Q = (ValueControl.probs, TraceControl.probs, PolicyGradient.probs)
 
 
 def acting(

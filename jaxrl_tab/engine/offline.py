@@ -19,8 +19,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxrl_tab.algorithms.control import ValueControl
 from jaxrl_tab.algorithms.prediction import METHODS
-from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import rng, tables
 from jaxrl_tab.core.checks import check_pytree, concrete, numbers
 from jaxrl_tab.core.declared import LearnsFrom, of_method
@@ -242,7 +242,7 @@ def _method(behaviour: Any) -> Any:
 
 
 @pytree
-class _Acts(TDControl):
+class _Acts(ValueControl):
     """Acts and learns nothing."""
 
     acts_after_update: ClassVar[bool] = True

@@ -1,6 +1,7 @@
 """The environments, one file each. To add one: write its file, and add its line to ENVS.
 
-ENVS holds those that can be made from their name alone; `FiniteMDP` needs its arrays, and so is a class only.
+ENVS holds those that can be made from their name alone. `FiniteMDP`, which needs its arrays, and `FiniteHorizon`, which
+needs another environment, are classes only.
 """
 
 import re
@@ -16,7 +17,9 @@ from jaxrl_tab.envs.chain import Chain
 from jaxrl_tab.envs.changing_mazes import BlockingMaze, ShortcutMaze
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.deep_sea import DeepSea
+from jaxrl_tab.envs.drifting_testbed import DriftingTestbed
 from jaxrl_tab.envs.easy21 import Easy21
+from jaxrl_tab.envs.finite_horizon import FORM, PREFIX, FiniteHorizon, of_name
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
 from jaxrl_tab.envs.gamblers_problem import GamblersProblem
 from jaxrl_tab.envs.garnet import Garnet
@@ -45,6 +48,7 @@ ENVS: dict[str, type] = {
     "two-doors": TwoDoors,
     "short-corridor": ShortCorridor,
     "k-armed-testbed": KArmedTestbed,
+    "drifting-testbed": DriftingTestbed,
     "maximization-bias": MaximizationBias,
     "infinite-variance": InfiniteVariance,
     "trace-gridworld": TraceGridworld,
@@ -88,6 +92,8 @@ def instead(name: Any) -> str:
     """What a message says instead of `name`, which is not in ENVS: one of ours, or how another is imported."""
     if not isinstance(name, str):
         return nearest(name, ENVS)
+    if name == PREFIX:
+        return f"say what ends, and after how many steps: {FORM}"
     stem, _, suffix = name.rpartition("-")
     if suffix in ("misc", "bsuite", "MinAtar"):
         return f"{shown('gymnax:' + name)} imports it, if its states can be counted"
@@ -112,6 +118,7 @@ ENVIRONMENT = names.Kind(
     needs=("num_states", "num_actions", "max_steps", "reset", "step"),
     add=ENVS.__setitem__,
     hint=instead,
+    around={PREFIX: of_name},
     table=_of_table,
 )
 
@@ -125,8 +132,10 @@ __all__ = [
     "Chain",
     "CliffWalking",
     "DeepSea",
+    "DriftingTestbed",
     "Easy21",
     "Finite",
+    "FiniteHorizon",
     "FiniteMDP",
     "FixedStart",
     "FrozenLake",

@@ -96,11 +96,15 @@ class Finite(Shown):
 
         return step
 
+    @property
+    def samples_outcomes(self) -> bool:
+        """Whether `step` is nothing but a draw from `outcomes`."""
+        return type(self).step is Finite.step
+
 
 def samples_outcomes(env: Any) -> TypeGuard[Finite]:
     """Whether `step` is nothing but a draw from `outcomes`, as `Finite` has it, and the same in all steps of a run."""
-    is_finite = isinstance(env, Finite) and type(env).step is Finite.step
-    return is_finite and of_environment(env).at is None
+    return isinstance(env, Finite) and env.samples_outcomes and of_environment(env).at is None
 
 
 class FixedStart(Finite):

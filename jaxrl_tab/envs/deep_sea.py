@@ -54,6 +54,10 @@ class DeepSea(FixedStart):
         return self.size
 
     @property
+    def horizon(self) -> int:
+        return self.size
+
+    @property
     def num_states(self) -> int:
         return self.size**2 + 1
 

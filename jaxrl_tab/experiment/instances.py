@@ -11,7 +11,7 @@ import numpy as np
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.errors import InputError
-from jaxrl_tab.envs import ENVIRONMENT, FiniteMDP
+from jaxrl_tab.envs import ENVIRONMENT, PREFIX, FiniteHorizon, FiniteMDP
 
 ARRAY = "array"  # the key of a table that stands for an array: {array = [0.5, 1.5], dtype = "float32"}
 
@@ -37,6 +37,12 @@ def table_of(kind: names.Kind, instance: Any) -> dict[str, Any]:
     Where neither makes the same one again, it stands for the instance in this process.
     """
     cls = type(instance)
+    if cls is FiniteHorizon:
+        inner = table_of(kind, instance.env)
+        name = inner["name"] if isinstance(inner["name"], str) else names.reference(kind, inner["name"]).name
+        inner.pop("max_steps", None)  # which does not count, and cannot be named
+        label = {"label": f"{inner['label']},horizon={instance.horizon}"} if "label" in inner else {}
+        return {**inner, "name": f"{PREFIX}:{instance.horizon}:{name}"} | label
     if isinstance(instance, FiniteMDP) and all(
         getattr(cls, name) is getattr(FiniteMDP, name) for name in ("reset", "step", "initial", "outcomes")
     ):

@@ -58,7 +58,8 @@ def library_versions(data: Any) -> dict[str, str]:
     tables = data.get("environment", []) if isinstance(data, Mapping) else []
     names = [str(table.get("name")) for table in tables if isinstance(table, Mapping)]
     versions = {}
-    for library in sorted({name.partition(":")[0] for name in names} & ENVIRONMENT.libraries.keys()):
+    parts = {part for name in names for part in name.split(":")}
+    for library in sorted(parts & ENVIRONMENT.libraries.keys()):
         versions[library] = "not installed"
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[library] = metadata.version(library)

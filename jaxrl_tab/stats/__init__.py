@@ -44,6 +44,7 @@ from jaxrl_tab.stats.comparisons import (
     proportion_interval,
     seeds_needed,
 )
+from jaxrl_tab.stats.deciding import Pair, Verdict, decide, looks, until_decided
 from jaxrl_tab.stats.early import (
     Early,
     better_early,
@@ -113,7 +114,9 @@ __all__ = [
     "Interval",
     "Measure",
     "Methods",
+    "Pair",
     "Selection",
+    "Verdict",
     "area_under_curve",
     "at_edge",
     "best",
@@ -121,6 +124,7 @@ __all__ = [
     "bootstrap_interval",
     "by_length",
     "curve_interval",
+    "decide",
     "differences",
     "drawn",
     "early_score",
@@ -137,6 +141,7 @@ __all__ = [
     "is_prediction",
     "last_tenth",
     "learning_curve",
+    "looks",
     "mean_interval",
     "mean_return",
     "median_interval",
@@ -167,6 +172,7 @@ __all__ = [
     "tolerance_interval",
     "unfinished",
     "unseen",
+    "until_decided",
 ]
 
 
