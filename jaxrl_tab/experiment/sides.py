@@ -23,7 +23,8 @@ from jaxrl_tab.engine.results import SweepResult
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.files import Outcome
-from jaxrl_tab.experiment.records import is_session, library_versions, mixture, recorded
+from jaxrl_tab.experiment.found import HISTORY
+from jaxrl_tab.experiment.records import library_versions, mixture, recorded, records_in
 from jaxrl_tab.experiment.shards import Job, runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, PROVENANCE, RESOLVED
@@ -87,6 +88,7 @@ def _in_folder(path: Path, name: str) -> Side:
                 f"{path / file} is missing or damaged: `jaxrl-tab resume {name}` makes it again of what is left"
             )
     assert manifest is not None
+    history = experiment.pop(HISTORY, [])
     session, notes = _session(path, manifest)
     labels = [table["label"] for table in experiment["environment"]]
     alone = labels[0] if len(labels) == 1 else None
@@ -98,7 +100,7 @@ def _in_folder(path: Path, name: str) -> Side:
             notes.append(f"{file} is missing or damaged")
     if DATA in read:
         return Side(name, read[DATA], read.get(FRESH_DATA, {}), experiment, session, notes)
-    datasets, missing = _in_shards(path, manifest, experiment)
+    datasets, missing = _in_shards(path, manifest, experiment, history)
     notes += missing
     if not datasets:
         raise InputError(
@@ -120,12 +122,11 @@ def _is_experiment(data: Any) -> bool:
 
 def _session(path: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] | None, list[str]]:
     """The first session that computed something in a folder, and what to know of others."""
-    records = storage.read_json(path / PROVENANCE)
-    sessions = records.get("sessions") if isinstance(records, dict) else None
-    if not isinstance(sessions, list) or not all(map(is_session, sessions)):
+    records = records_in(path)
+    if records is None:
         return None, [f"{PROVENANCE} is missing or damaged, so what it was computed with is not known"]
     origins = {facts.get("surroundings") for facts in manifest["shards"].values()}
-    sessions = [x for x in sessions if isinstance(x.get("surroundings"), dict)]
+    sessions = [x for x in records["sessions"] if isinstance(x.get("surroundings"), dict)]
     computed = recorded({"sessions": sessions}, origins) or sessions
     notes = [f"computed in different surroundings: {mixture(computed)}"] if len(origins) > 1 else []
     return (computed[0] if computed else None), notes
@@ -149,13 +150,14 @@ def _in_file(file: Path, environment: str | None) -> "dict[str, xr.Dataset]":
 
 # --- of a sweep that is not finished -----------------------------------------------------------------
 def _in_shards(
-    path: Path, manifest: Mapping[str, Any], data: dict[str, Any]
+    path: Path, manifest: Mapping[str, Any], data: dict[str, Any], history: Any
 ) -> "tuple[dict[str, xr.Dataset], list[str]]":
     """What the whole shards have, and a sentence on what is missing, if anything is."""
     try:
         sources.read(path, data)
         experiment = Experiment.from_data(data)
-        job = Job.of(experiment, None, library_versions(data))
+        before = [Experiment.from_data(entry["experiment"]) for entry in history]
+        job = Job.of(experiment, None, library_versions(data), before)
         parts = job.parts
     except Exception as error:  # there is no end to what another version, or somebody's own class, may raise
         what = one_line(str(error))
@@ -164,10 +166,9 @@ def _in_shards(
             f"`jaxrl-tab resume` makes {DATA}, with the version that began it"
         ) from None
     sums = {int(Path(name).stem): facts["sha256"] for name, facts in manifest["shards"].items()}
-    all_shards = dict(enumerate(job.shards))
     datasets, there, left = {}, 0, []
     for name, part in parts.items():
-        own = {number: shard for number, shard in all_shards.items() if shard.part == name}
+        own = {number: shard for number, shard in job.shards.items() if shard.part == name}
         found = np.zeros(part.runs, bool)
         results = None
         for number, shard in own.items():
@@ -186,10 +187,10 @@ def _in_shards(
             datasets[name] = ds
         else:
             left.append(name)
-    if there == len(all_shards):
+    if there == len(job.shards):
         return datasets, []
     nothing = f"; nothing of {', '.join(left)}" if left else ""
-    return datasets, [f"not finished: {there} of {len(all_shards)} shards are there{nothing}"]
+    return datasets, [f"not finished: {there} of {len(job.shards)} shards are there{nothing}"]
 
 
 def _finished(part: Part, arrays: Mapping[str, np.ndarray], found: np.ndarray) -> "xr.Dataset | None":
