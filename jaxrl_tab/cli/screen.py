@@ -60,7 +60,7 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
     if options.json:
         summary = {"folder": folder and str(folder), "summary": _records(outcome.summary)}
         chosen = {"selection": _records(outcome.selection)} if outcome.fresh else {}
-        print_json(summary | chosen)
+        print_json(summary | chosen | _tasks_as_json(outcome))
         return
     if options.quiet:
         return
@@ -68,6 +68,8 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         with busy("summing up"):
             _work_out(methods)
         print_summary(environment, methods)
+    if len(outcome.envs) > 1:
+        _print_tasks(outcome)
     if outcome.fresh:
         _print_selection(outcome.selection)
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
@@ -76,8 +78,44 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         console().print(f"{diverged} of {runs} runs diverged: {why}")
 
 
+def _tasks_as_json(outcome: files.Outcome) -> dict[str, Any]:
+    """The methods over all environments: mean and bounds of each number."""
+    if len(outcome.envs) < 2 or (tasks := outcome.tasks) is None:
+        return {}
+    plain = lambda interval, **at: [float(part.sel(at)) for part in interval[:3]]
+    names = tasks.scores.method.values.tolist()
+    numbers = {
+        name: {
+            "iqm": plain(tasks.iqm, method=name),
+            "mean_rank": plain(tasks.mean_rank, method=name),
+            "improvement": {o: plain(tasks.improvement, method=name, other=o) for o in names if o != name},
+        }
+        for name in names
+    }
+    return {"over_environments": {"methods": numbers, "left_out": tasks.left_out}}
+
+
 def _records(table: "pd.DataFrame") -> Any:
     return jsonlib.loads(str(table.to_json(orient="records")))
+
+
+def _print_tasks(outcome: files.Outcome) -> None:
+    """The methods over all environments."""
+    from jaxrl_tab.show import over_tasks  # here, for it imports xarray and the statistics
+
+    with busy("summing up"):
+        tasks = outcome.tasks
+    if tasks is None:
+        return
+    out, view = console(), Table(*over_tasks.head(tasks))
+    for column in view.columns[1:]:
+        column.justify = "right"
+    for row in over_tasks.rows(tasks):
+        view.add_row(*map(escape, row))
+    out.print(f"[bold]over {tasks.scores.sizes['environment']} environments[/]")
+    out.print(view)
+    for line in over_tasks.notes(tasks, outcome.fresh.keys() == outcome.datasets.keys()):
+        out.print(line, markup=False)
 
 
 def _print_selection(table: "pd.DataFrame") -> None:
