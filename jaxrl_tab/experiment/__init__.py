@@ -9,6 +9,7 @@ Its modules, from the ground up:
     spec       an experiment as data: environments x methods x hyperparameters x seeds
     shards     an experiment in pieces that are computed and kept one by one
     plan       what an experiment will take: runs, shards, memory
+    comparing  methods compared on as many fresh seeds as it takes
     storage    shards on disk and their manifest
     records    what a folder says about the sessions that computed it
     progress   how far an experiment is, and how long it will go on

@@ -76,8 +76,8 @@ class Job(NamedTuple):
         return _parts(self.experiment, self.chosen)
 
     @property
-    def shards(self) -> list[Shard]:
-        """In the order of their numbers. Those of fresh seeds come last."""
+    def shards(self) -> dict[int, Shard]:
+        """By their numbers, in order. Those of fresh seeds come last."""
         modules.keep(self.files)
         return _shards(self.experiment, self.chosen)
 
@@ -87,14 +87,18 @@ class Job(NamedTuple):
             return None
         return json.loads(self.chosen)[shard.part.removeprefix(FRESH)]
 
+    def check_libraries(self) -> None:
+        """Raises InputError where this process has another version of a library."""
+        if changed := provenance.differences(self.libraries, library_versions(json.loads(self.experiment))):
+            raise InputError(f"{'; '.join(changed)} on {platform.node()}: install the same on all machines")
+
     def __call__(self, number: int) -> dict[str, np.ndarray]:
         """What the runs of a shard give: `q`, what is in the log, and the `seconds` it took.
 
         Raises:
             InputError: this process has another version of a library; or as `sweep.compute`.
         """
-        if changed := provenance.differences(self.libraries, library_versions(json.loads(self.experiment))):
-            raise InputError(f"{'; '.join(changed)} on {platform.node()}: install the same on all machines")
+        self.check_libraries()
         shard = self.shards[number]
         part = self.parts[shard.part]
         computed = compute(part, runs(part, shard), memory=self.memory, progress=progress.get())
@@ -106,13 +110,14 @@ def _parts(experiment: str, chosen: str | None) -> dict[str, Part]:
     if chosen is None:
         return (_read.get(experiment) or Experiment.from_data(json.loads(experiment))).parts()
     parts, seeds = _parts(experiment, None), json.loads(experiment)["select"]["fresh_seeds"]
-    again = {FRESH + name: _again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
-    return parts | again
+    on_fresh = {FRESH + name: again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
+    return parts | on_fresh
 
 
 @functools.lru_cache(maxsize=4)
-def _shards(experiment: str, chosen: str | None) -> list[Shard]:
-    return [shard for name, part in _parts(experiment, chosen).items() for shard in _split(name, part)]
+def _shards(experiment: str, chosen: str | None) -> dict[int, Shard]:
+    parts = _parts(experiment, chosen)
+    return dict(enumerate(shard for name, part in parts.items() for shard in _split(name, part)))
 
 
 def forget_parts() -> None:
@@ -122,10 +127,10 @@ def forget_parts() -> None:
     _shards.cache_clear()
 
 
-def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `part.Part`."""
+def again(part: Part, config: int, seeds: int, first: int = 0) -> Part:
+    """One configuration of a part on fresh seeds: numbers from `first` of a root of their own, see `part.Part`."""
     one = [part.configs[config]]
-    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
+    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=first, fresh=True)
 
 
 def _split(name: str, part: Part) -> Iterator[Shard]:
