@@ -18,6 +18,7 @@ from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.part import Part, compute
 from jaxrl_tab.engine.results import label
 from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment.growth import Block
 from jaxrl_tab.experiment.shards import Job, Shard, again, progress, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import Store
@@ -87,7 +88,8 @@ class Look(NamedTuple):
             part = self.parts[span.name]
             most = shard_runs(part)
             firsts = range(0, part.runs, most)
-            pieces = [Shard(span.name, 0, first, min(first + most, part.runs)) for first in firsts]
+            block = Block(span.name, 0, np.array([0]), 0, part.runs, part)
+            pieces = [Shard(block, first, min(first + most, part.runs)) for first in firsts]
             found |= dict(enumerate(pieces, span.number))
         return found
 
@@ -129,18 +131,20 @@ def candidates(job: Job, chosen: Mapping[str, int], all_settings: bool) -> list[
 
 
 def open_store(folder: Path, experiment: Experiment, chosen: Mapping[str, int]) -> Store:
-    """The shards of the comparison: of these settings in an experiment that has as many seeds as it likes.
+    """The shards of the comparison of these settings, in an experiment with however many seeds to choose them on.
 
-    They are begun anew where others were compared before.
+    Where others are chosen, as when it grows, that is another comparison, in a folder beside.
     """
     data = {key: x for key, x in experiment.data().items() if key not in ("seeds", "first_seed")}
     data["until_decided"] = {key: x for key, x in data["until_decided"].items() if key != "difference"}
     text = json.dumps([data, dict(chosen)], sort_keys=True)
     fingerprint = hashlib.sha256(text.encode()).hexdigest()
-    path = folder / FOLDER
-    if not (path / storage.MANIFEST).exists():
+    path = folder / FOLDER / fingerprint[:12]
+    storage.check_no_link(folder / FOLDER)
+    storage.check_no_link(path)
+    if not path.exists():
         with storage.as_run_error(path):
-            path.mkdir(exist_ok=True)
+            path.mkdir(parents=True)
         Store.begin(path, fingerprint)
     return Store(path, fingerprint)
 

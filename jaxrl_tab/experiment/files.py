@@ -211,10 +211,11 @@ def write_files(
     pictures: Pictures,
     again: "Again | None" = None,
     toml: Mapping[str, str] | None = None,
+    history: Sequence[tuple[str, str, str]] = (),
 ) -> None:
     """Tables, pictures, and the report, each a whole file or none.
 
-    `again` and `toml` are for the report, see `report.write`.
+    `again` and `toml` are for the report, see `report.write`; so is the `history`, as `Found` has it.
     """
     from jaxrl_tab.show import report
 
@@ -229,7 +230,7 @@ def write_files(
             files.append(_write_table(folder / SELECTION, outcome.selection))
         if outcome.verdicts:
             files.append(_write_table(folder / VERDICT, outcome.verdict))
-        about_all = _about(store, records)
+        about_all = _about(store, records, history)
         explained, fresh = outcome.explained_in_report, outcome.fresh_methods
         more = again, toml, explained, outcome.verdicts
         report.write_methods(scratch, outcome.methods, about_all, fresh, *more)
@@ -275,12 +276,15 @@ def _write_table(file: Path, table: "pd.DataFrame") -> Path:
     return file
 
 
-def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
+def _about(
+    store: Store, records: Mapping[str, Any], history: Sequence[tuple[str, str, str]]
+) -> dict[str, Any]:
     """How the results came about, for the report."""
     with storage.as_run_error(store.path / AS_WRITTEN, "read"):
         as_written = (store.path / AS_WRITTEN).read_text(encoding="utf-8", errors="replace")
     first, last = records["sessions"][0], records["sessions"][-1]
     sessions, origins = len(records["sessions"]), origins_of(store)
+    grown = max(1, len(history))
     computed = recorded(records, origins)
     session = (computed or [last])[0]  # the last session may have computed no shard
     surroundings = session["surroundings"]
@@ -291,7 +295,8 @@ def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
         "fingerprint": store.fingerprint,
         "started": first["started"],
         "finished": timestamp(),
-        **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
+        **({"interrupted": f"{sessions - grown} times"} if sessions > grown else {}),
+        **({"history": "\n".join(map(": ".join, history))} if grown > 1 else {}),
         **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
         "versions": {x: surroundings[x] for x in packages if x in surroundings}
         | {"python": session.get("python")},
