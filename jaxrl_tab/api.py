@@ -6,6 +6,8 @@ from typing import Any
 from jaxrl_tab import algorithms, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
+    PSRL,
+    UCBVI,
     ActorCritic,
     ActorCriticLambda,
     DifferentialQLearning,
@@ -42,6 +44,7 @@ from jaxrl_tab.algorithms import (
     TreeBackup,
     TreeBackupLambda,
     TrueOnlineSarsaLambda,
+    UCBQLearning,
     WeightedDoubleQLearning,
     bridge,
     moments,
@@ -91,6 +94,7 @@ from jaxrl_tab.experiment.spec import Experiment
 
 # Imported when they are first used, because they take a second: name -> where it is.
 _LATER = {
+    "course": "course",
     "export": "stats.export",
     "figures": "figures",
     "plot": "show.plot",
@@ -113,6 +117,8 @@ __all__ = [
     "ALGORITHMS",
     "ENVS",
     "PREDICTION",
+    "PSRL",
+    "UCBVI",
     "AccessControl",
     "ActorCritic",
     "ActorCriticLambda",
@@ -177,6 +183,7 @@ __all__ = [
     "TreeBackupLambda",
     "TrueOnlineSarsaLambda",
     "TwoDoors",
+    "UCBQLearning",
     "Uniform",
     "Watched",
     "WeightedDoubleQLearning",

@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+from collections import Counter
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -88,9 +89,24 @@ def pytest_collection_modifyitems(items, config):
     order = {f"test_{name}": k for k, name in enumerate(LONG)}
     items.sort(key=lambda item: order.get(item.path.stem, len(LONG)))
     if not config.option.slow:
-        for item in items:
-            if item.get_closest_marker("slow"):
-                item.add_marker(pytest.mark.skip(reason=LEFT_OUT))
+        for item in takes_long(items):
+            item.add_marker(pytest.mark.skip(reason=LEFT_OUT))
+
+
+def takes_long(items):
+    """Those that are marked as slow; and of the others of a test that is marked with `one_in(n)` all but the first,
+
+    the one n after it, and so on.
+    """
+    seen = Counter()
+    for item in items:
+        if item.get_closest_marker("slow"):
+            yield item
+        elif one_in := item.get_closest_marker("one_in"):
+            test = item.path, item.originalname
+            if seen[test] % one_in.args[0]:
+                yield item
+            seen[test] += 1
 
 
 def pytest_terminal_summary(terminalreporter):

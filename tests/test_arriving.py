@@ -9,6 +9,7 @@ from jaxrl_tab.show import words
 from jaxrl_tab.stats.columns import COLUMNS
 
 
+@pytest.mark.slow
 def test_the_table_has_how_many_greedy_policies_arrive(windy):
     """Broken once: all greedy policies counted as arriving -> fails."""
     steps = {"num_seeds": 20, "num_steps": 8000, "log_every": 4000}

@@ -130,6 +130,7 @@ def test_what_has_no_answer_is_refused(call, message):
     refused(call, message)
 
 
+@pytest.mark.slow
 def test_exact_values_beside_a_run_are_rates():
     """Of the greedy policy and of the one that acts; and Q - q* but for a constant.
 

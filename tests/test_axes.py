@@ -143,6 +143,7 @@ def test_a_sweep_over_draws_has_them_as_coordinates(windy, tmp_path):
     np.testing.assert_array_equal(result.q[1, 3], alone.q)
 
 
+@pytest.mark.slow
 def test_numbers_beside_schedules_stay_numbers_in_memory_and_in_files(windy, tmp_path):
     """Broken once: all as text, or the file not read back -> fails."""
     grid = {"alpha": [0.5, rl.schedules.sample_average()], "epsilon": [0.1, rl.schedules.glie(), 0]}

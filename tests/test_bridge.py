@@ -51,6 +51,7 @@ def full_backup(row, method, env, q):
 # --- the table ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("row", "name", "env_name"),
     [(*one, env) for one in ONE_STEP for env in ENVS if env == "windy" or one[1] == "sarsa"],
@@ -187,6 +188,7 @@ def test_q_star_and_q_pi_are_the_fixed_points():
 # --- that it is the mean of what really happens -------------------------------------------------------
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", [name for _, name in ONE_STEP])
 def test_updates_with_real_keys_have_this_mean(name):
     """4000 updates of one pair; within 5 standard errors. So `choose` stands for what is drawn without it."""

@@ -210,6 +210,7 @@ def test_sweep_records_exact_values_and_schedules(tmp_path):
     assert json.loads(ds.attrs["fixed"])["epsilon"] == "glie"
 
 
+@pytest.mark.slow
 def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_path, capsys):
     """The random walk with ends 0 and 1: v_pi from the middle is 1/2, and there is no optimum to reach."""
     out = tmp_path / "walk"
@@ -233,6 +234,7 @@ def test_prediction_is_compared_by_its_error_beside_the_value_of_the_policy(tmp_
     assert names == {"results.nc", "summary.csv", "report.html"} | KEPT | pictures
 
 
+@pytest.mark.slow
 def test_policies_and_mixed_rates_make_grids_beside_the_mean_optimum_over_problems(capsys):
     """Broken once: v* of the problem whose means are 0 beside runs that each draw their own -> fails."""
     command = "sweep k-armed-testbed q-learning --alpha 0.1 sample-average --behaviour softmax:0.5"
@@ -296,6 +298,7 @@ def stopped(monkeypatch):
     monkeypatch.setattr(shards, "compute", compute)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(run, stopped, monkeypatch, tmp_path, capsys):
     out = tmp_path / "windy"
     assert main(["sweep", "windy-gridworld", "sarsa", "q-learning", *TINY, "--out", str(out)]) == 130
@@ -347,6 +350,7 @@ def test_where_nobody_reads_the_table_the_files_are_written(tmp_path):
     }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("options", "endings"),
     [
@@ -378,7 +382,7 @@ REFUSALS = {
     "explain nowhere": "there is no folder nowhere",
     "explain nowhere --jsn": "did you mean '--json'?",
     "swep": "did you mean 'sweep'?",
-    "xyzzy": "choose one of list, bridge, schedule, solve, watch, sweep, resume, explain, moments, figure",
+    "xyzzy": "choose one of list, bridge, schedule, solve, watch, sweep, resume, explain, moments, figure, check",
     "list --jsn": "did you mean '--json'?",
     "list sara": "'sara' is not an environment, a method or a figure; did you mean 'sarsa'?",
     "list mine.py:Mine": "there is no file",
@@ -428,6 +432,11 @@ REFUSALS = {
     + ", ".join([*FIGURES][:8])
     + f", ... (`jaxrl-tab list` shows all {len(FIGURES)})",
     "figure windy": "did you mean 'windy-gridworld'?",
+    "check": "name a file to check",
+    "check nowhere.py": "there is no file nowhere.py",
+    "check agent.txt": "agent.txt is no file of Python",
+    "check agent.py --hand-out x": "--hand-out writes the exercises, and checks none",
+    "check agent.py --exercise": "--exercise: expected one argument",
     "sweep": "name an environment",
     "sweep sarsa": "'sarsa' is not an environment",
     "sweep windy-gridworld": "name a method: sarsa",

@@ -41,6 +41,7 @@ def test_add_where_only_some_arguments_have_lanes():
     np.testing.assert_array_equal(got, [q.at[i, 1].set(2) for i in range(3)])
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", ["sarsa", "n-step-sarsa", "monte-carlo"])
 def test_lanes_in_turn_and_side_by_side_give_the_same(name, windy, monkeypatch):
     """On a CPU tables are read and written in loops over the lanes, elsewhere by gathers and scatters."""

@@ -168,6 +168,7 @@ def try_one(seed, made, scratch):
     return what
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", slow_but_first(range(0, TRIALS, 10)))
 def test_damaged_folders(folders, tmp_path, first):
     """Broken once: checksums not looked at, what is no JSON not caught -> each fails; pipes read -> hangs."""

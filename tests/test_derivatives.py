@@ -47,6 +47,7 @@ CASES = {
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", slow_but(["td", "expected-sarsa", "monte-carlo"], CASES))
 def test_they_are_what_small_changes_make(name):
     """Also of the exact error. With `jacfwd` derivatives have lanes, and the numbers have none.
@@ -72,6 +73,7 @@ def test_of_a_grid_at_once():
             np.testing.assert_allclose(of_grid[k], alone, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_jumps_of_the_policy_are_not_seen():
     """Of greedy values there are no others; of Sarsa's the actions change with epsilon, and no slope says so."""
 

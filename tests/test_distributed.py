@@ -133,6 +133,7 @@ def test_what_jax_refuses_is_said_in_a_line():
         executors.get("distributed", address="127.0.0.1:9", num_processes=2, process_id=0)
 
 
+@pytest.mark.slow
 def test_processes_that_are_not_known_are_asked_for():
     code = (
         "from jaxrl_tab import executors; executors.Distributed('127.0.0.1:9', process_id=2, num_processes=2)"

@@ -12,6 +12,7 @@ from jaxrl_tab.core.errors import InputError
 DOORS = rl.make("two-doors")
 
 
+@pytest.mark.slow
 def test_a_greedy_agent_is_locked_in_as_the_formula_says():
     """While both averages are 0 it opens the right door, which has a prize, with 1/2, or the left one for nothing."""
     greedy = rl.QLearning(alpha=rl.schedules.sample_average(), epsilon=0.0)

@@ -419,6 +419,7 @@ def test_shapes_and_dtypes(name):
             assert (start.shape, start.dtype) == ((), np.int32)
 
 
+@pytest.mark.one_in(2)
 @every_environment
 def test_outcomes_are_distributions_over_states(name):
     prob, outcome = table(name)
@@ -736,6 +737,7 @@ def test_error(call, message):
     assert str(error.value) == message
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", [name for name, env in ENVIRONMENTS.items() if samples_outcomes(env)])
 def test_the_tabulated_step_is_the_step(name):
     """`train` reads outcomes from tables: from the same key the same outcome, for all pairs."""

@@ -219,6 +219,44 @@ def test_mean_of_the_best_arm(arms):
     assert got == pytest.approx(known.get(arms, got), abs=5e-7)
 
 
+# --- the k-armed test bed that drifts ----------------------------------------------------------------
+
+
+def test_arms_drift_as_walks_of_normal_steps():
+    """q* in steps that lie near each other and far apart: the variances, steps that are independent of all else.
+
+    Broken once, each -> fails: the variance of a middle twice as large; one walk for all arms; the later half of a
+    part taken from its middle on exclusively.
+    """
+    env, times = rl.make("drifting-testbed", arms=3), np.array([0, 1, 2, 3, 100, 101, 9999, 10_000])
+    walks = jax.jit(
+        lambda keys: jax.vmap(lambda key: jax.vmap(lambda n: env.instance(key).at(n).means)(times))(keys)
+    )
+    x = np.asarray(walks(random_words(4000)), float) / env.drift  # [runs, times, arms]
+    assert (x[:, 0] == 0).all()
+    steps = np.diff(x, axis=1)
+    lengths = np.diff(times)
+    error = np.sqrt(2 / len(x))  # of a variance, as a part of it
+    assert (abs(steps.var(0) / lengths[:, None] - 1) < 4.5 * error).all()
+    assert abs(steps.mean(0) / np.sqrt(lengths)[:, None]).max() < 4.5 / np.sqrt(len(x))
+    correlations = np.corrcoef(steps.reshape(len(x), -1).T) - np.eye(steps[0].size)
+    assert abs(correlations).max() < 5 / np.sqrt(len(x))
+    assert stats.kstest(steps[:, 0].ravel(), "norm").pvalue > 0.001
+
+
+def test_arms_drift_alike_whatever_is_pulled():
+    env = rl.make("drifting-testbed", arms=2, drift=0.5)
+    of_run = env.instance(random_words(1)[0]).at(jnp.int32(7))
+    means = np.asarray(of_run.means)
+    for arm, mean in enumerate(means):
+        ((prob, *into, terminal),) = after(of_run, 0, arm)
+        assert (prob, terminal) == (1, True) and into == [1, pytest.approx(mean, rel=1e-6)]
+    assert abs(rewards(of_run, 0, 1, 40_000).mean() - means[1]) < 4 / np.sqrt(40_000)
+    assert after(env, 0, 1) == {(1, 1, 0, True)}  # no walk yet
+    end, beyond = (env.instance(random_words(1)[0]).at(jnp.int32(n)).means for n in (2**24, 2**30))
+    assert (end == beyond).all() and (end != 0).all()
+
+
 # --- maximisation bias -------------------------------------------------------------------------------
 
 

@@ -99,6 +99,7 @@ def test_planning_agrees_with_rational_numbers_in_every_state(gamma):
         check(planning.evaluate(env, mixed, gamma), values(p, r, mixed, gamma))
 
 
+@pytest.mark.slow
 def test_what_a_program_in_float32_measures_agrees_with_rational_numbers():
     """Alone and in a batch, to the last bit. Broken once -> fails: float32 throughout."""
 

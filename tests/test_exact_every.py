@@ -23,6 +23,7 @@ def both(method, budget, backend, record=None):
     return sweep(exact=True), sweep(exact_every=4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("backend", "budget"),
     [("xla", "a shorter last row"), pytest.param("lanes", "episodes", marks=pytest.mark.slow)],

@@ -96,6 +96,7 @@ BY_VISITS = [
 WALKS = rl.make("windy-gridworld", shape=(3, 4), wind=(0, 1, 0, 0), start=(1, 0), goal=(1, 3))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("method", slow_but([*BY_Q[:2], BY_VISITS[1]], [*BY_Q, *BY_VISITS]), ids=repr)
 def test_the_policies_that_act_are_those_of_the_learners(method):
     """After 30 episodes. Broken once: the clock of an episode less -> fails; no rerun of batches -> fails."""

@@ -244,6 +244,7 @@ def test_what_one_method_lacks_beside_another_is_left_out(windy, windy_set):
     assert not any("policy_value" in key for key in shown[0] | shown[1])
 
 
+@pytest.mark.slow
 def test_of_many_settings_the_page_keeps_the_best(windy, windy_set, tmp_path):
     """10,000 settings are below 10 MB. Broken once: without those beside the best one -> fails."""
     n = 100

@@ -182,6 +182,7 @@ def test_nothing_slow_is_imported_for_it(words, code):
     assert done.returncode == code, done.stderr
 
 
+@pytest.mark.slow
 def test_without_pictures_matplotlib_is_not_imported(tmp_path):
     """The report needs none. Broken once: `write_files` imports `show.plot` always -> fails."""
     program = (

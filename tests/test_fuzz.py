@@ -594,6 +594,7 @@ def make_still(put):
     put(runner, "_begin", stop)
 
 
+@pytest.mark.slow
 def test_every_field_of_every_class_takes_a_value_or_refuses_it_in_one_line(stubbed):
     """Broken once: a list as a number, a text as a schedule -> fails."""
     call_functions(made())

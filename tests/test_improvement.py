@@ -57,6 +57,7 @@ def test_the_epsilon_greedy_policy_is_nowhere_worse(env, data, epsilon, gamma):
     assert (better >= v - ROUNDING * (1 + abs(v).max())).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None, derandomize=True)
 @given(tasks(), st.data(), epsilons, st.sampled_from([0.0, 0.5, 0.9]))
 def test_nowhere_better_only_at_the_optimum_among_soft_policies(env, data, epsilon, gamma):

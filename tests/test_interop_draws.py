@@ -45,6 +45,7 @@ def one_after_another(key):
     return here, random.uniform(second) < here / 5
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("function", "expected"),
     [
@@ -86,6 +87,7 @@ def test_numbers_in_float32_are_read_as_fractions():
     assert read[4] == given[4]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     "function",
     [
@@ -140,6 +142,7 @@ def test_what_depends_on_what():
     assert len(program.enumerate([0, 1]).choices) == 2
 
 
+@pytest.mark.slow
 def test_samples_are_as_enumerated():
     """A step of the kind that environments take, sampled from 20 000 keys."""
 

@@ -42,6 +42,7 @@ def dense(env):
     return p, np.divide(r, p, out=np.zeros_like(r), where=p > 0)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     "parameters",
     [{"map_name": "4x4"}, {"map_name": "8x8"}, {"desc": ["SFF", "FHF", "FFG"], "success_rate": 0.5}],
@@ -92,6 +93,7 @@ def four_rooms(goal, starts, fail=1 / 3):
     return p, r, start / start.sum(), goal
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("anywhere", slow_but_first([False, True]))
 def test_four_rooms(anywhere):
     """The slips, and the start anywhere but at the goal."""
@@ -234,6 +236,7 @@ def test_sampled_steps_are_those_of_gymnax(noisy_sea):
     assert abs(reward.std() - 1) < 4 / 8000**0.5
 
 
+@pytest.mark.slow
 def test_methods_learn_in_it(noisy_sea):
     method = rl.QLearning(alpha=rl.schedules.sample_average(), epsilon=1.0)
     state, log = rl.train(jax.random.key(0), method, noisy_sea, num_steps=4000)
@@ -269,6 +272,7 @@ class Walk(environment.Environment):
         return spaces.Discrete(7)
 
 
+@pytest.mark.slow
 def test_states_are_found_by_sampling_where_it_must_be():
     """States are numbered by what is observed; 5 and 6 never are. Rewards that are integers are floats."""
     env = from_gymnax(Walk())
@@ -366,6 +370,7 @@ class Impatient(Walk):
         return state.place == 3
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("given", "parameters", "message"),
     [
@@ -537,6 +542,7 @@ def test_round_trip():
         to_gymnax("cliff-walking")  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.slow
 def test_the_example(capsys):
     """The games within four standard errors of what is exact with their limit of steps.
 

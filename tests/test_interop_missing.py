@@ -57,6 +57,7 @@ def test_all_else_works_without_them(lines):
     assert "two-doors" in text and "mean return" in text
 
 
+@pytest.mark.slow
 def test_what_needs_them_says_in_one_line_what_to_install(lines):
     """Broken once: `ModuleNotFoundError` alone caught -> fails."""
     missing = (

@@ -62,6 +62,7 @@ def as_words(key, start, length, step=1):
     return lax.fori_loop(0, length, turn, (start, jnp.uint32(0), jnp.zeros(5, jnp.uint32)))
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("length", LENGTHS)
 def test_words_of_the_next_turns(length, tables):
     """Where the counter begins elsewhere, or goes round, and the loop has any length.

@@ -169,6 +169,7 @@ class Transformed(rl.envs.TwoDoors):
         return transition._replace(reward=jnp.round(there_and_back[0]))
 
 
+@pytest.mark.slow
 def test_what_is_not_compiled_says_so_once_and_is_right(used, caplog):
     """By XLA, with the bits of XLA. Broken once: said for each sweep -> fails."""
     first, second = arrays(swept(Transformed())), arrays(swept(Transformed()))
@@ -213,6 +214,7 @@ def sessions(folder):
     ]
 
 
+@pytest.mark.slow
 def test_a_folder_goes_on_with_the_backend_that_it_was_begun_with(tmp_path, used, monkeypatch):
     """Whatever the environment says by then. Another LLVM is another version of it.
 
@@ -267,6 +269,7 @@ def recorded(state):
     return {"x": jax.pure_callback(failing, kind, state.q.max(), vmap_method="sequential")}
 
 
+@pytest.mark.slow
 def test_a_record_that_calls_python_does_as_with_xla(used, caplog):
     """Broken once: what JAX says of it goes through -> NotImplementedError, and no run."""
     with pytest.raises(jax.errors.JaxRuntimeError, match="not today"):
@@ -287,6 +290,7 @@ def test_what_llvm_refuses_xla_does(used, monkeypatch, caplog):
     assert_same_bits(arrays(found), arrays(swept("cliff-walking")))
 
 
+@pytest.mark.slow
 def test_an_error_in_what_xla_does_for_a_kernel_arrives_as_it_is(used, monkeypatch):
     """Also where the other thread still works, and nothing hangs.
 
@@ -331,6 +335,7 @@ LONG = {
 }
 
 
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize("which", slow_but_first(LONG))
 def test_ctrl_c_ends_a_kernel(tmp_path, which):
     """By itself: nothing has to end the process. Broken once: a loop does not ask -> hangs until it is killed."""

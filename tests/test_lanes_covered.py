@@ -9,7 +9,9 @@ from marks import slow_but
 
 from jaxrl_tab.envs import ENVS
 
-FIRST = "random-walk"  # in which every method runs by steps and by episodes
+FIRST = (
+    "windy-gridworld"  # in which some methods run; every method by steps and by episodes in the random walk
+)
 
 
 @pytest.fixture(scope="module")

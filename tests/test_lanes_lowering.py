@@ -15,6 +15,7 @@ TABLE = np.random.default_rng(0).integers(-50, 50, (40, 3)).astype(np.int32)  # 
 ROWS = np.array([-1, 39, 40, 0, 7] * 8, np.int32)  # some of them lie outside
 
 
+@pytest.mark.slow
 def test_large_known_arrays_of_whole_numbers_are_worked_out_without_a_program_of_xla(monkeypatch):
     """The numbers are NumPy's. Broken once: all left to JAX, or an index that is taken as it is -> fails."""
 

@@ -128,6 +128,7 @@ FUNCTIONS = [
 ]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)
 def test_an_old_version_of_an_array_has_the_old_numbers(function):
     """Broken once: `Stored.check` raises nothing, or `to_change` asks not whose memory it is -> fails."""
@@ -197,6 +198,7 @@ def written(x, i, y, mode):
     ]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("size", [5, SIZE])
 @pytest.mark.parametrize("mode", ["drop", "clip"])
 def test_no_index_leaves_the_memory(size, mode):

@@ -73,6 +73,7 @@ TO_NEXT = np.random.default_rng(0).dirichlet(np.full(4, 0.4), (4, 3))
 TO_NEXT[3] = [0, 0, 0, 1]
 REWARDS = np.random.default_rng(1).normal(size=(4, 3)) * (np.arange(4) < 3)[:, None]
 AVERAGE = schedules.sample_average()
+SHORT = rl.FiniteHorizon(rl.make("frozen-lake"), 7)
 ALPHAS = {"alpha": [0.1, 0.37, 1.0]}  # not dyadic: a number that is rounded otherwise would show
 
 CASES = {
@@ -108,9 +109,19 @@ CASES = {
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
     "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
     "r-max": Case("two-doors", "r-max", {"q0": 5.0, "m": [2.0, 3.0], "sweeps": 9}),
+    "ucb-q-learning": Case(SHORT, "ucb-q-learning", {"c": [1.0, 0.01]}, episodes=20),
+    "ucbvi": Case(SHORT, "ucbvi", {"c": [1.0, 0.01]}, episodes=20),
+    "a stationary task": Case(SHORT, "ucbvi", {"c": [1.0, 0.01], "stationary": True}, episodes=20),
+    "psrl": Case("frozen-lake", "psrl", {"spread": [0.3, 1.0], "gamma": 0.9, "every": 10.0, "sweeps": 9}),
+    "optimistic posterior sampling": Case(
+        "chain", "psrl", {"samples": 3, "gamma": 0.9, "every": [7.0, 20.0]}
+    ),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
     "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
+    "arms that drift": Case(
+        "drifting-testbed", "q-learning", {"alpha": [0.1, schedules.Unbiased(0.1)]}, episodes=20
+    ),
     "gradient-bandit": Case("k-armed-testbed", "gradient-bandit", ALPHAS, episodes=20),
     "reinforce": Case("two-doors", "reinforce", ALPHAS, episodes=20),
     "groups of states": Case("short-corridor", "actor-critic-lambda", ALPHAS | {"groups": "0,0,0,1"}),
@@ -142,7 +153,7 @@ CASES = {
         name: Case(name, "q-learning", ALPHAS | {"gamma": 0.9})
         for name in ("river-swim", "chain", "two-loops", "deep-sea", "garnet")
     },
-    "a finite horizon": Case(rl.FiniteHorizon(rl.make("frozen-lake"), 7), "q-learning", ALPHAS, exact=True),
+    "a finite horizon": Case(SHORT, "q-learning", ALPHAS, exact=True),
     # policies and schedules
     "greedy": Case("gamblers-problem", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
     "softmax": Case("recycling-robot", "expected-sarsa", {"behaviour": policies.Softmax(0.3), "gamma": 0.9}),
@@ -201,6 +212,7 @@ def arrays(result):
 FIRST = {"sarsa", "monte-carlo", "td", "schedules", "record"}
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", slow_but(FIRST, CASES))
 def test_lanes_gives_what_xla_gives(name):
     """The tables, and all of the log. Broken once: no product fused -> fails.
@@ -248,6 +260,7 @@ ALONE = [
 ]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", ALONE)
 def test_a_run_alone_gives_what_it_gives_among_others(name):
     """Broken once: a turn takes the action of the one before -> fails."""
@@ -268,6 +281,7 @@ def targets():
     return [host(), host()._replace(features=of_eight), narrow()]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("env", "method", "by"),
     [

@@ -345,6 +345,7 @@ def test_on_the_command_line(tmp_path, monkeypatch, capsys):
 # --- runs and pictures ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_lanes_and_xla_give_the_same_bits():
     """With slips, two starts, a door and walls."""
     env = rl.make("maze", map=TEXT)

@@ -13,6 +13,7 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import memory
+from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes, by_xla, room
 from jaxrl_tab.engine.budget import Budget
@@ -38,6 +39,7 @@ SHAPES = {  # tables and log; traces in many states; episodes and their memory; 
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("case", "blocks"),
     [
@@ -71,7 +73,8 @@ def test_what_a_run_gives_and_carries_is_known_without_tracing_it(name):
 
     or rows not rounded up -> fails.
     """
-    env, method = rl.make("random-walk"), leaves_as_arrays(METHODS[name]())
+    env = rl.make("deep-sea" if of_method(METHODS[name]).needs_horizon else "random-walk")
+    method = leaves_as_arrays(METHODS[name]())
     record = lambda state: {"table": state.q, "some": state.q[0] > 0}
     for length in ({"num_steps": 250, "record": record}, {"num_episodes": 7, "log_every": 2}):
         budget = Budget(**length)
@@ -115,6 +118,7 @@ def widths(monkeypatch):
     return noted
 
 
+@pytest.mark.slow
 def test_the_numbers_are_the_same_in_any_room(grid, all_at_once, widths, caplog):
     """One block at a time, and all results in files.
 
@@ -269,6 +273,7 @@ def test_an_experiment_ends_in_bounded_memory(tmp_path):
     assert int(run.stdout) < 50_000_000 + shards.SHARD_BYTES + 2 * memory.BLOCK
 
 
+@pytest.mark.slow
 def test_results_in_files_are_written_some_at_a_time(tmp_path):
     """112 MB of tables. Broken once: as a whole -> 110 MB are taken for it."""
     code = """if True:

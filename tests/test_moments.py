@@ -103,6 +103,7 @@ CASES = [
 ]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("method", "learn"), CASES, ids=lambda x: repr(x) if not callable(x) else "")
 @pytest.mark.parametrize(("alpha", "gamma"), [(0.5, 1.0), (0.25, 0.5)])
 def test_an_episode_is_the_mean_over_all_paths(method, learn, alpha, gamma):
@@ -176,6 +177,7 @@ SLIPPERY = rl.FiniteMDP(
 SLIPPERY_PI = np.array([[0.25, 0.75]] * 5)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("cls", "grid"),
     [

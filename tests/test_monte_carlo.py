@@ -123,6 +123,7 @@ def test_every_step_agrees_with_the_plain_loop(kind, env_name):
             np.testing.assert_array_equal(state.clock.visits[i], agent.returns)
 
 
+@pytest.mark.slow
 def test_a_batch_of_one_is_a_policy_that_improves_after_every_episode():
     """And one as long as the run is a policy that never does: Q is then q_pi of the first policy, uniform."""
     env = random_mdp()
@@ -213,6 +214,7 @@ def test_the_book_makes_the_same_updates_one_after_another():
         check(agent, task, words, state, log, i)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("env_name", FORWARD)
 def test_the_forward_view_is_what_its_definition_says(env_name):
     """Off-line Sarsa where lambda = 0, every-visit Monte Carlo where it is 1, else mixtures of n-step ones.

@@ -145,6 +145,7 @@ SAME = {
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", slow_but_first(SAME))
 def test_at_the_ends_of_the_scale_they_are_others(name):
     one, other = map(q_of, SAME[name])

@@ -50,6 +50,7 @@ def counts(monkeypatch):
     return counts
 
 
+@pytest.mark.slow
 def test_a_sweep_works_out_each_thing_once(counts, tmp_path, monkeypatch, capsys):
     """For a person who looks on: the plan, the runs, the choice, fresh seeds, tables, pictures and the report.
 

@@ -197,6 +197,7 @@ def test_help_says_how_a_schedule_is_typed(capsys):
     assert "--pi" not in text  # a table cannot be typed
 
 
+@pytest.mark.slow
 def test_data_and_table_show_a_schedule_as_it_is_typed(tmp_path, capsys):
     """Broken once: rich without emoji=False -> "harmonic", then a picture for :100: -> fails."""
     command = "sweep random-walk sarsa --alpha power:0.5:2:visit --epsilon harmonic:100:visit --seeds 2"

@@ -268,6 +268,7 @@ def test_a_table_in_a_file(here, capsys):
     check(rl.resume("given").datasets["FiniteMDP/sarsa"], given.datasets["FiniteMDP/sarsa"])
 
 
+@pytest.mark.slow
 def test_environments_of_other_libraries_with_their_arguments(here, capsys):
     """On the command line and in a file: the same as `from_gymnasium` gives."""
     name = "gymnasium:FrozenLake-v1"
@@ -325,6 +326,7 @@ def test_options_with_help(here, capsys):
     assert "there is no option --hast; did you mean '--haste'?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_paths_in_a_file_start_from_its_folder(here):
     Path("deep").mkdir()
     Path("deep/x.toml").write_text(
@@ -473,6 +475,7 @@ def test_a_copy_or_a_file_that_was_changed_stops_resume(here):
         Path(damaged).write_text(before)
 
 
+@pytest.mark.slow
 def test_a_module_that_was_changed_stops_resume(here, monkeypatch):
     package = here / "changing_own"
     package.mkdir()
@@ -489,6 +492,7 @@ def test_a_module_that_was_changed_stops_resume(here, monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_another_process_loads_what_goes_along(here, tmp_path):
     """A job that is pickled needs nothing of the process, or the folder, in which it was made."""
     import pickle
@@ -514,6 +518,7 @@ def test_programs_of_own_classes_are_not_kept(here, tmp_path, monkeypatch):
     assert programs._file((rl.Sarsa(), 1)) is not None
 
 
+@pytest.mark.slow
 def test_the_digest_of_the_sources_covers_every_file_in_every_wing(tmp_path, monkeypatch):
     """Broken once: only the files of one folder are read -> fails."""
     package = tmp_path / "package"

@@ -70,6 +70,7 @@ def lose_results(folder="run"):
 # --- neighbours --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_files_that_a_file_imports_are_kept_and_loaded_with_it(here):
     """At its beginning, in a function, and in a circle. Broken once: only what is read at once is kept -> fails."""
     rl.run(experiment(), "run")
@@ -92,6 +93,7 @@ def test_another_process_has_them_from_the_job(here):
     assert done.stdout == expected(), done.stderr
 
 
+@pytest.mark.slow
 def test_a_changed_neighbour_is_another_file_and_stops_resume(here):
     """Broken once: neighbours are no part of the checksum -> fails."""
     first = names.find(METHOD, "mine.py:Mine").cls
@@ -256,6 +258,7 @@ def test_another_version_of_a_library_stops_resume(here, monkeypatch):
     assert changed in Path("lake/report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_version_in_which_the_environment_is_another_one_is_named(here, monkeypatch):
     """Broken once: without it the folder is called damaged."""
     rl.run(experiment("sarsa", "gymnasium:FrozenLake-v1"), "lake")

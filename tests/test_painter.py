@@ -51,6 +51,7 @@ def beside(monkeypatch):
     assert process.returncode is not None and process.stdin.closed
 
 
+@pytest.mark.slow
 def test_it_draws_the_same_pictures(tmp_path, drawn, beside, here):
     """To the last bit. Broken once: its answer is not asked for -> all is drawn again here."""
     assert len(drawn) > 2
@@ -58,6 +59,7 @@ def test_it_draws_the_same_pictures(tmp_path, drawn, beside, here):
     assert not here and beside.returncode == 0
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("when", ["before", "while it draws"])
 def test_where_it_is_killed_they_are_drawn_here(tmp_path, drawn, beside, here, when, monkeypatch):
     if when == "before":

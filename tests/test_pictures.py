@@ -139,6 +139,7 @@ def sweeps(control, windy, windy_q):
 SWEEPS = ("one setting", "six methods", "schedules", "many settings", "long names", "prediction", "cards")
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("width", slow_but_first(WIDTHS))
 @pytest.mark.parametrize("name", SWEEPS)
 def test_nothing_hides_anything_in_pictures_of_a_sweep(name, width, sweeps, monkeypatch):

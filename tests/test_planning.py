@@ -273,6 +273,7 @@ def tangle(trap):
     return FiniteMDP(p, rewards, terminal=[5])
 
 
+@pytest.mark.slow
 def test_measurer_agrees_with_the_exact_side_on_any_q():
     rng = np.random.default_rng(3)
     envs = tangle(trap=False), tangle(trap=True)

@@ -204,6 +204,7 @@ def test_curves_need_what_was_swept(ax, datasets):
 STRANGE = ("x$\\foo$", "_x", "50% & <b>", "a\\$b", "日本 🎲", "a" * 300)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("label", STRANGE)
 def test_every_label_is_shown_as_it_is(label, datasets, windy, tmp_path):
     """None is taken for a formula, left out, or warned of.
@@ -356,6 +357,7 @@ def test_panels_that_do_not_fit_side_by_side_lie_in_lines():
     assert lines == [[0, 0, 1], [2, 2, 3]]
 
 
+@pytest.mark.slow
 def test_of_card_games_what_was_learned_stands_above_what_is_exact(unwritten):
     env = rl.make("easy21")
     q = rl.planning.value_iteration(env)[1]

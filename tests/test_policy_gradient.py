@@ -193,6 +193,7 @@ def test_optimisers_and_groups_are_typed(capsys):
 # --- in all that shows them --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_exact_values_are_those_of_the_policy_and_there_is_no_error_of_preferences():
     """Broken once: q_error kept; theta taken for a policy by its greedy actions -> fails."""
     env = rl.ShortCorridor()

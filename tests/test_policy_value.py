@@ -46,6 +46,7 @@ CASES = {
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", slow_but(["sarsa", "monte-carlo", "double-q-learning"], CASES))
 def test_it_is_what_a_linear_system_gives(name):
     """Broken once: the greedy policy in its place -> fails; the clock of the beginning -> fails for GLIE."""
@@ -60,6 +61,7 @@ def test_it_is_what_a_linear_system_gives(name):
     assert len(set(np.asarray(log.policy_value))) > 1
 
 
+@pytest.mark.slow
 def test_actions_that_there_are_not_are_not_taken():
     """Left or right in one state, ten actions in the other. Broken once: a method that does not know it -> fails."""
     env, table = rl.make("maximization-bias"), lambda state: {"table": state.q}
@@ -91,6 +93,7 @@ def test_returns_of_a_policy_that_stays_scatter_about_it():
     assert abs(returns.mean() - exact) < 3 * returns.std() / 8
 
 
+@pytest.mark.slow
 def test_it_is_not_there_where_a_method_does_not_say_how_it_acts():
     """The other exact numbers are. Broken once: asked all the same -> AttributeError."""
 
@@ -125,6 +128,7 @@ def test_both_backends_record_it():
     assert ours.policy_value.shape == (9, 3)
 
 
+@pytest.mark.slow
 def test_the_table_has_it():
     """The median over seeds at the end. Broken once: the first row -> fails."""
     ds = rl.sweep(

@@ -127,6 +127,7 @@ def with_a_state_out_of_reach():
     return rl.FiniteMDP(p, r, terminal=[3], start=[0.5, 0.25, 0.25, 0.0, 0.0])
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", slow_but(["td", "n-step-td", "monte-carlo-prediction"], PREDICTION))
 def test_what_all_methods_promise(name):
     """Shapes and dtypes; a sweep by name; no run depends on those beside it, to the last bit; the error of V;

@@ -305,6 +305,7 @@ def test_several_at_once_read_what_is_whole(programs_folder, monkeypatch):
     assert {path.name for path in programs_folder.iterdir()} <= {file.name for file in files}
 
 
+@pytest.mark.slow
 def test_two_processes_at_once_agree_on_a_key_and_read_what_is_whole(tmp_path):
     """Each makes a key in the folders where the other does, and reads what the other writes.
 

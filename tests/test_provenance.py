@@ -128,6 +128,7 @@ def test_so_does_the_command(folder, whole):
 # --- refused -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_changed_sources_and_flags_are_refused_in_a_line(folder, tmp_path):
     """The command, of a copy of the package in which one line is another one. Broken once: not compared -> 0."""
     shutil.copytree(provenance.PACKAGE, tmp_path / "changed" / "jaxrl_tab")
@@ -193,6 +194,7 @@ def test_what_is_computed_is_not_refused(whole, tmp_path, caplog):
     assert f"<dt>jax</dt><dd><span>{jax.__version__}<" in report  # what the numbers are of
 
 
+@pytest.mark.slow
 def test_each_shard_says_what_it_was_computed_with(folder, whole):
     """Also where the records are gone, and where shards of another folder are put there."""
     other = folder.parent / "other"

@@ -24,6 +24,7 @@ FORMULAS = {
     "linear:1:0:10:visit": (np.maximum(1 - (N - 1) / 10, 0), False, False, False, False),
     "exponential:1:0.99:0:step": (0.99 ** (N - 1), False, False, False, False),
     "exponential:0.5:0.9:0.1:step": (np.maximum(0.5 * 0.9 ** (N - 1), 0.1), True, True, False, False),
+    "unbiased:0.1:visit": (0.1 / (1 - 0.9**N), True, True, False, False),
     "0.1": (np.full(LONGEST, 0.1), True, True, False, False),
     "0": (np.zeros(LONGEST), False, False, False, False),
 }
@@ -53,7 +54,7 @@ def test_its_numbers_are_those_of_the_formula(name, studies):
 
 
 @pytest.mark.parametrize(
-    "name", ["glie", *(x for x in FORMULAS if x.startswith(("harmonic", "power", "exp")))]
+    "name", ["glie", *(x for x in FORMULAS if x.startswith(("harmonic", "power", "exp", "unbiased")))]
 )
 def test_the_formula_that_is_shown_is_right(name, studies):
     """It is computed, as it is written. Broken once: "n" for "n - 1" in `Harmonic` -> fails."""

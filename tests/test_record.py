@@ -97,6 +97,7 @@ def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
     assert not np.isin(other.rewards, log.rewards).any()
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("backend", slow_but_first(["lanes", "xla"]))
 @pytest.mark.parametrize(
     "length",

@@ -82,6 +82,7 @@ def test_numbers_are_those_of_the_learner_at_the_end_of_each_row(here):
     assert np.isneginf(ds.odd[..., 2, 0]).any() and np.isnan(ds.odd[..., 1]).all() and not ds.diverged.any()
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_the_same_and_the_same_in_the_file(here):
     """Broken once: without the forms of recorded arrays in `_shapes` every shard is taken for damaged -> fails."""
     whole = rl.run(experiment(), "whole", progress=False).datasets["windy-gridworld/sarsa"]
@@ -130,6 +131,7 @@ def test_typed_in_a_file_and_in_python_are_the_same(here):
     assert cli.main(["sweep", "x.toml", "--record", "mine.py:q_of_start"]) == 2
 
 
+@pytest.mark.slow
 def test_another_process_loads_the_function(here):
     one = experiment()
     Path("job").write_bytes(pickle.dumps(shards.Job(json.dumps(one.data()), None, files=one.files)))
@@ -159,6 +161,7 @@ def test_its_bytes_are_in_the_plan_and_in_the_size_of_shards(here):
         rl.run(experiment(), memory=room)
 
 
+@pytest.mark.slow
 def test_large_arrays_of_all_types_are_in_the_file(here, monkeypatch):
     """Those that are written piece by piece, too. Broken once: true and false piece by piece -> fails."""
     monkeypatch.setattr(memory, "BLOCK", 1000)
@@ -254,6 +257,7 @@ def test_what_a_file_names_wrong_is_said_with_its_line(here, name, message, caps
     assert message.removeprefix("line 3: ") in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_cannot_be_saved_is_refused_where_there_is_a_folder(here):
     """It runs without one. Broken once: no refusal of what is below a function -> fails."""
     inner = lambda state: {"best": state.q.max()}

@@ -251,6 +251,7 @@ def test_selection_refuses_the_seeds_of_the_choice():
         stats.selection(ds, other)
 
 
+@pytest.mark.slow
 def test_selection_has_the_bias_of_the_best_of_many():
     """Twenty settings, all worth 0: the best of five seeds promises 1.867 / sqrt(5), fresh seeds 0.
 

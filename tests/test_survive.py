@@ -122,6 +122,7 @@ def test_what_was_chosen_runs_again_on_seeds_of_no_other_sweep(windy, undisturbe
     assert not again
 
 
+@pytest.mark.slow
 def test_a_number_is_chosen_among_schedules_as_it_is_labelled(windy):
     """The axis has 0.25 and "power:2:step". Broken once: the number compared with its text -> fails.
 
@@ -165,6 +166,7 @@ def test_progress_counts_runs_steps_and_time(undisturbed):
     assert reports[0].left is None and reports[1].left > 0 and reports[1].label == "windy-gridworld/sarsa"
 
 
+@pytest.mark.slow
 def test_several_environments_have_groups_and_pictures_of_their_own(tmp_path):
     walks = {"name": "random-walk", "left_reward": [-1, 0]}
     outcome = rl.run(rl.Experiment(walks, ["td"], seeds=2, steps=100), tmp_path / "run")
@@ -548,6 +550,7 @@ def test_runs_that_diverge_are_counted_and_leave_all_others_as_they_are(tmp_path
 # --- Ctrl-C ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("number", slow_but_first([signal.SIGINT, signal.SIGTERM]))
 def test_ctrl_c_keeps_the_finished_shards_and_says_how_to_go_on(tmp_path, number):
     out = tmp_path / "windy"

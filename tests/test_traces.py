@@ -128,6 +128,7 @@ def test_with_lambda_0_sarsa_lambda_is_sarsa(sarsa):
     jax.tree.map(np.testing.assert_array_equal, log, wanted)
 
 
+@pytest.mark.slow
 def test_with_lambda_0_true_online_sarsa_lambda_is_sarsa():
     """In float64, where its correction of other pairs is taken back with the last bits only.
 
@@ -265,6 +266,7 @@ def transition(s, a, r, s_next, discount=0.5, last=False):
     return Transition(*map(jnp.asarray, (s, a, r * 1.0, s_next, float(discount), last)))
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_traces_end_with_the_episode(kind):
     """By a terminal state (discount 0) and by the time limit.
@@ -288,6 +290,7 @@ def test_traces_end_with_the_episode(kind):
     np.testing.assert_array_equal(second, first)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_action_that_is_learned_from_is_the_one_that_is_taken(kind):
     """In Q(lambda), the one by which traces are cut. Broken once: A' drawn again by another word -> fails."""

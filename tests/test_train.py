@@ -151,6 +151,7 @@ def test_rows_of_several_episodes_are_sums_of_rows_of_one(episodes):
         np.testing.assert_array_equal(getattr(seven, name), want)
 
 
+@pytest.mark.slow
 def test_exact_values_beside_the_log(windy):
     """The recorded numbers are those of the final table, computed again on the host in float64."""
     method = rl.QLearning(alpha=0.5, epsilon=0.1)

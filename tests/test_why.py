@@ -24,6 +24,7 @@ SCRIPTS = [
 ]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(("name", "block", "rel"), SCRIPTS)
 def test_the_page_shows_what_the_scripts_print(name, block, rel, capsys):
     """Words are the same; numbers of runs may differ a little on another processor, and counts of seeds by a few.
@@ -37,6 +38,7 @@ def test_the_page_shows_what_the_scripts_print(name, block, rel, capsys):
     assert new == pytest.approx(old, rel=rel, abs=2e-6)
 
 
+@pytest.mark.slow
 def test_its_python_runs():
     for code in blocks("python"):
         names = {}

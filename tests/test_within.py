@@ -72,6 +72,7 @@ PROGRAMS = {
 }
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_lanes_gives_what_xla_gives(name, done):
     """Broken once: axes that `vmap` puts elsewhere are not moved -> fails; batches the other way round -> fails."""
@@ -80,6 +81,7 @@ def test_lanes_gives_what_xla_gives(name, done):
     assert done == batches
 
 
+@pytest.mark.slow
 def test_on_two_devices_each_does_its_own(done):
     mesh = jax.make_mesh((2,), ("devices",))
     split = PartitionSpec("devices")
@@ -93,6 +95,7 @@ def test_on_two_devices_each_does_its_own(done):
     assert done == [(3,)] * 2
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     "program",
     [
@@ -109,6 +112,7 @@ def test_xla_does_what_a_kernel_cannot_do_there(program, done):
     assert done == []
 
 
+@pytest.mark.slow
 def test_what_lanes_does_not_compile_xla_does_and_a_line_says_so(done, monkeypatch, caplog):
     def refuses(*_):
         raise Unsupported("not that")

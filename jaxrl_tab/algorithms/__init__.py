@@ -26,6 +26,7 @@ from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
 from jaxrl_tab.algorithms.policy_gradient import PolicyGradient
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
+from jaxrl_tab.algorithms.psrl import PSRL
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.q_sigma import QSigma
@@ -41,6 +42,8 @@ from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.algorithms.tree_backup import TreeBackup
 from jaxrl_tab.algorithms.tree_backup_lambda import TreeBackupLambda
 from jaxrl_tab.algorithms.true_online_sarsa_lambda import TrueOnlineSarsaLambda
+from jaxrl_tab.algorithms.ucb_q_learning import UCBQLearning
+from jaxrl_tab.algorithms.ucbvi import UCBVI
 from jaxrl_tab.algorithms.weighted_double_q_learning import WeightedDoubleQLearning
 
 ALGORITHMS: dict[str, type] = {
@@ -80,10 +83,15 @@ ALGORITHMS: dict[str, type] = {
     "dyna-q-plus": DynaQPlus,
     "prioritized-sweeping": PrioritizedSweeping,
     "r-max": RMax,
+    "ucb-q-learning": UCBQLearning,
+    "ucbvi": UCBVI,
+    "psrl": PSRL,
 }
 
 __all__ = [
     "ALGORITHMS",
+    "PSRL",
+    "UCBVI",
     "ActorCritic",
     "ActorCriticLambda",
     "AverageReward",
@@ -124,6 +132,7 @@ __all__ = [
     "TreeBackup",
     "TreeBackupLambda",
     "TrueOnlineSarsaLambda",
+    "UCBQLearning",
     "ValueControl",
     "WeightedDoubleQLearning",
 ]

@@ -18,7 +18,6 @@ from types import ModuleType
 from jaxrl_tab.cli.options import checked_name
 from jaxrl_tab.cli.streams import PROG, complain, give_up, prepare_streams
 from jaxrl_tab.core.errors import InputError, RunError, as_path, one_line, reason
-from jaxrl_tab.core.version import __version__
 from jaxrl_tab.experiment import painter
 
 # Command -> the module that it is in, imported when it is asked for: they take a second.
@@ -33,6 +32,7 @@ MODULES = {
     "explain": "explain",
     "moments": "moments",
     "figure": "figure",
+    "check": "check",
 }
 OBJECTS = 100_000  # that are new: then Python looks for garbage among them, instead of at 700
 TRACEBACK = "JAXRL_TAB_TRACEBACK"
@@ -53,6 +53,7 @@ commands:
   explain   where the methods of a sweep lose what they earn less than the best policy
   moments   exact learning curves of prediction, without a single run
   figure    make published figures again, and check their numbers
+  check     whether an agent that a student wrote is right, and which mistake is in it
 
 examples:
   {PROG} list
@@ -68,6 +69,7 @@ examples:
   {PROG} moments random-walk td --alpha 0.05 0.1 0.2 --episodes 100
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures
+  {PROG} check my_agent.py
 
 `{PROG} COMMAND --help` says more about each. `{PROG} --version` prints the version.
 """
@@ -76,10 +78,10 @@ examples:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code: 0, 2 (wrong input), 130 (Ctrl-C), or 1.
 
-    1 says that a figure is off, or that something could not be finished, as where the disk is full. Where the
-    reader of its output goes away, as `| head` does, it ends quietly with 1; where stdout or stderr is closed
-    nothing is said there, and the work is done. What the encoding of either lacks is replaced. A defect of
-    this package is one line, too, and exit code 1; with `JAXRL_TAB_TRACEBACK=1` it is raised.
+    1 says that a figure is off, that an agent is wrong, or that something could not be finished, as where the disk
+    is full. Where the reader of its output goes away, as `| head` does, it ends quietly with 1; where stdout or
+    stderr is closed nothing is said there, and the work is done. What the encoding of either lacks is replaced. A
+    defect of this package is one line, too, and exit code 1; with `JAXRL_TAB_TRACEBACK=1` it is raised.
     """
     argv = sys.argv[1:] if argv is None else list(argv)
     prepare_streams()
@@ -116,10 +118,12 @@ def _dispatch(argv: list[str]) -> int:
         print(HELP, end="")
         return 0
     if argv[0] == "--version":
+        from jaxrl_tab.core.version import __version__
+
         print(f"{PROG} {__version__}")
         return 0
     name, rest = checked_name("a command", argv[0], MODULES), argv[1:]
-    if name != "list":  # which needs no more than the front does
+    if name not in ("list", "check"):  # which need no more than the front does
         _load("front").answer(name, rest)
     with painter.beside() if _draws(name, rest) else contextlib.nullcontext():
         return getattr(_load(MODULES[name]), f"{name}_command")(rest)

@@ -152,11 +152,36 @@ class Exponential(Family):
         return falling + (f", but never below {end:g}" if end else "")
 
 
+@pytree
+class Unbiased(Family):
+    """alpha / (1 - (1 - alpha)**n): 1 at first, and alpha in the end (book, exercise 2.7).
+
+    As a step size by visit it is alpha / o_n with o_n = o_{n-1} + alpha (1 - o_{n-1}), o_0 = 0: an average of the
+    targets in which each counts 1 / (1 - alpha) times as much as the one before, as with a constant alpha, but without
+    the initial value, which the first target replaces.
+    """
+
+    alpha: float = field(greater_than=0, at_most=1, help="The value to which it falls.")
+    clock: ClockName = static(default="visit", help=_CLOCK)
+
+    def __call__(self, n: Int[Array, ""]) -> Float[Array, ""]:
+        alpha = jnp.asarray(self.alpha, float)
+        return alpha / -jnp.expm1(jnp.asarray(n, float) * jnp.log1p(-alpha))
+
+    def tail(self) -> Tail:
+        return tail_at(self._plain("alpha"), "")
+
+    def formula(self) -> str:
+        alpha = self._plain("alpha")
+        return f"{alpha:g} / (1 - {1 - alpha:g}^n)"
+
+
 FAMILIES: dict[str, type[Family]] = {
     "power": Power,
     "harmonic": Harmonic,
     "linear": Linear,
     "exponential": Exponential,
+    "unbiased": Unbiased,
 }
 
 SHORT = {"glie": "harmonic:1:episode", "sample-average": "harmonic:1:visit"}

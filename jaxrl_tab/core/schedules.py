@@ -7,7 +7,7 @@ Wherever a method takes `alpha` or `epsilon` it takes a number or a schedule. A 
 - `"visit"`: for a step size, n = N(s, a), the visits of the pair so far, this one included; for an
   exploration rate, n = N(s) + 1 where N(s) counts the earlier visits of the state.
 
-The families `Power`, `Harmonic`, `Linear` and `Exponential` are written as they are typed on the command
+The families `Power`, `Harmonic`, `Linear`, `Exponential` and `Unbiased` are written as they are typed on the command
 line (`str`, `parse`), and `is_glie` and `is_robbins_monro` tell whether they meet the conditions under which
 control converges. A schedule of optax can be typed too, and any other function is a schedule (`Optax`), but
 nothing can be told about their limits.
@@ -45,6 +45,7 @@ from jaxrl_tab.core.families import (
     Linear,
     Power,
     Tail,
+    Unbiased,
     numbers_of,
     tail_at,
     typed,
@@ -66,6 +67,7 @@ __all__ = [
     "Rate",
     "Schedule",
     "Tail",
+    "Unbiased",
     "Verdict",
     "at_visit",
     "begin_step",

@@ -17,6 +17,7 @@ from jaxrl_tab.envs.chain import Chain
 from jaxrl_tab.envs.changing_mazes import BlockingMaze, ShortcutMaze
 from jaxrl_tab.envs.cliff_walking import CliffWalking
 from jaxrl_tab.envs.deep_sea import DeepSea
+from jaxrl_tab.envs.drifting_testbed import DriftingTestbed
 from jaxrl_tab.envs.easy21 import Easy21
 from jaxrl_tab.envs.finite_horizon import FORM, PREFIX, FiniteHorizon, of_name
 from jaxrl_tab.envs.finite_mdp import FiniteMDP
@@ -47,6 +48,7 @@ ENVS: dict[str, type] = {
     "two-doors": TwoDoors,
     "short-corridor": ShortCorridor,
     "k-armed-testbed": KArmedTestbed,
+    "drifting-testbed": DriftingTestbed,
     "maximization-bias": MaximizationBias,
     "infinite-variance": InfiniteVariance,
     "trace-gridworld": TraceGridworld,
@@ -130,6 +132,7 @@ __all__ = [
     "Chain",
     "CliffWalking",
     "DeepSea",
+    "DriftingTestbed",
     "Easy21",
     "Finite",
     "FiniteHorizon",

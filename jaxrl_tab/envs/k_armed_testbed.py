@@ -13,12 +13,11 @@ from jaxrl_tab.core import tables
 from jaxrl_tab.core.checks import Numbers, assign, unbatched
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import field, pytree, static
-from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.envs.bandit import Bandit
+from jaxrl_tab.envs.bandit import NormalBandit
 
 
 @pytree
-class KArmedTestbed(Bandit):
+class KArmedTestbed(NormalBandit):
     """Pull one of several arms, whose rewards are normal around means that are drawn anew for each run.
 
     The mean q*(a) of each arm is drawn from N(0, 1) once for a problem, and a reward from N(q*(a), 1) for a
@@ -52,11 +51,6 @@ class KArmedTestbed(Bandit):
     def rewards(self, a: Int[Array, ""]) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
         means = unbatched(self, "means", ndim=1)
         return jnp.ones(1), (tables.entry(means, jnp.asarray(a, jnp.int32)) + self.shift)[None]
-
-    def step(self, key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
-        mean = super().step(key, s, a)
-        noise = jax.random.normal(key, dtype=mean.reward.dtype)
-        return mean._replace(reward=mean.reward + jnp.where(s == self.start_state, noise, 0))
 
     def mean_optimal_value(self, gamma: float) -> float:
         """The mean over problems of v* from the start; a play is one step, so gamma does not matter."""

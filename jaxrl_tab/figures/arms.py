@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core import rng
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.engine.traced import problem_of
 from jaxrl_tab.envs import KArmedTestbed
 from jaxrl_tab.figures.figure import swept
@@ -11,7 +12,7 @@ from jaxrl_tab.figures.figure import swept
 PLAYS, EVERY = 1000, 10
 
 
-def run(method, setting, num_problems, chances=None, env=None):
+def run(method, setting, num_problems, chances=None, env=None, plays=PLAYS, every=EVERY):
     """A sweep over problems, with `best`, how probable the best arm is in the play after each row, [..., seed, row].
 
     Args:
@@ -21,9 +22,10 @@ def run(method, setting, num_problems, chances=None, env=None):
         chances: from the learner's table of a problem, float [..., arms], the probabilities of the arms; without it
             there is no `best`.
         env: the testbed; by default the book's.
+        plays, every: how many there are, and in each row of the log.
     """
     env = env or KArmedTestbed()
-    budget = {"num_seeds": num_problems, "num_steps": PLAYS, "log_every": EVERY}
+    budget = {"num_seeds": num_problems, "num_steps": plays, "log_every": every}
     if chances is None:
         return swept(env, method, setting, **budget)
     sweep = swept(env, method, setting, **budget, record=_table)
@@ -31,19 +33,22 @@ def run(method, setting, num_problems, chances=None, env=None):
     def measured(progress):
         ds = sweep(progress)
         of_arms = ds.table.isel(table_0=0)
-        is_best = np.eye(env.arms)[best_arms(env, num_problems)]
-        best = (chances(of_arms.values) * is_best[:, None]).sum(-1)
+        is_best = np.eye(env.arms)[best_arms(env, num_problems, ds.steps.isel(seed=0).cumsum("row").values)]
+        best = (chances(of_arms.values) * is_best).sum(-1)
         return ds.drop_vars("table").assign(best=(of_arms.dims[:-1], best))
 
     return measured
 
 
-def best_arms(env, num_problems):
-    """The best arm of the problem of each seed, int [seeds]."""
-    seeds = jax.numpy.arange(num_problems)
-    key_of = jax.vmap(lambda seed: jax.random.fold_in(rng.key(0), seed))
-    means = jax.jit(jax.vmap(lambda key: problem_of(rng.stream(key), env).means))(key_of(seeds))
-    return np.asarray(means).argmax(-1)
+def best_arms(env, num_problems, plays):
+    """The best arm of the problem of each seed, after so many `plays`, int [seeds, plays]."""
+
+    def best(seed):
+        problem = problem_of(rng.stream(jax.random.fold_in(rng.key(0), seed)), env)
+        at = of_environment(problem).at or (lambda _: problem)
+        return jax.vmap(lambda n: at(n).means.argmax())(jax.numpy.asarray(plays))
+
+    return np.asarray(jax.jit(jax.vmap(best))(jax.numpy.arange(num_problems)))
 
 
 def epsilon_greedy(epsilon):

@@ -125,6 +125,7 @@ TITLES = {  # where `_written` says it otherwise than people do
     "reinforce": "REINFORCE",
     "reinforce-baseline": "REINFORCE with baseline",
     "psrl": "PSRL",
+    "ucbvi": "UCBVI",
     "td": "TD(0)",
     "offline-lambda-return": "Off-line λ-return",
     "off-policy-td": "Off-policy TD(0)",
