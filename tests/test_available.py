@@ -135,6 +135,10 @@ PLAIN = {
         {},
         lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: min(1, pi / b), target=greedy),
     ),
+    "q-pi-lambda": (
+        {},
+        lambda key: reference.ExpectedTraces(*SHARED, lam=0.9, c=lambda pi, b: 1, target=greedy),
+    ),
     "sarsa-lambda-forward": ({}, lambda key: reference.ForwardView(*SHARED, view=summed)),
     "dyna-q": ({}, lambda key: reference.DynaQ(*SHARED, words=planning_words(key))),
     "dyna-q-plus": (

@@ -147,7 +147,7 @@ SHAPES["actor-critic-lambda"] = (
     "",
     "action, state, action, ..., end",
 )
-SHAPES["expected-sarsa-lambda"] = SHAPES["retrace"] = (
+SHAPES["expected-sarsa-lambda"] = SHAPES["retrace"] = SHAPES["q-pi-lambda"] = (
     "action, state, each action",
     "action, state, action, state, each action",
     "action, state, action, state, action, state, each action",
@@ -182,6 +182,7 @@ IN_WORDS = {  # what no circle shows
     "n-step-expected-sarsa": "over the actions between",
     "n-step-off-policy-sarsa": "over the actions after A_t",
     "q-sigma": "σ = 1 samples, σ = 0 is tree backup",
+    "q-pi-lambda": "its value is taken off, and the mean over actions under π is added",
     "retrace": "goes on by min(1, π(A | S) / b(A | S))",
     "double-sarsa": "Q2 gives the value where Q1 learns",
     "double-expected-sarsa": "Q2 gives the values where Q1 learns",

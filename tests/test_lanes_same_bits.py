@@ -94,6 +94,7 @@ CASES = {
         "trace-gridworld", "expected-sarsa-lambda", ALPHAS | {"target": policies.EpsilonGreedy(0.05)}
     ),
     "tree-backup-lambda": Case("maze", "tree-backup-lambda", ALPHAS),
+    "q-pi-lambda": Case("frozen-lake", "q-pi-lambda", {"lam": [0.0, 0.3, 0.9]}),
     "retrace": Case("frozen-lake", "retrace", {"lam": [0.0, 0.3, 0.9]}),
     "sarsa-lambda": Case("easy21", "sarsa-lambda", {"lam": [0.0, 0.3, 0.9]}),
     "sarsa-lambda-forward": Case("two-doors", "sarsa-lambda-forward", ALPHAS, episodes=20),

@@ -29,6 +29,7 @@ from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
 from jaxrl_tab.algorithms.psrl import PSRL
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
+from jaxrl_tab.algorithms.q_pi_lambda import QPiLambda
 from jaxrl_tab.algorithms.q_sigma import QSigma
 from jaxrl_tab.algorithms.r_learning import RLearning
 from jaxrl_tab.algorithms.r_max import RMax
@@ -63,6 +64,7 @@ ALGORITHMS: dict[str, type] = {
     "q-lambda": QLambda,
     "tree-backup-lambda": TreeBackupLambda,
     "retrace": Retrace,
+    "q-pi-lambda": QPiLambda,
     "double-q-learning": DoubleQLearning,
     "double-sarsa": DoubleSarsa,
     "double-expected-sarsa": DoubleExpectedSarsa,
@@ -117,6 +119,7 @@ __all__ = [
     "PrioritizedSweeping",
     "QLambda",
     "QLearning",
+    "QPiLambda",
     "QSigma",
     "RLearning",
     "RMax",
