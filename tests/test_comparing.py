@@ -140,7 +140,8 @@ def test_what_is_interrupted_at_a_look_decides_as_if_nothing_had_happened(
         with pytest.raises(KeyboardInterrupt):
             rl.run(EXPERIMENT, folder)
     done = [*computed[comparing.Look]]
-    computed[shards.Job].clear(), computed[comparing.Look].clear()
+    for numbers in computed.values():
+        numbers.clear()
     outcome = rl.resume(folder)
     assert outcome.verdicts == undisturbed[1].verdicts
     assert computed[shards.Job] == [] and sorted(done + computed[comparing.Look]) == list(range(14))
