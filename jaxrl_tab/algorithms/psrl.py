@@ -44,7 +44,7 @@ class PSRL(ValueControl):
 
     It is solved by value iteration, and acted on greedily until the next one is drawn. What is not known well differs
     from draw to draw, and now and then looks best: so it is explored, and by whole episodes, not by single steps. The
-    prior is that any state may follow, each alike, and counts as `prior` transitions; that of rewards counts as one of r0.
+    prior is that any state may follow, all alike, and counts as `prior` transitions; that of rewards, as one of r0.
 
     With several `samples` each pair takes the best of so many draws, in each sweep: optimistic posterior sampling
     (Agrawal and Jia 2017).
