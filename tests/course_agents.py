@@ -574,6 +574,7 @@ OF_LAMBDA = [
 ]
 ANY_OF_ALL = "return rng.integers(len(values))"
 OF_FUNCTION = [
+    ("    if rng", "    values -= values.max()\n    if rng", "changes-values"),
     ("values == values.max()", "np.arange(len(values)) == values.argmax()", "first-of-ties"),
     ("rng.random() < epsilon", "rng.random() > epsilon", "epsilon-swapped"),
     (ANY_OF_ALL, "return rng.choice(np.delete(np.arange(len(values)), values.argmax()))", "explores-others"),

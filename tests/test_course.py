@@ -103,6 +103,7 @@ def test_each_mistake_that_can_be_named_is_tried():
         "other-epsilon",
         "old-state-action",
         "whole-numbers",
+        "changes-values",
         "stale-action",
         "starts-elsewhere",
     } - {""}

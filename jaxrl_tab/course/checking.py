@@ -118,18 +118,13 @@ def check(agent: Any, exercise: str | None = None, *, reward: bool = True) -> Ch
 
 def _of_function(code: Code) -> list[Verdict]:
     choices = behaviour.try_function(code)
-    values = np.array([1.0, 2.0, 0.0])
-    behaviour.action_of(
-        code,
-        student.FUNCTION,
-        code.call(student.FUNCTION, code.made, values, 0.0, np.random.default_rng(0)),
-        3,
-    )
-    kept = values.tolist() == [1.0, 2.0, 0.0]
-    changed = () if kept else (f"the values were [1.0, 2.0, 0.0], and are {values.tolist()}",)
-    return [_acts("it draws from all actions with probability ε, else one of the best", choices)] + (
-        [] if kept else [Verdict("it leaves the values as they are", False, (), changed)]
-    )
+    values, rng = np.array([1.0, 2.0, 0.0]), np.random.default_rng(0)
+    code.call(student.FUNCTION, code.made, values, 0.0, rng)
+    verdicts = [_acts("it draws from all actions with probability ε, else one of the best", choices)]
+    if values.tolist() != [1.0, 2.0, 0.0]:
+        told = f"The values were [1.0, 2.0, 0.0], and are {values.tolist()}."
+        verdicts.append(Verdict("it leaves the values as they are", False, ("changes-values",), (told,)))
+    return verdicts
 
 
 def _of_agent(code: Code, exercise: Exercise) -> list[Verdict]:

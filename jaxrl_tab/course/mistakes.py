@@ -62,6 +62,9 @@ MISTAKES = {
     "old-state-action": Mistake(
         "It draws A' by the values of S, not of S'.", "A' is what it does in the next state: act(next_state)."
     ),
+    "changes-values": Mistake(
+        "It changes the values that it is given.", "They belong to the caller: change a copy, values.copy()."
+    ),
     # --- what it looks ahead to ---
     "terminal": Mistake(
         "It bootstraps through a terminal state.",

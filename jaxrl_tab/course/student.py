@@ -56,16 +56,12 @@ class Code:
         self._busy: tuple[float, str] | None = None  # since when a call runs, and which
 
     def line(self, of: Any) -> str:
-        """ "my_agent.py, line 12" of a function or a class."""
-        number = None
+        """ "my_agent.py, line 12" of a function; of the class where it is one, or what that has from elsewhere."""
         if inspect.isfunction(of):
-            number = of.__code__.co_firstlineno
-        elif inspect.isclass(of):
-            begins = re.compile(rf"\s*class {of.__name__}\b")
-            number = next(
-                (k for k, x in enumerate(linecache.getlines(self.file), 1) if begins.match(x)), None
-            )
-        return f"{self.where}, line {number}" if number else self.where
+            return f"{self.where}, line {of.__code__.co_firstlineno}"
+        begins = re.compile(rf"\s*class {self.made.__name__}\b")
+        numbers = [k for k, x in enumerate(linecache.getlines(self.file), 1) if begins.match(x)]
+        return f"{self.where}, line {numbers[0]}" if numbers else self.where
 
     def call(self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Calls a function of the student. Raises Unusable where that fails; `what` is what it is called."""
