@@ -15,21 +15,23 @@ import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from jaxrl_tab.core import flags
-from jaxrl_tab.core.version import __version__ as __version__
 
 _API = f"{__name__}.api"
 
 if TYPE_CHECKING:
     from jaxrl_tab.api import *  # noqa: F403
+    from jaxrl_tab.core.version import __version__ as __version__
 
 flags.set_flags()
 
 
 def __getattr__(name: str) -> Any:
-    if name.startswith("__") and name != "__all__":  # what Python and its tools ask every module for
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = f"{__name__}.{name}"
-    if importlib.util.find_spec(module):  # `from jaxrl_tab import stats` must not import everything
+    if name == "__version__":
+        value = importlib.import_module(f"{__name__}.core.version").__version__
+    elif name.startswith("__") and name != "__all__":  # what Python and its tools ask every module for
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    elif importlib.util.find_spec(module):  # `from jaxrl_tab import stats` must not import everything
         value = importlib.import_module(module)
     else:
         value = getattr(importlib.import_module(_API), name)

@@ -27,7 +27,7 @@ BUDGETS = {
     "episodes": Budget(None, 5, 2, exact=False),
 }
 
-GOES_ON = "access-control"
+GOES_ON, HAS_HORIZON = "access-control", "deep-sea"
 
 
 class Unloaded:
@@ -41,12 +41,15 @@ def pairs(env: str) -> Iterator[tuple[str, str]]:
     """(method, budget): Sarsa and some of the others, in the next environment the next ones; in one all.
 
     So that each is in three environments besides that one, whatever their number. Every other one by episodes, where
-    not by both. Methods of the average reward are in `GOES_ON` alone.
+    not by both. Methods of the average reward are in `GOES_ON` alone, and those that need a horizon in
+    `HAS_HORIZON`.
     """
     every = max(1, len(ENVS) // 3)
     for k, method in enumerate(METHODS, list(ENVS).index(env)):
-        if of_method(METHODS[method]).in_the_long_run:
-            yield from ((method, by) for by in BUDGETS if env == GOES_ON)
+        declared = of_method(METHODS[method])
+        if declared.in_the_long_run or declared.needs_horizon:
+            alone = GOES_ON if declared.in_the_long_run else HAS_HORIZON
+            yield from ((method, by) for by in BUDGETS if env == alone)
         elif env == "random-walk" or method == "sarsa":
             yield from ((method, by) for by in BUDGETS)
         elif k % every == 0:

@@ -312,6 +312,59 @@ class RMax(Agent):
                 self.q[pair] = mean
 
 
+class PSRL(Agent):
+    """A model drawn from the posterior after each episode, or `every` steps; of several, each pair has its best.
+
+    `numbers(t)` are the uniform numbers of the model that is drawn in step t, [pair, next state, try, 2], and the signs
+    of the rewards' normal numbers, [pair]: a try is of Cheng's method, and try 0 has the number for the power.
+    """
+
+    def __init__(self, *args, numbers, prior, r0, spread, every, samples, sweeps, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.first, self.numbers, self.prior, self.r0, self.spread = self.q.copy(), numbers, prior, r0, spread
+        self.every, self.samples, self.sweeps = every, samples, sweeps
+        self.seen, self.ends, self.left = {}, set(), 1
+
+    def learn(self, s, a, r, s_next, terminal, ended, u):
+        self.seen.setdefault((s, a), []).append((float(r), s_next))
+        if terminal:
+            self.ends.add(s_next)
+        self.left -= 1
+        if ended or self.left == 0:
+            self.left = self.every
+            self.solve()
+        return self.act(s_next, u)
+
+    def gamma_variable(self, shape, tries):
+        a, root = shape + 1, np.sqrt(2 * shape + 1)
+        for u, w in tries[1:]:
+            v = np.log(u / (1 - u)) / root
+            if a - np.log(4) + (a + root) * v - a * np.exp(v) >= np.log(u * u * w):
+                return a * np.exp(v) * tries[0][0] ** (1 / shape)
+        raise AssertionError("more tries are needed")
+
+    def solve(self):
+        tries, signs = self.numbers(self.t - 1)
+        states, actions = self.q.shape
+        p, r = (np.zeros((states, actions, self.samples, *rest)) for rest in ((states,), ()))
+        for pair, (s, a, k) in enumerate(np.ndindex(states, actions, self.samples)):
+            seen = self.seen.get((s, a), [])
+            follows = [sum(x == z for _, x in seen) for z in range(states)]
+            weights = [
+                self.gamma_variable(n + self.prior / states, of_one)
+                for n, of_one in zip(follows, tries[pair], strict=False)
+            ]
+            p[s, a, k] = np.array(weights) / sum(weights)
+            z = signs[pair] * np.sqrt(2 * self.gamma_variable(0.5, tries[pair][states]))
+            known = 1 + len(seen)
+            r[s, a, k] = (self.r0 + sum(x for x, _ in seen)) / known + self.spread / np.sqrt(known) * z
+        self.q[:] = self.first
+        for _ in range(self.sweeps):
+            v = [0.0 if s in self.ends else row.max() for s, row in enumerate(self.q)]
+            backed_up = (r + float(self.gamma) * (p @ np.array(v))).max(2)
+            self.q[:] = np.where(self.first > -1e29, backed_up, self.first)
+
+
 class MonteCarlo(Agent):
     """Every visit, in order, towards its return (book, equation 6.1), with its own step size."""
 

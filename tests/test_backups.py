@@ -115,6 +115,9 @@ SHAPES = {
     "differential-sarsa": SARSA,
     "dyna-q": ("action, state, max action",),
     "r-max": ("action, each state, max action",),
+    "ucb-q-learning": ("action, state, max action",),
+    "ucbvi": ("action, each state, max action",),
+    "psrl": ("action, each state, max action",),
     "dyna-q-plus": ("action, state, max action",),
     "prioritized-sweeping": ("action, state, max action",),
     "off-policy-monte-carlo": ("action, state, action, ..., end",),
@@ -144,7 +147,7 @@ SHAPES["actor-critic-lambda"] = (
     "",
     "action, state, action, ..., end",
 )
-SHAPES["expected-sarsa-lambda"] = SHAPES["retrace"] = (
+SHAPES["expected-sarsa-lambda"] = SHAPES["retrace"] = SHAPES["q-pi-lambda"] = (
     "action, state, each action",
     "action, state, action, state, each action",
     "action, state, action, state, action, state, each action",
@@ -179,6 +182,7 @@ IN_WORDS = {  # what no circle shows
     "n-step-expected-sarsa": "over the actions between",
     "n-step-off-policy-sarsa": "over the actions after A_t",
     "q-sigma": "σ = 1 samples, σ = 0 is tree backup",
+    "q-pi-lambda": "its value is taken off, and the mean over actions under π is added",
     "retrace": "goes on by min(1, π(A | S) / b(A | S))",
     "double-sarsa": "Q2 gives the value where Q1 learns",
     "double-expected-sarsa": "Q2 gives the values where Q1 learns",
@@ -194,6 +198,9 @@ IN_WORDS = {  # what no circle shows
     "off-policy-monte-carlo-prediction": "over the actions from A_t on",
     "dyna-q": "from what the model remembers",
     "r-max": "By the model",
+    "ucb-q-learning": "With a bonus",
+    "ucbvi": "from the last step to the first",
+    "psrl": "By a model that is drawn",
     "dyna-q-plus": "from what the model remembers",
     "prioritized-sweeping": "the most urgent",
     "q-lambda": "the first action A_t+n that is not greedy",

@@ -21,14 +21,20 @@ def pairs():
     methods, envs = list(rl.ALGORITHMS), list(rl.ENVS)
     count = max(len(methods), len(envs))
     both = [(methods[i % len(methods)], envs[i % len(envs)]) for i in range(count)]
-    return [(method, GOES_ON if in_the_long_run(method) else env) for method, env in both]
+    return [(method, env_for(method, env)) for method, env in both]
 
 
-GOES_ON = "access-control"
+GOES_ON, HAS_HORIZON = "access-control", "deep-sea"
 
 
 def in_the_long_run(method):
     return method in METHODS and of_method(METHODS[method]).in_the_long_run
+
+
+def env_for(name, env):
+    """The name of an environment for a method: `env`, or one of the kind that it needs."""
+    needs_horizon = name in METHODS and of_method(METHODS[name]).needs_horizon
+    return GOES_ON if in_the_long_run(name) else HAS_HORIZON if needs_horizon else env
 
 
 @pytest.mark.one_in(5)
@@ -105,7 +111,7 @@ def test_what_is_traced_mixes_no_types(name):
     Broken once: `2 * s_next + terminal` -> fails in every environment.
     """
     with jax.numpy_dtype_promotion("strict"):
-        env = rl.make(name if name in rl.ENVS else GOES_ON if in_the_long_run(name) else "random-walk")
+        env = rl.make(name if name in rl.ENVS else env_for(name, "random-walk"))
         method = METHODS[name]() if name in METHODS else rl.Sarsa(epsilon=schedules.glie())
         traced(method, env, num_steps=3, exact=name == "td")
         planning.exact_model(env)
@@ -142,7 +148,9 @@ ACTS_LATE = [name for name, cls in rl.ALGORITHMS.items() if getattr(cls, "acts_a
 def test_methods_that_say_that_they_act_after_their_update_do(name):
     """For then the driver draws A' in their place: from the same key it must be the same."""
     cls = rl.ALGORITHMS[name]
-    algorithm = cls(**{x: value for x, value in (("alpha", 1.0), ("epsilon", 0.5)) if hasattr(cls, x)})
+    algorithm = cls(
+        **{x: value for x, value in (("alpha", 1.0), ("epsilon", 0.5), ("c", 0.2)) if hasattr(cls, x)}
+    )
     # S' = S, where the update changes the policy; at the end of the episode, for methods that wait for it.
     t = Transition(*map(jnp.asarray, (0, 1, -1.0, 0, 1.0, True)))
     # One reward of 0 before, with which the gradient bandit compares the next.

@@ -73,6 +73,7 @@ TO_NEXT = np.random.default_rng(0).dirichlet(np.full(4, 0.4), (4, 3))
 TO_NEXT[3] = [0, 0, 0, 1]
 REWARDS = np.random.default_rng(1).normal(size=(4, 3)) * (np.arange(4) < 3)[:, None]
 AVERAGE = schedules.sample_average()
+SHORT = rl.FiniteHorizon(rl.make("frozen-lake"), 7)
 ALPHAS = {"alpha": [0.1, 0.37, 1.0]}  # not dyadic: a number that is rounded otherwise would show
 
 CASES = {
@@ -93,6 +94,7 @@ CASES = {
         "trace-gridworld", "expected-sarsa-lambda", ALPHAS | {"target": policies.EpsilonGreedy(0.05)}
     ),
     "tree-backup-lambda": Case("maze", "tree-backup-lambda", ALPHAS),
+    "q-pi-lambda": Case("frozen-lake", "q-pi-lambda", {"lam": [0.0, 0.3, 0.9]}),
     "retrace": Case("frozen-lake", "retrace", {"lam": [0.0, 0.3, 0.9]}),
     "sarsa-lambda": Case("easy21", "sarsa-lambda", {"lam": [0.0, 0.3, 0.9]}),
     "sarsa-lambda-forward": Case("two-doors", "sarsa-lambda-forward", ALPHAS, episodes=20),
@@ -108,6 +110,13 @@ CASES = {
     "q-learning-target": Case("k-armed-testbed", "q-learning-target", ALPHAS),
     "dyna-q": Case("blocking-maze", "dyna-q", ALPHAS | {"gamma": 0.95}),
     "r-max": Case("two-doors", "r-max", {"q0": 5.0, "m": [2.0, 3.0], "sweeps": 9}),
+    "ucb-q-learning": Case(SHORT, "ucb-q-learning", {"c": [1.0, 0.01]}, episodes=20),
+    "ucbvi": Case(SHORT, "ucbvi", {"c": [1.0, 0.01]}, episodes=20),
+    "a stationary task": Case(SHORT, "ucbvi", {"c": [1.0, 0.01], "stationary": True}, episodes=20),
+    "psrl": Case("frozen-lake", "psrl", {"spread": [0.3, 1.0], "gamma": 0.9, "every": 10.0, "sweeps": 9}),
+    "optimistic posterior sampling": Case(
+        "chain", "psrl", {"samples": 3, "gamma": 0.9, "every": [7.0, 20.0]}
+    ),
     "dyna-q-plus": Case("frozen-lake", "dyna-q-plus", ALPHAS),
     "prioritized-sweeping": Case("shortcut-maze", "prioritized-sweeping", ALPHAS | {"gamma": 0.95}),
     "off-policy-monte-carlo": Case("infinite-variance", "off-policy-monte-carlo", episodes=20),
@@ -145,7 +154,7 @@ CASES = {
         name: Case(name, "q-learning", ALPHAS | {"gamma": 0.9})
         for name in ("river-swim", "chain", "two-loops", "deep-sea", "garnet")
     },
-    "a finite horizon": Case(rl.FiniteHorizon(rl.make("frozen-lake"), 7), "q-learning", ALPHAS, exact=True),
+    "a finite horizon": Case(SHORT, "q-learning", ALPHAS, exact=True),
     # policies and schedules
     "greedy": Case("gamblers-problem", "q-learning", {"behaviour": policies.Greedy()}, episodes=20),
     "softmax": Case("recycling-robot", "expected-sarsa", {"behaviour": policies.Softmax(0.3), "gamma": 0.9}),

@@ -225,8 +225,9 @@ def test_a_file_a_text_and_a_list_are_the_same(tmp_path, monkeypatch):
         ),
         (
             {"map": ["dyna", "cliff"]},
-            r"map names several maps; in a file, write them as \[\['dyna'\], \['cliff'\]",
+            r"it has one map, and 2 are named; a sweep tries several, in a file as \[\['dyna'\], \['cliff'\]",
         ),
+        ({"map": ["dyna", "S.G"]}, "'dyna' names a map, and stands among the rows of one"),
         ({"map": ["#G"]}, "there is no free cell to start in"),
         ({"map": 3}, "map must be a name, or the rows of one map as texts, not 3"),
         ({"map": ["S.G", "step: 1"]}, "'step: 1' below the map is neither .*; did you mean 'step_reward'?"),
@@ -340,6 +341,25 @@ def test_on_the_command_line(tmp_path, monkeypatch, capsys):
     assert "▒▒▒▒▒" in text and "O" in text and text.count("S ") == 2
     assert main(["solve", "maze", "--map", "dyan"]) == 2
     assert capsys.readouterr().err == "jaxrl-tab: maze: there is no map 'dyan'; did you mean 'dyna'?\n"
+
+
+def test_a_sweep_over_maps_is_typed(tmp_path, monkeypatch, capsys):
+    """Names are maps, and rows are one. Broken once: all words of --map taken for rows of one map -> fails."""
+    (tmp_path / "my.txt").write_text("S.G")
+    monkeypatch.chdir(tmp_path)
+
+    def planned(*words):
+        command = ["sweep", *words, "--steps", "50", "--seeds", "1", "--alpha", "0.1", "--dry-run", "--json"]
+        assert main(command) == 0
+        return list(json.loads(capsys.readouterr().out)["parts"])
+
+    several = ["maze,map=dyna/sarsa", "maze,map=S.G/sarsa"]
+    assert planned("maze", "sarsa", "--map", "dyna", "my.txt") == several
+    assert planned("maze", "sarsa", "--map", "S..", ".#G") == ["maze/sarsa"]
+    rows = ["--map", "S#", ".G", "--after", "S.", "#G"]
+    assert planned("blocking-maze", "sarsa", *rows) == ["blocking-maze/sarsa"]
+    assert main(["sweep", "maze", "sarsa", "--map", "dyna", "dyna", "--dry-run"]) == 2
+    assert "the grid of map holds one text more than once" in capsys.readouterr().err
 
 
 # --- runs and pictures ----------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import memory
+from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes, by_xla, room
 from jaxrl_tab.engine.budget import Budget
@@ -72,7 +73,8 @@ def test_what_a_run_gives_and_carries_is_known_without_tracing_it(name):
 
     or rows not rounded up -> fails.
     """
-    env, method = rl.make("random-walk"), leaves_as_arrays(METHODS[name]())
+    env = rl.make("deep-sea" if of_method(METHODS[name]).needs_horizon else "random-walk")
+    method = leaves_as_arrays(METHODS[name]())
     record = lambda state: {"table": state.q, "some": state.q[0] > 0}
     for length in ({"num_steps": 250, "record": record}, {"num_episodes": 7, "log_every": 2}):
         budget = Budget(**length)

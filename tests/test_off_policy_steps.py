@@ -87,6 +87,12 @@ KINDS = {
         partial(reference.ExpectedTraces, lam=LAM, c=lambda pi, b: min(1, pi / b), target=of_table),
         "visit",
     ),
+    "off-policy corrections": (
+        rl.QPiLambda,
+        {"lam": LAM, **SOFTER},
+        partial(reference.ExpectedTraces, lam=LAM, c=lambda pi, b: 1, target=softer),
+        "constant",
+    ),
     "tree-backup traces": (
         rl.TreeBackupLambda,
         {"lam": LAM, "trace": "replacing", **SOFTER},
@@ -140,6 +146,7 @@ SAME = {
     "one expected step": (rl.NStepExpectedSarsa(n=1), rl.ExpectedSarsa()),
     "one step, any sigma": (rl.QSigma(n=1), rl.ExpectedSarsa()),
     "on-policy": (rl.Retrace(target=EpsilonGreedy(0.1)), rl.ExpectedSarsaLambda()),
+    "on-policy, corrected": (rl.QPiLambda(target=EpsilonGreedy(0.1)), rl.ExpectedSarsaLambda()),
     "lambda 0": (rl.TreeBackupLambda(lam=0.0), rl.QLearning()),
     "another name": (rl.TrueOnlineSarsaLambda(), rl.SarsaLambda(trace="dutch")),
 }

@@ -145,7 +145,8 @@ FROM_OWN = [n for n, m in rl.ALGORITHMS.items() if of_method(m).learns_from is L
 def test_control_from_the_log_of_a_random_walker_is_optimal(name, log, visited):
     """Every registered method that says that it learns from transitions; so does its replay."""
     more = {"beta": 1.0} if name == "hysteretic-q-learning" else {}
-    method = rl.ALGORITHMS[name](alpha=1.0, epsilon=0.0, gamma=GAMMA, q0=-5.0, **more)
+    more |= {"alpha": 1.0} if hasattr(rl.ALGORITHMS[name], "alpha") else {}
+    method = rl.ALGORITHMS[name](epsilon=0.0, gamma=GAMMA, q0=-5.0, **more)
     _, q_star = planning.value_iteration(CLIFF, GAMMA)
     learned = rl.learn(jax.random.key(0), method, log, *SIZES, passes=5)
     np.testing.assert_allclose(learned.q[visited], q_star[visited], rtol=1e-5)

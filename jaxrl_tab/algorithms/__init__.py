@@ -26,8 +26,10 @@ from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.off_policy_monte_carlo import OffPolicyMonteCarlo
 from jaxrl_tab.algorithms.policy_gradient import PolicyGradient
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
+from jaxrl_tab.algorithms.psrl import PSRL
 from jaxrl_tab.algorithms.q_lambda import QLambda
 from jaxrl_tab.algorithms.q_learning import QLearning
+from jaxrl_tab.algorithms.q_pi_lambda import QPiLambda
 from jaxrl_tab.algorithms.q_sigma import QSigma
 from jaxrl_tab.algorithms.r_learning import RLearning
 from jaxrl_tab.algorithms.r_max import RMax
@@ -41,6 +43,8 @@ from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.algorithms.tree_backup import TreeBackup
 from jaxrl_tab.algorithms.tree_backup_lambda import TreeBackupLambda
 from jaxrl_tab.algorithms.true_online_sarsa_lambda import TrueOnlineSarsaLambda
+from jaxrl_tab.algorithms.ucb_q_learning import UCBQLearning
+from jaxrl_tab.algorithms.ucbvi import UCBVI
 from jaxrl_tab.algorithms.weighted_double_q_learning import WeightedDoubleQLearning
 
 ALGORITHMS: dict[str, type] = {
@@ -60,6 +64,7 @@ ALGORITHMS: dict[str, type] = {
     "q-lambda": QLambda,
     "tree-backup-lambda": TreeBackupLambda,
     "retrace": Retrace,
+    "q-pi-lambda": QPiLambda,
     "double-q-learning": DoubleQLearning,
     "double-sarsa": DoubleSarsa,
     "double-expected-sarsa": DoubleExpectedSarsa,
@@ -80,10 +85,15 @@ ALGORITHMS: dict[str, type] = {
     "dyna-q-plus": DynaQPlus,
     "prioritized-sweeping": PrioritizedSweeping,
     "r-max": RMax,
+    "ucb-q-learning": UCBQLearning,
+    "ucbvi": UCBVI,
+    "psrl": PSRL,
 }
 
 __all__ = [
     "ALGORITHMS",
+    "PSRL",
+    "UCBVI",
     "ActorCritic",
     "ActorCriticLambda",
     "AverageReward",
@@ -109,6 +119,7 @@ __all__ = [
     "PrioritizedSweeping",
     "QLambda",
     "QLearning",
+    "QPiLambda",
     "QSigma",
     "RLearning",
     "RMax",
@@ -124,6 +135,7 @@ __all__ = [
     "TreeBackup",
     "TreeBackupLambda",
     "TrueOnlineSarsaLambda",
+    "UCBQLearning",
     "ValueControl",
     "WeightedDoubleQLearning",
 ]

@@ -18,7 +18,6 @@ from types import ModuleType
 from jaxrl_tab.cli.options import checked_name
 from jaxrl_tab.cli.streams import PROG, complain, give_up, prepare_streams
 from jaxrl_tab.core.errors import InputError, RunError, as_path, one_line, reason
-from jaxrl_tab.core.version import __version__
 from jaxrl_tab.experiment import painter
 
 # Command -> the module that it is in, imported when it is asked for: they take a second.
@@ -119,6 +118,8 @@ def _dispatch(argv: list[str]) -> int:
         print(HELP, end="")
         return 0
     if argv[0] == "--version":
+        from jaxrl_tab.core.version import __version__
+
         print(f"{PROG} {__version__}")
         return 0
     name, rest = checked_name("a command", argv[0], MODULES), argv[1:]

@@ -13,10 +13,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from jaxrl_tab.cli.streams import console, print_json
+from jaxrl_tab.cli.streams import console, print_json, too_narrow
 from jaxrl_tab.cli.typed import words
 from jaxrl_tab.experiment import files, storage
 from jaxrl_tab.show.words import (
+    DOES_NOT_END,
     cell,
     decimals_for,
     edge_warning,
@@ -139,6 +140,9 @@ def print_summary(environment: str, methods: "Methods") -> None:
             left_out.append(text(columns.pop(name).screen, methods.prediction).replace("\n", " "))
             view = _table(methods, varied, columns, digits)
     out.print(view)
+    needed = 1 + sum(3 + (column.min_width or 1) for column in view.columns)
+    if out.is_terminal and needed > out.width:
+        out.print(too_narrow(needed))
     if left_out:
         out.print(f"In a wider window the table has: {'; '.join(left_out)}.", markup=False)
     for line in _notes(methods, bool(varied), digits):
@@ -190,6 +194,10 @@ def _table(methods: "Methods", varied: Sequence[str], columns: "Mapping[str, Col
                 style="bold" if star else None,
             )
         view.add_section()
+    for column in view.columns:  # no number is cut: names are broken before
+        column.overflow = "fold"
+    for column in view.columns[1:]:
+        column.min_width = max(len(part) for x in column.cells for part in str(x).split())
     return view
 
 
@@ -219,10 +227,7 @@ def _notes(methods: "Methods", choice: bool, digits: Any) -> Iterator[str]:
 
         yield early_in_words(methods, digits)
     if methods.continuing:
-        yield (
-            "The task does not end. The return is that of an episode which its time limit ended, or of the last tenth, "
-            "as if cut off; what a step earns does not depend on that."
-        )
+        yield DOES_NOT_END
     elif tells("unfinished"):
         yield (
             "The unfinished runs end no episode in the last tenth: they score the rewards that they collected there, "

@@ -28,6 +28,11 @@ def console() -> Console:
     return Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else 160)
 
 
+def too_narrow(characters: int) -> str:
+    """What stands below a table that a window cuts off."""
+    return f"The window is too narrow, and cuts columns off: {characters} characters are needed."
+
+
 def print_json(value: Any) -> None:
     utf8 = (sys.stdout.encoding or "utf-8").lower().startswith("utf")
     print(json.dumps(value, ensure_ascii=not utf8, indent=1))

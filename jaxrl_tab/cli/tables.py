@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from jaxrl_tab.cli.streams import too_narrow
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.envs.base import Grid, Panel
@@ -59,7 +60,7 @@ def show(out: Console, *shown: Table) -> None:
         out.print(table)
     out.width = width
     if out.is_terminal and widest > width:
-        out.print(f"The window is too narrow, and cuts columns off: {widest} characters are needed.")
+        out.print(too_narrow(widest))
 
 
 def position(env: Any, q: np.ndarray | None, s: int) -> list[Table]:

@@ -30,6 +30,7 @@ from jaxrl_tab.cli.options import (
 from jaxrl_tab.core import clock, describe, names, policies, schedules
 from jaxrl_tab.core.checks import KINDS, build, but_none
 from jaxrl_tab.core.errors import InputError, shown
+from jaxrl_tab.envs import drawing
 
 PAIRS = Mapping[str, Any]  # the type of a parameter that is typed as KEY=VALUE ...
 FILE = str | Path | None  # the type of a parameter that names a file
@@ -136,24 +137,34 @@ def values(names: Sequence[str], typed: Typed, classes: Classes) -> dict[str, di
 def values_of(name: str, typed: Typed, classes: Classes) -> dict[str, Any]:
     """The parameters of one entry of a registry that were typed, each with its value."""
     types = {p.name: p for p in parameters(classes.registry[name])}
-    return {
-        key: dict(x) if types[key].type == PAIRS else tuple(x) if _is_several(types[key]) else x[0]
-        for key, x in values([name], typed, classes)[name].items()
-    }
+    return {key: _one(types[key], x) for key, x in values([name], typed, classes)[name].items()}
 
 
 def several_of(name: str, typed: Typed, classes: Classes) -> dict[str, Any]:
-    """The parameters of one entry of a registry that were typed, as in a file: a value, or a list of several."""
-    found, types = values_of(name, typed, classes), {p.name: p for p in parameters(classes.registry[name])}
-    for key, tried in values([name], typed, classes)[name].items():
-        if len(tried) < 2 or _is_several(types[key]):
-            continue
-        if types[key].type == describe.Plain:
+    """The parameters of one entry of a registry that were typed, as in a file: a value, or a list of several.
+
+    Several words for a text in lines are its lines, but where each names one, as "dyna" and "my.txt" do, texts.
+    """
+    types, found = {p.name: p for p in parameters(classes.registry[name])}, {}
+    for key, words in values([name], typed, classes)[name].items():
+        if types[key].type == describe.Lines and len(words) > 1 and all(map(drawing.is_name, words)):
+            found[key] = [[word] for word in words]
+        elif len(words) < 2 or _is_several(types[key]):
+            found[key] = _one(types[key], words)
+        elif types[key].type == describe.Plain:
             raise InputError(
                 f"{key} of {name} takes one value here; in a file there may be several environments"
             )
-        found[key] = [[x] for x in tried] if types[key].type == describe.Lines else tried
+        else:
+            found[key] = words
     return found
+
+
+def _one(parameter: describe.Parameter, words: Sequence[Any]) -> Any:
+    """The one value that words are, as they were read."""
+    if parameter.type == PAIRS:
+        return dict(words)
+    return tuple(words) if _is_several(parameter) else words[0]
 
 
 def _values(
@@ -257,4 +268,4 @@ def _is_switch(parameter: describe.Parameter) -> bool:
 
 def _is_several(parameter: describe.Parameter) -> bool:
     """Whether its value is made of several words."""
-    return isinstance(parameter.default, tuple) or parameter.type == PAIRS
+    return isinstance(parameter.default, tuple) or parameter.type in (PAIRS, describe.Lines)

@@ -75,6 +75,8 @@ class OfMethod(NamedTuple):
         multiplies_returns: whether returns are multiplied by ratios of importance sampling. What is learned may
             then be greater than any return, and is no sign that the method diverges.
         exploring_starts: whether episodes start in any state with any action.
+        needs_horizon: whether it is for tasks alone that end after a given number of steps. What it learns are bounds,
+            which may be greater than any return.
         in_the_long_run: whether it learns about the average reward of a step, in tasks that do not end.
         records: names of fields of its state that are recorded at the end of every row of the log.
         behaviour: the policy that acts, where the method was given one.
@@ -87,6 +89,7 @@ class OfMethod(NamedTuple):
     acts_after_update: bool = False
     multiplies_returns: bool = False
     exploring_starts: bool = False
+    needs_horizon: bool = False
     in_the_long_run: bool = False
     records: tuple[str, ...] = ()
     behaviour: Any = None
@@ -107,8 +110,9 @@ class OfEnvironment(NamedTuple):
         discount: the discount rate that its source states; None where it states none. What counts is gamma, which
             belongs to the method: this is what the command mentions.
         continuing: whether it has no terminal states, so that only its time limit ends an episode.
-        horizon: after how many steps every episode has ended, where its states tell how many were taken; None where
-            an episode may go on, or its states do not tell.
+        horizon: H, after how many steps every episode has ended, where its states tell how many were taken: after h
+            steps it is one of the S states from h S on, and state H S, the last, is the end. None where an episode may
+            go on, or its states do not tell.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
     """
 

@@ -22,8 +22,8 @@ from jaxrl_tab.core.errors import InputError, shown
 
 Stream: TypeAlias = tuple[UInt32[Array, ""], UInt32[Array, ""]]
 
-# Second halves of the Threefry keys that a word seeds, so that draws, splits and folds never share a stream.
-_BITS, _SPLIT, _FOLD = 0x9E3779B9, 0xBB67AE85, 0x3C6EF372
+# Second halves of the Threefry keys that a word seeds, so that draws, splits, folds and pairs never share a stream.
+_BITS, _SPLIT, _FOLD, _PAIR = 0x9E3779B9, 0xBB67AE85, 0x3C6EF372, 0xA54FF53A
 
 
 @jax.jit  # traced once for all its callers, and inlined by the compiler
@@ -104,6 +104,11 @@ def from_data(data: UInt32[Array, "2"]) -> Key[Array, ""]:
 def as_key(word: UInt32[Array, "*n"]) -> Key[Array, "*n"]:
     """Random words as keys: one draw of 32 bits from each returns the word itself."""
     return jax.random.wrap_key_data(word[..., None], impl=_word_impl)
+
+
+def pair(word: UInt32[Array, ""], i: Int[Array, ""], k: Int[Array, ""]) -> tuple[Array, Array]:
+    """Two words for a place (i, k) of all that one word is asked for, where a loop draws them one after another."""
+    return threefry((word, jnp.uint32(_PAIR)), i.astype(jnp.uint32), k.astype(jnp.uint32))
 
 
 def is_threefry(key: PRNGKeyArray) -> bool:

@@ -84,8 +84,9 @@ class Part:
         """Of each configuration, the |Q| beyond which a run has diverged; infinite where that is not judged.
 
         It is `BEYOND` times what no average of returns exceeds: the initial value, and the largest return of
-        as many steps as the run has. Only runs of methods that multiply no return by ratios, and learn no
-        preferences, which may grow without end, are judged, in environments whose rewards are those of their outcomes.
+        as many steps as the run has. Only runs of methods that multiply no return by ratios, learn no
+        preferences, which may grow without end, and no bounds, are judged, in environments whose rewards are those of
+        their outcomes.
         """
         budget, env = self.budget, self.env
         steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps
@@ -97,7 +98,8 @@ class Part:
 
         def largest(config: Any) -> float:
             method = of_method(config)
-            if not of_outcomes or method.multiplies_returns or method.learns is Learns.PREFERENCES:
+            bounds_nothing = method.multiplies_returns or method.learns is Learns.PREFERENCES
+            if not of_outcomes or bounds_nothing or method.needs_horizon:
                 return np.inf
             initial = abs(getattr(config, method.learns.initial, 0.0))
             return BEYOND * (initial + largest_return(config.gamma, method.exploring_starts))

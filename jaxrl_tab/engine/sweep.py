@@ -25,7 +25,7 @@ from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.part import Computed, Part, compute
 from jaxrl_tab.engine.results import SweepResult, label, parameters
-from jaxrl_tab.engine.train import check_goes_on
+from jaxrl_tab.engine.train import check_end
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.progress import Progress, Report, reporting
@@ -149,7 +149,7 @@ def prepare(
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
     cls = _algorithm_class(algorithm)
-    check_goes_on(cls, env)
+    check_end(cls, env)
     axes, configs = configurations(cls, {} if grid is None else grid, num_draws, seed)
     check_pytree(cls.__name__, configs[0])
     if len(configs) * num_seeds >= 2**31:

@@ -13,7 +13,7 @@ from jaxtyping import PRNGKeyArray
 from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
-from jaxrl_tab.core.declared import of_method
+from jaxrl_tab.core.declared import of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
@@ -21,7 +21,7 @@ from jaxrl_tab.engine import by_lanes, within
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.traced import in_full, unchecked
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, PREFIX
 from jaxrl_tab.exact import planning
 
 L = TypeVar("L")
@@ -104,18 +104,26 @@ def checked_pair(
     if not isinstance(env, Environment):
         raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     check_held(env)
-    check_goes_on(algorithm, env)
+    check_end(algorithm, env)
     restricted(algorithm, available_actions(env))  # raises InputError where the actions do not fit the method
     return algorithm, env
 
 
-def check_goes_on(method: Any, env: Environment) -> None:
-    """Raises InputError where a method of the average reward, or its class, is in a task that can end."""
+def check_end(method: Any, env: Environment) -> None:
+    """Raises InputError where a method, or its class, is for tasks that end otherwise.
+
+    That is one of the average reward where the task can end, and one that needs a horizon where it has none.
+    """
+    name = registered_name(METHODS, method if isinstance(method, type) else type(method))
+    if of_method(method).needs_horizon and of_environment(env).horizon is None:
+        own = registered_name(ENVS, type(env))
+        raise InputError(
+            f"{name} learns in tasks that end after a given number of steps, and {own} may go on: take "
+            f"{PREFIX}:20:{own if own in ENVS else 'NAME'}, in Python FiniteHorizon(env, 20)"
+        )
     if of_method(method).in_the_long_run and isinstance(env, FiniteEnvironment) and not _is_traced(env):
         with jax.ensure_compile_time_eval():
-            planning.check_goes_on(
-                env, registered_name(METHODS, method if isinstance(method, type) else type(method))
-            )
+            planning.check_goes_on(env, name)
 
 
 def _is_traced(tree: Any) -> bool:

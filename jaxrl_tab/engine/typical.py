@@ -14,6 +14,7 @@ from jaxrl_tab.algorithms.double_q_learning import DoubleQLearning
 from jaxrl_tab.algorithms.dyna_q import DynaQ
 from jaxrl_tab.algorithms.n_step import Branching, NStepControl
 from jaxrl_tab.algorithms.prioritized_sweeping import PrioritizedSweeping
+from jaxrl_tab.algorithms.psrl import PSRL
 from jaxrl_tab.algorithms.r_max import RMax
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.traces import TraceControl
@@ -37,6 +38,7 @@ METHODS: list[tuple[tuple[type, ...], float, float]] = [
     ((DoubleQLearning,), 9, 0),
     ((DynaQ,), 60, 0),
     ((RMax,), 30, 0),
+    ((PSRL,), 30, 60),
     ((PrioritizedSweeping,), 30, 4),
     ((object,), 6, 0),
 ]

@@ -72,7 +72,12 @@ def name_of(written: Any) -> str:
     words = describe.lines_of(written) or []
     word = words[0] if len(words) == 1 and isinstance(words[0], str) else ""
     is_alone = isinstance(written, str | os.PathLike)
-    return word if is_alone or word in MAPS or word.endswith(".txt") or word.islower() else ""
+    return word if is_alone or is_name(word) or word.islower() else ""
+
+
+def is_name(word: str) -> bool:
+    """Whether a word names a map of ours, or a file: then it is no row of a map."""
+    return word in MAPS or word.endswith(".txt")
 
 
 def read(who: str, written: Any) -> Drawn:
@@ -86,12 +91,14 @@ def read(who: str, written: Any) -> Drawn:
     lines = describe.lines_of(describe.read_lines(str(MAPS.get(name, name))) if name else written)
     if lines is None or not all(isinstance(line, str) for line in lines):
         raise unfit(who, "map", "a name, or the rows of one map as texts", written)
-    if len(lines) > 1 and all(line in MAPS or line.endswith(".txt") for line in lines):
-        raise InputError(
-            f"map names several maps; in a file, write them as [[{lines[0]!r}], [{lines[1]!r}], ...]",
-            who=who,
-            field="map",
-        )
+    if len(lines) > 1 and (names := [line for line in lines if is_name(line)]):
+        problem = f"{shown(names[0])} names a map, and stands among the rows of one"
+        if len(names) == len(lines):
+            written = ", ".join(f"[{name!r}]" for name in names)
+            problem = (
+                f"it has one map, and {len(names)} are named; a sweep tries several, in a file as [{written}]"
+            )
+        raise InputError(problem, who=who, field="map")
     first = next((i for i, line in enumerate(lines) if ":" in line), len(lines))
     rows, settings = _rows(lines[:first]), {}
     about = [line for line in lines[first:] if line.strip()]

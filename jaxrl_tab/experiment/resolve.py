@@ -98,7 +98,10 @@ def _texts(key: str, written: Any, base: Path | None) -> list[Any]:
         raise InputError(
             f"{key} takes a text, a list of lines, or a list of such lists, not {shown(wrong[0])}"
         )
-    return [_listed(describe.read_lines(x, base)) for x in tried]
+    texts = [_listed(describe.read_lines(x, base)) for x in tried]
+    if repeated(texts):
+        raise InputError(f"the grid of {key} holds one text more than once")
+    return texts
 
 
 def _short(value: Any, tried: Sequence[Any]) -> str:

@@ -115,7 +115,7 @@ def _difference_cells(row: Row, view: View) -> list[str]:
 
 def notes(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> list[str]:
     """What a reader of the methods' table must know of single rows, in sentences."""
-    notes = []
+    notes = [words.DOES_NOT_END] if any(row.own.among.continuing for row in stars) else []
     for row in [*stars, *(again[star.method] for star in stars if star.method in again)]:
         where = " on fresh seeds" if row is again.get(row.method) else ""
         name = setting_of(row, view)
@@ -125,7 +125,7 @@ def notes(stars: Sequence[Row], again: Mapping[str, Row], view: View) -> list[st
                 f"! The mean of {name}{where} rests on few bad runs and may be worse than it looks: {row['seeds']} "
                 f"seeds were run, and {row['seeds_wanted']} would be needed. The middle of the runs is sure: {middle}."
             )
-        if row["unfinished"]:
+        if row["unfinished"] and not row.own.among.continuing:
             notes.append(
                 f"{row['unfinished']} of {row['seeds']} runs of {name}{where} finished no episode in the last tenth: "
                 "they score the rewards that they collected there, as if the episode had been cut off at the end."
@@ -218,7 +218,8 @@ def settings_table(ranked: Sequence[Row], keys: Sequence[str], view: View) -> Ta
 def columns_of(table: str, rows: Sequence[Row]) -> list[Column]:
     """The columns of a table of the report, besides the score and the difference, that have anything to tell."""
     also = lambda x: table == "all" and "early" in x.tables and x.on_screen(rows[0].own.among)
-    columns = [x for x in COLUMNS if x.report and (table in x.tables or also(x)) and x.tells(rows)]
+    wanted = lambda x: x.report and (table in x.tables or also(x)) and x.tells(rows)
+    columns = [x for x in COLUMNS if wanted(x) and x.fits(rows[0].own.among)]
     if table == "all" and len({number(row["optimum"]) for row in rows}) == 1:  # the other table says it
         columns = [column for column in columns if column.name != "optimum"]
     return columns

@@ -15,6 +15,10 @@ if TYPE_CHECKING:  # which takes its time to import
     from jaxrl_tab.stats.along import Datasets
 
 LONGEST = 60  # characters of a name
+DOES_NOT_END = (
+    "The task does not end. The return is that of an episode which its time limit ended, or of the last tenth, as if "
+    "cut off; what a step earns does not depend on that."
+)
 
 
 def six_digits(x: float) -> str:
@@ -117,6 +121,7 @@ def unusual(env: Environment) -> list[str]:
 TITLES = {  # where `_written` says it otherwise than people do
     "q-sigma": "Q(σ)",
     "retrace": "Retrace(λ)",
+    "q-pi-lambda": "Q^π(λ)",
     "sarsa-lambda-forward": "Forward-view Sarsa(λ)",
     "dyna-q": "Dyna-Q",
     "dyna-q-plus": "Dyna-Q+",
@@ -125,6 +130,7 @@ TITLES = {  # where `_written` says it otherwise than people do
     "reinforce": "REINFORCE",
     "reinforce-baseline": "REINFORCE with baseline",
     "psrl": "PSRL",
+    "ucbvi": "UCBVI",
     "td": "TD(0)",
     "offline-lambda-return": "Off-line λ-return",
     "off-policy-td": "Off-policy TD(0)",

@@ -31,7 +31,7 @@ class Column:
             That of all settings also has what the screen shows of early learning.
         by_length: whether the screen shows it only where episodes earn by their length alone (`early.by_length`), or
             only elsewhere; None: everywhere.
-        continuing: whether the screen shows it of tasks that do not end, too.
+        continuing: whether it is shown of tasks that do not end, too.
         written: how people read it: with as many decimals as the score has, of an interval also without its
             middle ("range"), or that alone ("middle"); with six significant digits ("exact"), or a dash for −∞
             ("worth"); as a count; as steps, of which there may be none yet; a share in percent; or with one decimal.
@@ -54,8 +54,11 @@ class Column:
 
     def on_screen(self, methods: Any) -> bool:
         """Whether the screen shows it of these `columns.Methods`, if it `tells` anything."""
-        fits = self.continuing or not methods.continuing
-        return bool(self.screen) and fits and self.by_length in (None, methods.by_length)
+        return bool(self.screen) and self.fits(methods) and self.by_length in (None, methods.by_length)
+
+    def fits(self, methods: Any) -> bool:
+        """Whether it means something in the task of these `columns.Methods`."""
+        return self.continuing or not methods.continuing
 
     def tells(self, rows: Sequence[Any]) -> bool:
         """Whether it has anything to tell of these `columns.Row`s: a number, a count that is not 0, a share below 1."""
