@@ -1,6 +1,7 @@
 """True online TD(lambda) on a random task with tabular features (van Seijen et al. 2016).
 
-The task is the one that the authors' public program draws. The paper of 2014, which introduced the method, has walks alone whose states share features.
+The task is the one that the authors' public program draws. The paper of 2014, which introduced the method, has walks
+alone, whose states share features.
 """
 
 import jax.numpy as jnp
