@@ -7,6 +7,7 @@ from refusals import refused
 
 import jaxrl_tab as rl
 from jaxrl_tab import stats
+from jaxrl_tab.show import over_tasks
 from jaxrl_tab.stats.columns import Methods
 from jaxrl_tab.stats.tasks import across_tasks
 
@@ -71,6 +72,12 @@ def test_methods_over_tasks_of_a_sweep(windy):
     np.testing.assert_allclose(tasks.iqm.estimate.sel({"method": "q"}), pooled[10:30].mean())
     assert (tasks.mean_rank.estimate.sum() == 3) and (tasks.iqm.low < tasks.iqm.estimate).all()
     refused(lambda: across_tasks({"windy": a}), "two tasks or more are needed")
+    best, worst = over_tasks.rows(tasks)
+    p = float(tasks.improvement.estimate.sel({"method": "q", "other": "sarsa"}))
+    assert (best[0], best[-1], worst[0], worst[-2]) == ("Sarsa", "–", "q", f"{p:.3f}")
+    assert over_tasks.head(tasks)[-2] == "beats Sarsa"
+    assert over_tasks.to_dict(tasks)["methods"]["q"]["improvement"]["sarsa"][0] == p
+    assert sum("Left out" in note for note in over_tasks.notes(tasks, True)) == 2
 
 
 @pytest.mark.slow

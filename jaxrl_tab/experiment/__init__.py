@@ -10,6 +10,7 @@ Its modules, from the ground up:
     growth     which runs an experiment has that those before it in its folder had not
     shards     an experiment in pieces that are computed and kept one by one
     plan       what an experiment will take: runs, shards, memory
+    comparing  methods compared on as many fresh seeds as it takes
     storage    shards on disk and their manifest
     records    what a folder says about the sessions that computed it
     found      the experiment that is found in a folder, and what it was before it grew

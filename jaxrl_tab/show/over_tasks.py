@@ -1,6 +1,7 @@
 """Methods over several environments, in a table and in words."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,10 @@ def rows(tasks: Tasks) -> list[list[str]]:
     scores, ranks = (_cells(part, names) for part in (tasks.iqm, tasks.mean_rank))
     found = [[title_of(name), *scores[i], *ranks[i]] for i, name in enumerate(names)]
     if len(names) > 1:
-        beats = [["–", "–"], *_cells(Interval(*(x.sel(other=names[0]) for x in tasks.improvement)), names[1:])]
+        beats = [
+            ["–", "–"],
+            *_cells(Interval(*(x.sel(other=names[0]) for x in tasks.improvement)), names[1:]),
+        ]
         found = [[*row, *pair] for row, pair in zip(found, beats, strict=True)]
     return found
 
@@ -41,6 +45,21 @@ def notes(tasks: Tasks, on_fresh: bool) -> Iterator[str]:
     )
     for name, why in tasks.left_out.items():
         yield f"Left out: {name}, for {why}."
+
+
+def to_dict(tasks: Tasks) -> dict[str, Any]:
+    """The numbers in types that JSON knows: of each mean and bounds."""
+    names = tasks.scores.method.values.tolist()
+    plain = lambda interval, **at: [float(part.sel(at)) for part in interval[:3]]
+    numbers = {
+        name: {
+            "iqm": plain(tasks.iqm, method=name),
+            "mean_rank": plain(tasks.mean_rank, method=name),
+            "improvement": {o: plain(tasks.improvement, method=name, other=o) for o in names if o != name},
+        }
+        for name in names
+    }
+    return {"methods": numbers, "left_out": tasks.left_out}
 
 
 def _order(tasks: Tasks) -> list[str]:
