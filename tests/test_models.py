@@ -45,7 +45,7 @@ def posterior_numbers(key, pairs, states, tries=20):
     return numbers
 
 
-PSRL = {"prior": 2.0, "r0": 0.25, "spread": 0.5, "every": 7, "sweeps": 9}
+PSRL = {"prior": 2.0, "r0": 0.25, "spread": 0.5, "every": 3, "sweeps": 9}
 
 METHODS = {
     "dyna-q": (
@@ -82,10 +82,10 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize("name", slow_but(["dyna-q-plus", "prioritized-sweeping", "r-max", "psrl"], METHODS))
+@pytest.mark.parametrize("name", slow_but(["dyna-q-plus", "prioritized-sweeping", "r-max"], METHODS))
 def test_every_step_agrees_with_the_plain_loop(name):
     """In a random task, whose last outcomes change. Broken once: a state is twice in the list; a lower priority
-    replaces a higher one -> fails.
+    replaces a higher one; a model is drawn a step too late; the first of two draws counts -> fails.
     """
     env, task = env_and_task("random mdp")
     cls, fixed, plain = METHODS[name]
@@ -175,7 +175,7 @@ def test_the_page_shows_the_code_that_there_is():
 def test_the_commands_of_the_page_are_understood(capsys):
     """Broken once: an option misspelt -> fails."""
     commands = [line.partition("#")[0].split() for line in PAGE.splitlines() if line.startswith("jaxrl-tab ")]
-    assert len(commands) == 8
+    assert len(commands) == 11
     for _, command, *words in commands:
         if command == "sweep":
             assert main([command, *words, "--dry-run"]) == 0
