@@ -1,4 +1,10 @@
-"""Methods that explore with a guarantee: against plain loops, decision for decision; and their bounds."""
+"""Methods that explore with a guarantee: against plain loops, and their bounds; and docs/exploring.md."""
+
+import inspect
+import re
+import textwrap
+from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +19,7 @@ from test_reference import task_of, words_of
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning
 from jaxrl_tab.core.policies import UNAVAILABLE
+from jaxrl_tab.figures import FIGURES
 
 H, P = 5, 0.1
 CS, GAMMAS, R_MAXES = (1.0, 0.02, 0.05), (1.0, 1.0, 0.9), (1.0, 1.0, 2.0)
@@ -33,7 +40,8 @@ THERE = np.append(np.tile(HAS, (H, 1)), HAS[:1], axis=0)
 class Optimist(reference.Agent):
     def __init__(self, c, gamma, r_max):
         rates = reference.Rates(lambda *_: 0, lambda *_: 0)
-        super().__init__(THERE.shape, rates, gamma, np.where(THERE, F(r_max * H), -np.inf))
+        most: Any = np.where(THERE, F(r_max * H), -np.inf)
+        super().__init__(THERE.shape, rates, gamma, most)
         self.c, self.most = F(c * r_max), F(r_max * H)
 
 
@@ -78,7 +86,9 @@ class UCBVI(Optimist):
                     # What followed the last step is not seen, and does not matter.
                     follows = [s_next for step, _, s_next in seen if step < H - 1 or h == H - 1]
                     if follows:
-                        mean = np.mean([0 if x is None else v[x] for x in follows]) if h < H - 1 else 0
+                        mean = (
+                            np.mean([0.0 if x is None else float(v[x]) for x in follows]) if h < H - 1 else 0
+                        )
                         value = (
                             np.mean([r for _, r, _ in seen])
                             + self.gamma * mean
@@ -148,3 +158,25 @@ def test_a_task_that_may_go_on_is_refused(capsys):
         assert str(error.value) == message
     assert cli.main(["sweep", "chain", "ucbvi", "--episodes", "2"]) == 2
     assert message in capsys.readouterr().err
+
+
+# --- docs/exploring.md -------------------------------------------------------------------------------
+
+PAGE = (Path(__file__).parent.parent / "docs/exploring.md").read_text(encoding="utf-8")
+
+
+def test_the_page_shows_the_code_that_there_is():
+    """Broken once: a line of the page changed -> fails."""
+    (shown,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    assert shown == textwrap.dedent(inspect.getsource(rl.UCBQLearning.update))
+
+
+def test_the_commands_of_the_page_are_understood():
+    """Broken once: an option misspelt -> fails."""
+    commands = [line.partition("#")[0].split() for line in PAGE.splitlines() if line.startswith("jaxrl-tab ")]
+    assert [command for _, command, *_ in commands] == ["sweep"] * 3 + ["watch", "figure", "solve", "solve"]
+    for _, command, *words in commands:
+        if command == "sweep":
+            assert cli.main([command, *words, "--dry-run"]) == 0
+        elif command == "figure":
+            assert words[0] in FIGURES
