@@ -288,13 +288,13 @@ def test_other_damaged_files_are_named_and_made_again(folder, undisturbed, compu
 # --- refused -----------------------------------------------------------------------------------------
 
 
-def test_a_changed_experiment_is_refused_with_the_difference(folder, computed):
+def test_an_experiment_with_less_is_refused_with_the_difference(folder, computed):
     file = folder / "experiment.toml"
-    file.write_text(file.read_text().replace("seeds = 70", "seeds = 71"))
+    file.write_text(file.read_text().replace("seeds = 70", "seeds = 69"))
     before = (folder / "manifest.json").read_bytes()
     with pytest.raises(InputError) as error:
         rl.resume(folder)
-    assert f"{file} was changed since: seeds was 70, and is 71" in str(error.value)
+    assert f"{file} was changed since: seeds was 70, and is 69" in str(error.value)
     assert computed == [] and (folder / "manifest.json").read_bytes() == before
 
 

@@ -36,6 +36,8 @@ Typed = dict[str, tuple[str, ...]]
 """The options that were typed, each with its words; none for a switch."""
 MOST = 2 / 3  # of a part of a registry, from where on its name stands for those that are meant
 NONE = "–"  # stands where there is no default
+# What people look for among the options, and where it is.
+ELSEWHERE = {"--horizon": "a task that ends after 20 steps is named finite-horizon:20:NAME"}
 
 
 class Option(NamedTuple):
@@ -152,7 +154,9 @@ def parse(
     for unknown in rest:
         if not unknown.startswith("-"):
             raise InputError(f"unexpected argument {shown(unknown)}")
-        hint = nearest(unknown.partition("=")[0], [flag for of_group in flags.values() for flag in of_group])
+        flag = unknown.partition("=")[0]
+        near = nearest(flag, [flag for of_group in flags.values() for flag in of_group])
+        hint = ELSEWHERE.get(flag, near)
         raise InputError(f"there is no option {one_line(unknown)}; {hint}")
     read = vars(namespace)
     as_words = lambda x: (x,) if isinstance(x, str) else tuple(x or ())

@@ -255,20 +255,37 @@ def _write_template(file: str) -> int:
 
 @checked_dataclass
 class Resume(Where):
-    """Goes on with a sweep that was interrupted: computes what is missing or damaged, and nothing else.
+    """Goes on with a sweep that was interrupted, or that is to have more: computes what is missing, and nothing else.
 
     The results are the same, to the last bit, as if nothing had happened. Where they would not be, as with
     another version of JAX or on another kind of processor, it says what has changed, and computes nothing.
 
+    More seeds are asked for by an option; more values, methods and environments, by writing them into experiment.toml
+    in the folder, or by naming a file that has them all. What is there stays, and the results are those of the larger
+    sweep that is run at once.
+
     Examples:
       jaxrl-tab resume runs/windy
+      jaxrl-tab resume runs/windy --seeds 200
+      jaxrl-tab resume runs/windy more.toml
+      jaxrl-tab resume runs/windy --history
 
     Attributes:
         folder: The folder of the sweep: what --out named.
+        file: An experiment with all that the sweep has, and more.
+        seeds: How many seeds there are to be.
+        steps: How many steps each run is to take. Longer runs are all computed from their beginning.
+        episodes: How many episodes each run is to finish, in the same way.
+        history: Show what the sweep was begun with, and what was added when; and stop.
         mixed: Go on nevertheless; the report tells what was not the same for all numbers.
     """
 
     folder: str = word("DIR")
+    file: str = word("[FILE]")
+    seeds: int | None = field(default=None, at_least=1)
+    steps: int | None = field(default=None, at_least=1)
+    episodes: int | None = field(default=None, at_least=1)
+    history: bool = False
     mixed: bool = False
 
 
@@ -278,15 +295,29 @@ def resume_command(argv: list[str]) -> int:
     if not options.folder:
         raise InputError("name the folder of a sweep")
     folder, limit = Path(options.folder), options.bytes
+    if options.history:
+        return _show_history(folder, options)
     with _executor(options, typed["executor"], folder) as executor:
         if isinstance(executor, executors.Distributed) and executor.serve():
             return 0
         start_jax()
         about = {"memory": limit, "command": shlex.join([PROG, "resume", *argv]), "mixed": options.mixed}
+        about |= {key: getattr(options, key) for key in ("seeds", "steps", "episodes")}
+        about |= {"experiment": Experiment.load(options.file) if options.file else None}
         with _watched(options, folder) as watch:
             outcome = runner.resume(folder, executor=executor, **about, **watch)
         _say_where(outcome, folder, options)
         return 0
+
+
+def _show_history(folder: Path, options: Resume) -> int:
+    lines = runner.history(folder)
+    if options.json:
+        print_json([dict(zip(("time", "what", "command"), line, strict=True)) for line in lines])
+    else:
+        for time, what, command in lines:
+            print(f"{time}  {what}  ({command})")
+    return 0
 
 
 @contextlib.contextmanager

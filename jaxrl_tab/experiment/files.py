@@ -191,10 +191,11 @@ def write_files(
     pictures: Pictures,
     again: "Again | None" = None,
     toml: Mapping[str, str] | None = None,
+    history: Sequence[tuple[str, str, str]] = (),
 ) -> None:
     """Tables, pictures, and the report, each a whole file or none.
 
-    `again` and `toml` are for the report, see `report.write`.
+    `again` and `toml` are for the report, see `report.write`; so is the `history`, as `Found` has it.
     """
     from jaxrl_tab.show import report
 
@@ -207,7 +208,7 @@ def write_files(
         if outcome.fresh:
             files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
             files.append(_write_table(folder / SELECTION, outcome.selection))
-        about_all = _about(store, records)
+        about_all = _about(store, records, history)
         explained, fresh = outcome.explained_in_report, outcome.fresh_methods
         report.write_methods(scratch, outcome.methods, about_all, fresh, again, toml, explained)
         pictures.finish()
@@ -252,12 +253,15 @@ def _write_table(file: Path, table: "pd.DataFrame") -> Path:
     return file
 
 
-def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
+def _about(
+    store: Store, records: Mapping[str, Any], history: Sequence[tuple[str, str, str]]
+) -> dict[str, Any]:
     """How the results came about, for the report."""
     with storage.as_run_error(store.path / AS_WRITTEN, "read"):
         as_written = (store.path / AS_WRITTEN).read_text(encoding="utf-8", errors="replace")
     first, last = records["sessions"][0], records["sessions"][-1]
     sessions, origins = len(records["sessions"]), origins_of(store)
+    grown = max(1, len(history))
     computed = recorded(records, origins)
     session = (computed or [last])[0]  # the last session may have computed no shard
     surroundings = session["surroundings"]
@@ -268,7 +272,8 @@ def _about(store: Store, records: Mapping[str, Any]) -> dict[str, Any]:
         "fingerprint": store.fingerprint,
         "started": first["started"],
         "finished": timestamp(),
-        **({"interrupted": f"{sessions - 1} times"} if sessions > 1 else {}),
+        **({"interrupted": f"{sessions - grown} times"} if sessions > grown else {}),
+        **({"history": "\n".join(map(": ".join, history))} if grown > 1 else {}),
         **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
         "versions": {x: surroundings[x] for x in packages if x in surroundings}
         | {"python": session.get("python")},

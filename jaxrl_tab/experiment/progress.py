@@ -83,10 +83,10 @@ class Meter:
         self._todo |= {shard.part: 0 for shard in self._missing.values()}
         for shard in self._missing.values():
             self._todo[shard.part] += shard.runs
-        finished = [number for number in range(len(job.shards)) if number not in self._missing]
+        finished = [number for number in job.shards if number not in self._missing]
         self._state = self._state._replace(
             done=sum(job.shards[number].runs for number in finished),
-            total=sum(shard.runs for shard in job.shards) + sum(later.values()),
+            total=sum(shard.runs for shard in job.shards.values()) + sum(later.values()),
             diverged=sum(store.shards[number].diverged for number in finished),
         )
         self._last = time.perf_counter()

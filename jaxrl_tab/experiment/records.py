@@ -14,7 +14,7 @@ from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import storage
-from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, Store
+from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, Store, warn_of_remake
 
 NOT_RECORDED = "what it was computed with is not recorded"
 
@@ -98,6 +98,25 @@ def is_session(data: Any) -> bool:
         and isinstance(data.get("command"), str)
         and isinstance(data.get("started"), str)
     )
+
+
+def records_in(path: Path) -> dict[str, Any] | None:
+    """The records of all sessions in a folder; None where they are missing or damaged."""
+    records = storage.read_json(path / PROVENANCE)
+    if not isinstance(records, dict) or records.keys() != {"file", "sessions"}:
+        return None
+    if not isinstance(records["file"], str | None) or not isinstance(records["sessions"], list):
+        return None
+    return records if all(map(is_session, records["sessions"])) else None
+
+
+def records_of(store: Store) -> dict[str, Any]:
+    """The records of the processes that computed; begun anew where they are missing or damaged."""
+    records = records_in(store.path)
+    if records is None:
+        warn_of_remake(store.path / PROVENANCE, "begun anew")
+        records = {"file": None, "sessions": []}
+    return records
 
 
 @contextlib.contextmanager

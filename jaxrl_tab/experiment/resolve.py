@@ -185,7 +185,7 @@ def _method(table: Mapping[str, Any], cls: type, grid: Mapping[str, Any]) -> dic
     for key in [*(key for key in keys(cls) if key not in together), *([DRAW] if together else [])]:
         with at(key):
             value = grid[key] if key in grid else getattr(configs[0], key)
-            data |= {} if value is None else {key: _plain(key, value)}
+            data |= {} if value is None else {key: as_plain(key, value)}
     return data
 
 
@@ -365,12 +365,12 @@ def _only_table(parameter: describe.Parameter) -> bool:
     return parameter.default is None and not is_text and not describe.takes_policy(parameter)
 
 
-def _plain(key: str, value: Any) -> Any:
+def as_plain(key: str, value: Any) -> Any:
     """A hyperparameter as JSON has it, and as it can be written again."""
     if isinstance(value, Mapping):
-        return {name: _plain(name, x) for name, x in value.items()}
+        return {name: as_plain(name, x) for name, x in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(key, x) for x in value]
+        return [as_plain(key, x) for x in value]
     if isinstance(value, policies.Table):
         return np.asarray(value.probabilities).tolist()
     if not isinstance(value, clock.Schedule | policies.Policy):

@@ -25,20 +25,29 @@ import numpy as np
 from jaxrl_tab.core import names
 from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import backend, batch, provenance, speeds
+from jaxrl_tab.engine import backend, batch, speeds
 from jaxrl_tab.engine.log import LATER, Log
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
-from jaxrl_tab.experiment import shards, sources, storage
+from jaxrl_tab.experiment import growth, shards, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, write_files
+from jaxrl_tab.experiment.found import Found, find, grow, wished
+from jaxrl_tab.experiment.places import Source
 from jaxrl_tab.experiment.progress import Meter
-from jaxrl_tab.experiment.records import Origin, is_session, library_versions, session, settings_of
+from jaxrl_tab.experiment.records import (
+    Origin,
+    library_versions,
+    records_in,
+    records_of,
+    session,
+    settings_of,
+)
 from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
-from jaxrl_tab.experiment.spec import Experiment, difference
+from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report
 
@@ -82,12 +91,12 @@ def run(
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
-            experiment = _begin(path, experiment, memory, keep=False)
-            return _go_on(path, experiment, executor, memory, progress, ready, formats, command, keep=False)
+            found = _begin(path, experiment, memory, keep=False)
+            return _go_on(path, found, executor, memory, progress, ready, formats, command, keep=False)
     path = _path(folder)
-    experiment = _begin(path, experiment, memory)
+    found = _begin(path, experiment, memory)
     with storage.lock(path):
-        return _go_on(path, experiment, executor, memory, progress, ready, formats, command)
+        return _go_on(path, found, executor, memory, progress, ready, formats, command)
 
 
 def resume(
@@ -100,8 +109,18 @@ def resume(
     formats: Sequence[Format] = FORMATS[:1],
     command: str | None = None,
     mixed: bool = False,
+    experiment: Experiment | None = None,
+    seeds: int | None = None,
+    steps: int | None = None,
+    episodes: int | None = None,
 ) -> Outcome:
     """Goes on with what `run` left: computes the shards that are missing or damaged, and no others.
+
+    An experiment can also grow: have more seeds, values of hyperparameters, methods, or environments. What is there
+    stays, and only the runs that are new are computed; then settings are chosen anew, and tables, pictures and
+    report are made anew. All is, to the last bit, what the larger experiment gives that is run at once. Where it is
+    interrupted, `resume` goes on with it. Longer runs, `steps` or `episodes`, are computed from their beginning, for
+    no folder has the state in which a run ended.
 
     What is damaged is named in a warning, by a logger below `jaxrl_tab`, and set aside. The settings of JAX that
     change numbers are as in `run` while it computes, and afterwards what they were.
@@ -111,18 +130,26 @@ def resume(
         executor, memory, progress, ready, formats, command: as in `run`.
         mixed: go on also with other versions, or on another kind of processor, which may give numbers that
             differ in the last bits. The folder's provenance and report tell of it.
+        experiment: what it is to be: all that it was, and more. By default it is what `experiment.toml` in the
+            folder says, which may be edited.
+        seeds, steps, episodes: these numbers instead. Fresh seeds, where they are as many as seeds, stay so.
 
     Raises:
         InputError: there is no experiment in the folder, or another process is at work in it, or the
-            experiment was changed, or what is missing would be computed otherwise than the rest: the message
-            says in what.
+            experiment lacks something that is there, or what is missing would be computed otherwise than the
+            rest: the message says in what.
         RunError: as in `run`.
     """
     path = _folder(folder)
     command, formats = _typed(command), check_formats(formats)
+    given = {"seeds": seeds, "steps": steps, "episodes": episodes}
+    more = {key: x for key, x in given.items() if x is not None}
     with storage.lock(path):
-        experiment = _experiment_in(path)
-        return _go_on(path, experiment, executor, memory, progress, ready, formats, command, mixed=mixed)
+        found = find(path, other_source=experiment is not None)
+        new = wished(found, experiment, more)
+        if new.data() != found.experiment.data():
+            found = _grown(path, found, new, memory, command, mixed)
+        return _go_on(path, found, executor, memory, progress, ready, formats, command, mixed=mixed)
 
 
 def explain(folder: str | Path) -> "Explanation":
@@ -135,17 +162,28 @@ def explain(folder: str | Path) -> "Explanation":
     """
     path = _folder(folder)
     with storage.lock(path):
-        experiment = _experiment_in(path)
-        store = Store(path, experiment.fingerprint)
-        job = Job.of(experiment, None, library_versions(experiment.data()))
+        found = find(path)
+        experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
+        job = Job.of(experiment, None, library_versions(experiment.data()), found.experiments[:-1])
         if missing := _missing(store, job):
             raise InputError(
                 f"{len(missing)} of {len(job.shards)} shards are missing in {path}: resume it first"
             )
         datasets, _ = _collect(store, job, list(job.parts), free() // 2)
         envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-        with backend.using(experiment.backend), settings_of(store, _records(store)):
+        with backend.using(experiment.backend), settings_of(store, records_of(store)):
             return Outcome(datasets, {}, envs, job.parts).explain()
+
+
+def history(folder: str | Path) -> list[tuple[str, str, str]]:
+    """With what an experiment in a folder was begun, and what was added to it: when, what, and by which command.
+
+    Raises:
+        InputError: as in `explain`.
+    """
+    path = _folder(folder)
+    with storage.lock(path):
+        return find(path, other_source=True).history((records_in(path) or {"sessions": []})["sessions"])
 
 
 def _typed(command: str | None) -> str:
@@ -171,7 +209,7 @@ def _folder(folder: Any) -> Path:
 
 def _go_on(
     path: Path,
-    experiment: Experiment,
+    found: Found,
     executor: Executor | None,
     limit: int | None,
     progress: Report | Literal[False] | None,
@@ -182,11 +220,11 @@ def _go_on(
     mixed: bool = False,
 ) -> Outcome:
     """All that is still to be done in a folder."""
-    store = Store(path, experiment.fingerprint)
+    experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
     _warn_of_damage(store)
-    records = _records(store)
+    records = records_of(store)
     libraries = library_versions(experiment.data())
-    job, meter = Job.of(experiment, limit, libraries), Meter()
+    job, meter = Job.of(experiment, limit, libraries, found.experiments[:-1]), Meter()
     with backend.using(experiment.backend), settings_of(store, records):
         with meter.reporting(progress):
             origin = Origin.of(store, records, mixed, libraries)
@@ -206,8 +244,35 @@ def _go_on(
                 with meter.reporting(progress):
                     meter.show("tables, pictures, report")
                     again, toml = RunAgain(job.parts, limit), toml_of_settings(experiment)
-                    write_files(store, outcome, records, pictures, again, toml)
+                    history = found.history(records["sessions"])
+                    write_files(store, outcome, records, pictures, again, toml, history)
     return outcome
+
+
+def _grown(path: Path, found: Found, new: Experiment, limit: int | None, command: str, mixed: bool) -> Found:
+    """The folder whose experiment is a larger one now.
+
+    Raises:
+        InputError: what it has more cannot be computed, or not as the rest was. Then nothing was changed.
+    """
+    old, libraries = found.experiment, library_versions(new.data())
+    store = Store(path, old.fingerprint, found.entries)
+    _warn_of_damage(store)
+    records = records_of(store)
+    with backend.using(new.backend), settings_of(store, records):
+        Origin.of(store, records, mixed, libraries).check(path)
+        there = sum(file.stat().st_size for file in (path / storage.SHARDS).iterdir())
+        _check_room(new.parts(), limit, path, there)
+    what = growth.added(old, new)
+    if growth.is_anew(old, new):
+        what += (
+            "; runs of another length are computed from their beginning: those that are there stay in shards/"
+        )
+    warn(f"{what}; what is there is kept, and what is new is computed now")
+    grow(path, found, new, command, store.checksums)
+    if new.source and new.source.path.parent != path:
+        storage.write_json(path / PROVENANCE, records | {"file": str(new.source.path.resolve())})
+    return find(path)
 
 
 def _results(
@@ -269,7 +334,7 @@ def _heard(underway: Callable[[int, int], None]) -> Iterator[None]:
 
 def _missing(store: Store, job: Job) -> list[int]:
     """The numbers of the shards that are to be computed."""
-    return [number for number, shard in enumerate(job.shards) if not _has_shard(store, job, number, shard)]
+    return [number for number, shard in job.shards.items() if not _has_shard(store, job, number, shard)]
 
 
 def _has_shard(store: Store, job: Job, number: int, shard: Shard) -> bool:
@@ -304,7 +369,7 @@ def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[
     datasets = {}
     for name in names:
         part, results, seconds = job.parts[name], None, np.zeros(2)
-        own = {number: shard for number, shard in enumerate(job.shards) if shard.part == name}
+        own = {number: shard for number, shard in job.shards.items() if shard.part == name}
         # Only these may be lacking: for others no shard is opened twice.
         later = LATER & _shapes(part, next(iter(own.values()))).keys()
         lacking = {key for key in later if any(key not in store.shapes(number) for number in own)}
@@ -324,7 +389,7 @@ def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[
     return datasets, room
 
 
-def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> Experiment:
+def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> Found:
     """A new folder with the experiment in it, and no shards. Raises InputError where it cannot be run.
 
     Where the folder is kept, it gives the experiment with the classes that are in the copies there.
@@ -338,129 +403,28 @@ def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = T
             names.forget(experiment.files)
             experiment = Experiment(**experiment.data(), source=source)
         _check_room(experiment.parts(), limit, new)
-        storage.write(new / AS_WRITTEN, source.text if source else experiment.to_toml())
+        text = source.text if source else experiment.to_toml()
+        storage.write(new / AS_WRITTEN, text)
         storage.write_json(new / RESOLVED, experiment.data())
         records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
         storage.write_json(new / PROVENANCE, records)
         Store.begin(new, experiment.fingerprint)
-    return experiment
+    return Found(experiment, Source(path / AS_WRITTEN, text))
 
 
-def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path) -> None:
-    """Raises InputError where there is not enough memory for a shard, or disk for all."""
+def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path, there: int = 0) -> None:
+    """Raises InputError where there is not enough memory for a shard, or disk for all but what is `there` already."""
     needed = 0
     for part in parts.values():
         runs = min(part.runs, shard_runs(part))
         planned = plan(part.needs, runs, limit)
         needed += size(planned.results.arrays) // runs * part.runs
-    if 2 * needed > (room := shutil.disk_usage(folder).free):  # the shards, and results.nc
+    more = max(2 * needed - there, needed)  # the shards, and results.nc
+    if more > (room := shutil.disk_usage(folder).free):
         raise InputError(
-            f"the results need {words(2 * needed)} on the disk, and there is room for {words(room)} in "
+            f"the results need {words(more)} on the disk, and there is room for {words(room)} in "
             f"{folder.parent}: take fewer seeds, or a larger log_every"
         )
-
-
-def _experiment_in(path: Path) -> Experiment:
-    """The experiment that a folder was made for.
-
-    It is there twice, and its fingerprint is in the manifest: where one of the two is missing or damaged, it is
-    made again of the other. Nobody edits `resolved.json`, so what differs from the fingerprint in it is damage;
-    in `experiment.toml` it may be a wish.
-
-    Raises:
-        InputError: what the folder says of it, or the file that it was read from, is not what it was.
-    """
-    manifest = storage.read_manifest(path)
-    fingerprint = manifest and manifest["fingerprint"]
-    data = storage.read_json(path / RESOLVED)
-    pinned = sources.read(path, data)
-    resolved = _parsed(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
-    as_written = None
-    if storage.is_file(path / AS_WRITTEN):
-        with storage.as_run_error(path / AS_WRITTEN, "read"):
-            (path / AS_WRITTEN).read_bytes()  # `_parsed` would take a file that cannot be read for damaged
-        as_written = _parsed(lambda: Experiment.load(path / AS_WRITTEN, pinned))
-    if resolved and fingerprint in (None, resolved.fingerprint):
-        experiment = resolved
-        if as_written is None:
-            _warn_of_remake(path / AS_WRITTEN, f"made again, of {RESOLVED}")
-            storage.write(path / AS_WRITTEN, experiment.to_toml())
-        elif changed := difference(experiment.data(), as_written.data()):
-            raise InputError(
-                f"{path / AS_WRITTEN} was changed since: {'; '.join(changed)}; put it back to go on"
-            )
-    elif as_written and fingerprint in (None, as_written.fingerprint):
-        experiment = as_written
-        _warn_of_remake(path / RESOLVED, f"made again, of {AS_WRITTEN}")
-        storage.write_json(path / RESOLVED, experiment.data())
-    elif changed := _other_libraries(path, data):  # then an environment may be another one, or none
-        raise InputError(f"{'; '.join(changed)}: install what it was, to go on in {path}")
-    elif resolved or as_written:
-        raise InputError(
-            f"{path} was begun with another experiment: {AS_WRITTEN} and {RESOLVED} were changed or damaged "
-            "since"
-        )
-    else:
-        raise InputError(
-            f"there is no experiment in {path} any more: {AS_WRITTEN} and {RESOLVED} are damaged"
-        )
-    source = (_records_in(path) or {}).get("file")
-    if source and Path(source).is_file() and (changed := _changed(source, experiment.data(), pinned)):
-        raise InputError(
-            f"{source} was changed since: {changed}; put it back, or rename it to go on with what it was"
-        )
-    return experiment
-
-
-def _other_libraries(path: Path, data: Any) -> list[str]:
-    """What has another version among the libraries from which environments come, a line for each."""
-    sessions = (_records_in(path) or {"sessions": []})["sessions"]
-    was = sessions[0].get("surroundings", {}) if sessions else {}
-    now = {library: version for library, version in library_versions(data).items() if library in was}
-    return provenance.differences(was, now)
-
-
-def _parsed(read: Callable[[], Experiment]) -> Experiment | None:
-    """The experiment, or None where the data are damaged."""
-    try:
-        return read()
-    except Exception:  # there is no end to what a flipped bit makes of data
-        return None
-
-
-def _warn_of_remake(file: Path, remedy: str) -> None:
-    """Says that a file is made again; what is there now is set aside."""
-    if os.path.lexists(file):
-        warn(storage.set_aside(file, file.parent, remedy))
-    else:
-        warn(f"{file.name} is missing: it is {remedy}")
-
-
-def _records_in(path: Path) -> dict[str, Any] | None:
-    """The records of all sessions in a folder; None where they are missing or damaged."""
-    records = storage.read_json(path / PROVENANCE)
-    if not isinstance(records, dict) or records.keys() != {"file", "sessions"}:
-        return None
-    if not isinstance(records["file"], str | None) or not isinstance(records["sessions"], list):
-        return None
-    return records if all(map(is_session, records["sessions"])) else None
-
-
-def _changed(source: str, data: Mapping[str, Any], pinned: Mapping[str, Any]) -> str:
-    """What a file says otherwise than the data of the experiment that was once read from it."""
-    try:
-        return "; ".join(difference(data, Experiment.load(source, pinned).data()))
-    except InputError as error:
-        return str(error)
-
-
-def _records(store: Store) -> dict[str, Any]:
-    """The records of the processes that computed."""
-    records = _records_in(store.path)
-    if records is None:
-        _warn_of_remake(store.path / PROVENANCE, "begun anew")
-        records = {"file": None, "sessions": []}
-    return records
 
 
 def _warn_of_damage(store: Store) -> None:

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import json
 import platform
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from typing import NamedTuple
 from weakref import WeakValueDictionary
@@ -17,6 +17,7 @@ from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import provenance, room
 from jaxrl_tab.engine.log import recorded_shapes
 from jaxrl_tab.engine.part import Part, compute
+from jaxrl_tab.experiment.growth import Block, Fresh, Generation, generations
 from jaxrl_tab.experiment.records import library_versions
 from jaxrl_tab.experiment.spec import Experiment
 
@@ -28,12 +29,19 @@ _read: WeakValueDictionary[str, Experiment] = WeakValueDictionary()  # by their 
 
 
 class Shard(NamedTuple):
-    """Some runs of a part that go together: `first` to `last` - 1 of those of one of its programs."""
+    """Some runs of a part that go together: `first` to `last` - 1 of those of a block."""
 
-    part: str
-    program: int
+    block: Block
     first: int
     last: int
+
+    @property
+    def part(self) -> str:
+        return self.block.part
+
+    @property
+    def program(self) -> int:
+        return self.block.program
 
     @property
     def runs(self) -> int:
@@ -54,6 +62,7 @@ class Job(NamedTuple):
             where nothing is.
         files: what the experiment's own classes and tables are in, which need not be on other machines.
         libraries: the versions of those from which its environments come, where it was started.
+        before: the data of the experiments that it grew from, the first one first, as JSON.
     """
 
     experiment: str
@@ -61,14 +70,21 @@ class Job(NamedTuple):
     chosen: str | None = None
     files: tuple[modules.File, ...] = ()
     libraries: Mapping[str, str] = {}
+    before: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, experiment: Experiment, memory: int | None, libraries: Mapping[str, str]) -> "Job":
-        """All of an experiment. While that lives, this process takes its parts from it."""
+    def of(
+        cls,
+        experiment: Experiment,
+        memory: int | None,
+        libraries: Mapping[str, str],
+        before: Sequence[Experiment] = (),
+    ) -> "Job":
+        """All of an experiment, and of those before it. While they live, this process takes their parts from them."""
         forget_parts()
-        job = cls(json.dumps(experiment.data()), memory, files=experiment.files, libraries=libraries)
-        _read[job.experiment] = experiment
-        return job
+        *earlier, now = (json.dumps(one.data()) for one in (*before, experiment))
+        _read.update(zip((*earlier, now), (*before, experiment), strict=True))
+        return cls(now, memory, files=experiment.files, libraries=libraries, before=tuple(earlier))
 
     @property
     def parts(self) -> dict[str, Part]:
@@ -76,16 +92,17 @@ class Job(NamedTuple):
         return _parts(self.experiment, self.chosen)
 
     @property
-    def shards(self) -> list[Shard]:
-        """In the order of their numbers. Those of fresh seeds come last."""
+    def shards(self) -> dict[int, Shard]:
+        """By their numbers, in order. Of what each experiment added those of fresh seeds come last."""
         modules.keep(self.files)
-        return _shards(self.experiment, self.chosen)
+        return _shards(self.experiment, self.chosen, self.before)
 
     def setting(self, shard: Shard) -> int | None:
-        """The chosen configuration, of a shard of fresh seeds."""
+        """The chosen configuration, of a shard of fresh seeds, by a number that it keeps where others are added."""
         if self.chosen is None or not shard.part.startswith(FRESH):
             return None
-        return json.loads(self.chosen)[shard.part.removeprefix(FRESH)]
+        name = shard.part.removeprefix(FRESH)
+        return _generations(self.experiment, self.before)[1][name][json.loads(self.chosen)[name]]
 
     def __call__(self, number: int) -> dict[str, np.ndarray]:
         """What the runs of a shard give: `q`, what is in the log, and the `seconds` it took.
@@ -101,24 +118,43 @@ class Job(NamedTuple):
         return {"q": computed.q, **computed.log.named(), "seconds": np.array(computed.seconds)}
 
 
+def _experiment(data: str) -> Experiment:
+    return _read.get(data) or Experiment.from_data(json.loads(data))
+
+
 @functools.lru_cache(maxsize=4)
 def _parts(experiment: str, chosen: str | None) -> dict[str, Part]:
     if chosen is None:
-        return (_read.get(experiment) or Experiment.from_data(json.loads(experiment))).parts()
+        return _experiment(experiment).parts()
     parts, seeds = _parts(experiment, None), json.loads(experiment)["select"]["fresh_seeds"]
     again = {FRESH + name: _again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
     return parts | again
 
 
 @functools.lru_cache(maxsize=4)
-def _shards(experiment: str, chosen: str | None) -> list[Shard]:
-    return [shard for name, part in _parts(experiment, chosen).items() for shard in _split(name, part)]
+def _generations(experiment: str, before: tuple[str, ...]) -> tuple[list[Generation], dict[str, list[int]]]:
+    return generations([_experiment(data) for data in (*before, experiment)])
+
+
+@functools.lru_cache(maxsize=4)
+def _shards(experiment: str, chosen: str | None, before: tuple[str, ...] = ()) -> dict[int, Shard]:
+    parts, found, number = _parts(experiment, chosen), {}, 0
+    for generation in _generations(experiment, before)[0]:
+        shards = [shard for block in generation.blocks for shard in _split(block)]
+        fresh = [x for x in generation.fresh if generation.of_use and chosen is not None]
+        shards_of_fresh = [shard for x in fresh for shard in _split(_fresh_block(parts[FRESH + x.part], x))]
+        if generation.of_use:
+            found |= enumerate([*shards, *shards_of_fresh], number)
+        # What is added later has numbers that do not depend on what is chosen here.
+        number += len(shards) + sum(-(-(x.last - x.first) // room.LANES) for x in generation.fresh)
+    return found
 
 
 def forget_parts() -> None:
     """Forgets all parts, which are then made anew, of classes that were loaded from copies since."""
     _read.clear()
     _parts.cache_clear()
+    _generations.cache_clear()
     _shards.cache_clear()
 
 
@@ -128,13 +164,15 @@ def _again(part: Part, config: int, seeds: int) -> Part:
     return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
 
 
-def _split(name: str, part: Part) -> Iterator[Shard]:
-    """The shards of a part. They depend on nothing but the part: neither on the machine nor on the time."""
-    most = shard_runs(part)
-    for program, members in enumerate(part.programs):
-        total = len(members) * part.num_seeds
-        for first in range(0, total, most):
-            yield Shard(name, program, first, min(first + most, total))
+def _fresh_block(part: Part, fresh: Fresh) -> Block:
+    return Block(FRESH + fresh.part, 0, np.array([0]), fresh.first, fresh.last - fresh.first, part)
+
+
+def _split(block: Block) -> Iterator[Shard]:
+    """The shards of a block. They depend on nothing but its part: neither on the machine nor on the time."""
+    most = shard_runs(block.planned)
+    for first in range(0, block.runs, most):
+        yield Shard(block, first, min(first + most, block.runs))
 
 
 def shard_runs(part: Part) -> int:
@@ -154,5 +192,6 @@ def shard_runs(part: Part) -> int:
 
 def runs(part: Part, shard: Shard) -> np.ndarray:
     """The numbers of the runs of a shard, in the part, int [runs]."""
-    config, place = np.divmod(np.arange(shard.first, shard.last), part.num_seeds)
-    return part.programs[shard.program][config] * part.num_seeds + place
+    block = shard.block
+    config, place = np.divmod(np.arange(shard.first, shard.last), block.seeds)
+    return block.configs[config] * part.num_seeds + block.place + place

@@ -22,15 +22,23 @@ KEYS = {"name", "label", "sha256", "original", "copies"}
 
 
 def write(folder: Path, references: Mapping[str, names.Reference]) -> None:
-    """Keeps copies of the files that names stand for. Raises InputError where something is in none."""
+    """Keeps copies of the files that names stand for, beside those that are there.
+
+    Raises:
+        InputError: something is in no file.
+    """
     for reference in references.values():
         if reference.refusal:
             raise InputError(f"{reference.refusal}; or run it without a folder")
-    own = {typed: (reference, reference.file) for typed, reference in references.items() if reference.file}
+    index = _index(folder)
+    own = {
+        typed: (reference, reference.file)
+        for typed, reference in references.items()
+        if reference.file and typed not in index
+    }
     if not own:
         return
-    places = _places([file for _, file in own.values()])
-    index = {}
+    places = _places([file for _, file in own.values()], len(_folders(index)))
     for typed, (reference, file) in own.items():
         place = places[file.path, file.sha256]
         (folder / SOURCES / place).mkdir(parents=True, exist_ok=True)
@@ -46,9 +54,21 @@ def write(folder: Path, references: Mapping[str, names.Reference]) -> None:
     storage.write_json(folder / SOURCES / INDEX, index)
 
 
-def _places(files: Iterable[File]) -> dict[tuple[str, str], str]:
+def _index(folder: Path) -> dict[str, dict[str, Any]]:
+    """What each name stood for; nothing where that is missing or damaged."""
+    index = storage.read_json(folder / SOURCES / INDEX)
+    return index if isinstance(index, dict) and all(map(_is_entry, index.values())) else {}
+
+
+def _folders(index: Mapping[str, Any]) -> set[str]:
+    """The folders that have copies."""
+    return {copy.rpartition("/")[0] for entry in index.values() for copy in entry["copies"]}
+
+
+def _places(files: Iterable[File], taken: int) -> dict[tuple[str, str], str]:
     """The folder of the copies of each file and its neighbours, "" or such as "1/", by its path and checksum.
 
+    The first `taken` folders are those of other files.
     A program finds there what lay beside it, and nothing else: programs of several folders are not mixed.
     """
     places, folders = {}, []
@@ -59,7 +79,7 @@ def _places(files: Iterable[File]) -> dict[tuple[str, str], str]:
             is_free = all(copied.get(name, data) == data for name, data in contents.items())
             if is_free and (other == origin or not _is_program(file)):
                 folders[number:] = [(other, copied | contents), *folders[number + 1 :]]
-                places[file.path, file.sha256] = f"{number}/" if number else ""
+                places[file.path, file.sha256] = f"{number + taken}/" if number + taken else ""
                 break
     return places
 
@@ -74,9 +94,7 @@ def read(folder: Path, data: Any) -> dict[str, dict[str, Any]]:
     Raises:
         InputError: a copy is missing or was altered; or an original file was changed since.
     """
-    index = storage.read_json(folder / SOURCES / INDEX)
-    index = index if isinstance(index, dict) and all(map(_is_entry, index.values())) else {}
-    copies = folder / SOURCES
+    index, copies = _index(folder), folder / SOURCES
     paths = [copies, *copies.glob("*"), *copies.glob("*/*")]
     for path in paths:
         storage.check_no_link(path)

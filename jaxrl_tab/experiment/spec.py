@@ -134,7 +134,7 @@ class Experiment:
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
 
     def __repr__(self) -> str:
-        return f"<Experiment: {self._in_words}>"
+        return f"<Experiment: {self.in_words}>"
 
     def _repr_html_(self) -> str:
         rows = [
@@ -142,10 +142,11 @@ class Experiment:
             for kind in ("environment", "method")
             for table in getattr(self, kind)
         ]
-        return notebook.table(f"Experiment: {self._in_words}", ("", "name", "parameters"), rows)
+        return notebook.table(f"Experiment: {self.in_words}", ("", "name", "parameters"), rows)
 
     @property
-    def _in_words(self) -> str:
+    def in_words(self) -> str:
+        """What it is, in a line: methods, environments, seeds and the length of runs."""
         names = [", ".join(table["label"] for table in x) for x in (self.method, self.environment)]
         length = f"{self.steps} steps" if self.steps is not None else f"{self.episodes} episodes"
         return one_line(f"{names[0]} in {names[1]}; {self.seeds} seeds, {length}")
@@ -178,7 +179,11 @@ class Experiment:
             raise InputError(
                 f"{one_line(str(path))} is larger than {memory.words(MOST_BYTES)}: that is not an experiment"
             )
-        source = Source(path, text.replace("\r\n", "\n"), pinned or {})
+        return cls.from_source(Source(path, text.replace("\r\n", "\n"), pinned or {}))
+
+    @classmethod
+    def from_source(cls, source: Source) -> Self:
+        """The experiment that stands in a text; see `load` for what is raised."""
         return cls.from_data(_read(source), source)
 
     @classmethod
@@ -274,7 +279,7 @@ def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     for key in keys(Experiment):
         before, after = old.get(key), new.get(key)
         if key not in ("environment", "method"):
-            lines += _change(key, before, after)
+            lines += change(key, before, after)
             continue
         before, after = ({table["label"]: table for table in data[key]} for data in (old, new))
         lines += [f"{key} {label} is gone" for label in before if label not in after]
@@ -284,11 +289,12 @@ def difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
             lines.append(f"{key}: the order is another one")
         for label in both:
             for name in before[label] | after[label]:
-                lines += _change(f"{key} {label}: {name}", before[label].get(name), after[label].get(name))
+                lines += change(f"{key} {label}: {name}", before[label].get(name), after[label].get(name))
     return lines
 
 
-def _change(what: str, before: Any, after: Any) -> list[str]:
+def change(what: str, before: Any, after: Any) -> list[str]:
+    """That something is not what it was, in a line; none where it is."""
     if before == after:
         return []
     texts = ["not given" if x is None else _toml(x) for x in (before, after)]

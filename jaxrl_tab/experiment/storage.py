@@ -213,6 +213,8 @@ class Store:
     Attributes:
         path: the folder.
         fingerprint: of the experiment.
+        earlier: what the experiment was before it grew, as `is_history` has it, by fingerprint; shards of these
+            are its own.
         shards: facts about each shard that is there, by its number.
         problems: what was damaged or missing, a line each.
 
@@ -221,8 +223,8 @@ class Store:
         RunError: something in it cannot be read or written.
     """
 
-    def __init__(self, path: Path, fingerprint: str):
-        self.path, self.fingerprint = path, fingerprint
+    def __init__(self, path: Path, fingerprint: str, earlier: Mapping[str, dict[str, Any]] | None = None):
+        self.path, self.fingerprint, self.earlier = path, fingerprint, earlier or {}
         self.problems: list[str] = []
         if is_file(path / SHARDS):
             self.problems.append(set_aside(path / SHARDS, path, "made again", "is no folder"))
@@ -291,13 +293,23 @@ class Store:
     @property
     def files(self) -> list[str]:
         """The files made of the shards; none unless all are there and whole."""
-        return list(self._manifest["files"])
+        return list(self.checksums)
+
+    @property
+    def checksums(self) -> dict[str, str]:
+        """The checksums of these files."""
+        return self._manifest["files"]
 
     def keep_files(self, files: Iterable[str]) -> None:
-        """Notes that these files are finished."""
+        """Notes that these files are finished. Others that were made before the experiment grew go."""
         with as_run_error(self.path, "read"):
             self._manifest["files"] = {file: _sha256(self.path / file) for file in files}
         self._write_manifest()
+        with as_run_error(self.path, "removed"):
+            for name, sha256 in (x for entry in self.earlier.values() for x in entry["files"].items()):
+                file = self.path / name
+                if name not in self.checksums and is_file(file) and _sha256(file) == sha256:
+                    file.unlink()
 
     def _read_manifest(self) -> dict[str, Any]:
         file = self.path / MANIFEST
@@ -305,11 +317,13 @@ class Store:
             self.problems.append(f"{MANIFEST} is missing: it is made again, of the shards")
         elif (manifest := read_manifest(self.path)) is None:
             self.problems.append(set_aside(file, self.path, "made again, of the shards"))
-        elif manifest["fingerprint"] != self.fingerprint:
+        elif manifest["fingerprint"] == self.fingerprint:
+            return manifest
+        elif manifest["fingerprint"] in self.earlier:
+            return _empty(self.fingerprint) | {"shards": manifest["shards"]}
+        else:
             what = "is of another experiment"
             self.problems.append(set_aside(file, self.path, "made again, of the shards", what))
-        else:
-            return manifest
         return _empty(self.fingerprint)
 
     def _take_stock(self) -> None:
@@ -349,30 +363,55 @@ class Store:
             facts = {"sha256": sha256, **{key: about.pop(key) for key in Facts._fields if key in about}}
         except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
             return None
-        return Facts(**facts) if about == self._about(number) and _are_facts(facts) else None
+        ours = [self._about(number, fingerprint) for fingerprint in (self.fingerprint, *self.earlier)]
+        return Facts(**facts) if about in ours and _are_facts(facts) else None
 
-    def _about(self, number: int) -> dict[str, Any]:
-        return {"experiment": self.fingerprint, "shard": number}
+    def _about(self, number: int, fingerprint: str | None = None) -> dict[str, Any]:
+        return {"experiment": fingerprint or self.fingerprint, "shard": number}
 
     def _write_manifest(self) -> None:
         shards = {_name(number): facts._asdict() for number, facts in sorted(self.shards.items())}
         self._manifest["shards"] = shards
+        if self.earlier:
+            self._manifest["history"] = list(self.earlier.values())
         _write_manifest(self.path, self._manifest)
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
     """What is in the manifest; None where it is damaged or missing."""
     manifest = read_json(folder / MANIFEST)
-    if not isinstance(manifest, dict) or manifest.keys() != {"fingerprint", "shards", "files", "sha256"}:
+    keys = {"fingerprint", "shards", "files", "sha256"}
+    if not isinstance(manifest, dict) or manifest.keys() - {"history"} != keys:
         return None
     if manifest.pop("sha256") != _checksum(manifest):
         return None
     shards, files = manifest["shards"], manifest["files"]
-    if not isinstance(shards, dict) or not isinstance(files, dict):
+    if not isinstance(shards, dict):
         return None
     if not all(_number(name) is not None and _are_facts(facts) for name, facts in shards.items()):
         return None
-    return manifest if all(_is_result_file(f) and _is_sha256(x) for f, x in files.items()) else None
+    return manifest if _are_files(files) and is_history(manifest.get("history", [])) else None
+
+
+def is_history(data: Any) -> bool:
+    """Whether data are a list of what an experiment was before it grew.
+
+    For each it is the data of the experiment, the files that were made of it with their checksums, and when and by
+    what command it grew.
+    """
+    return isinstance(data, list) and all(
+        isinstance(entry, dict)
+        and entry.keys() == {"experiment", "files", "time", "command"}
+        and isinstance(entry["experiment"], dict)
+        and _are_files(entry["files"])
+        and isinstance(entry["time"], str)
+        and isinstance(entry["command"], str)
+        for entry in data
+    )
+
+
+def _are_files(files: Any) -> bool:
+    return isinstance(files, dict) and all(_is_result_file(f) and _is_sha256(x) for f, x in files.items())
 
 
 def _are_facts(facts: Any) -> bool:
@@ -501,3 +540,11 @@ DATA, FRESH_DATA, SUMMARY, SELECTION = "results.nc", "fresh.nc", "summary.csv", 
 
 def warn(line: str) -> None:
     logging.getLogger(__name__).warning("%s", line)
+
+
+def warn_of_remake(file: Path, remedy: str) -> None:
+    """Says that a file is made again; what is there now is set aside."""
+    if os.path.lexists(file):
+        warn(set_aside(file, file.parent, remedy))
+    else:
+        warn(f"{file.name} is missing: it is {remedy}")
