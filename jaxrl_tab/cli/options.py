@@ -50,6 +50,7 @@ class Option(NamedTuple):
         default: its value where it is not typed, in words.
         metavar: stands for its value in the help; empty for a switch, which takes none.
         several: whether its value is made of several words.
+        alone: whether it may stand without a value.
         takes: "int" or "float", where each word is a number; "rate", where it may be a schedule as well; else
             empty.
         limits: of a number, as `pytree.field` has them; None where any will do, or more is checked than each word.
@@ -65,6 +66,7 @@ class Option(NamedTuple):
     takes: str = ""
     limits: Mapping[str, float] | None = None
     choices: Collection[str] = ()
+    alone: bool = False
 
 
 class Entry(NamedTuple):
@@ -239,6 +241,7 @@ def _argument(owned: Mapping[str, Option], group: Group) -> dict[str, Any]:
     if not option.metavar:
         return {"action": "store_const", "const": (), "help": help}
     count = {"nargs": "+"} if group.grids or option.several else {}
+    count = {"nargs": "?", "const": ()} if option.alone else count
     return count | {"metavar": option.metavar, "help": help}
 
 
