@@ -526,7 +526,7 @@ REFUSALS = {
     "sweep windy-gridworld n-step-sarsa --n 1.5": "--n takes a whole number, not '1.5'",
     "sweep blackjack monte-carlo --batch 0": "batch must be a whole number of at least 1, not 0",
     "sweep blackjack off-policy-monte-carlo --weighting x": "choose one of weighted, ordinary, per-decision",
-    "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which belongs to most of the methods of control;",
+    "sweep random-walk td --epsilon 0.1": "td has no --epsilon, which belongs to the methods of control that learn",
     "sweep random-walk td-lambda --lam -1": "td-lambda: lam must be between 0 and 1, not -1.0",
     "sweep random-walk td --pi 0.5": "there is no option --pi",
     "sweep random-walk td sarsa": "sweep methods of prediction and of control apart",

@@ -166,7 +166,7 @@ def test_an_option_goes_to_all_methods_that_have_it():
         options.values(["td", "sarsa"], {"--n": ("1",)}, HYPERPARAMETERS)
     with pytest.raises(
         rl.InputError,
-        match=r"td has no --q0, which belongs to most of the methods of control; td has --a",
+        match=r"td has no --q0, which belongs to the methods of control that learn values; td has --a",
     ):
         options.values(["td"], {"--q0": ("1",)}, HYPERPARAMETERS)
 

@@ -233,7 +233,7 @@ def _table(methods: "Methods", varied: Sequence[str], columns: "Mapping[str, Col
     for column in view.columns:  # no number is cut: names are broken before
         column.overflow = "fold"
     for column in view.columns[1:]:
-        column.min_width = max(len(part) for x in column.cells for part in str(x).split())
+        column.min_width = max((len(part) for x in column.cells for part in str(x).split()), default=1)
     return view
 
 
