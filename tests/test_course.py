@@ -151,6 +151,11 @@ def test_values_that_should_not_change_are_shown(checked):
     said = str(checked(text))
     assert "None of the known mistakes explains it." in said
     assert "Q(5, 3) was 0, should be 0, and is 9." in said
+    late = changed(
+        agents.SARSA["a step later"],
+        ("        if self.before:", "        self.q[5, 3] = 9.0\n        if self.before:"),
+    )
+    assert "It shows first in episode 1, step 1: S =" in str(checked(late))
 
 
 def test_values_that_grow_beyond_all_bounds(checked):

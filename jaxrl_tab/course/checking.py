@@ -180,13 +180,11 @@ def _of_update(code: Code, exercise: Exercise) -> Verdict:
     if mistakes == ():
         return Verdict(about, True)
     bad = script.wrong(seen, exercise.learner(Setting()))
-    # Nobody says when the agent means to learn: as most of the steps are right.
+    # Nobody says when the agent means to learn, at once or a step later: it is what makes fewer steps wrong.
     bad_late = script.wrong(seen, exercise.learner(Setting()), late=True)
     late = len(bad_late) < len(bad)
     bad = bad_late if late else bad
-    told = [_where(bad, seen)] if mistakes is None else []
-    if bad:
-        told += _first(bad[0], seen, exercise, late)
+    told = [*([_where(bad, seen)] if mistakes is None else []), *_first(bad[0], seen, exercise, late)]
     return Verdict(about, False, mistakes or (), tuple(filter(None, told)))
 
 
@@ -198,7 +196,7 @@ def _first(x: Seen, seen: Sequence[Seen], exercise: Exercise, late: bool) -> lis
     right = min(tables, key=lambda t: float(np.abs(t - x.after).max()))
     off = np.argwhere(np.abs(right - x.after) > script.CLOSE * (1 + np.abs(x.after).max())).tolist()
     when = ""
-    if late and not x.step.last:  # what is learned then is the step before
+    if late and x.number > 1 and not x.step.last:  # what is learned then is the step before
         one_before = next(y for y, z in pairwise(seen) if z is x)
         x, when = one_before._replace(before=x.before, after=x.after), " (learned in the update after it)"
     step = x.step
