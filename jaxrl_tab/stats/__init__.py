@@ -45,7 +45,7 @@ from jaxrl_tab.stats.comparisons import (
     seeds_needed,
     unpaired_difference,
 )
-from jaxrl_tab.stats.deciding import Pair, Verdict, decide, looks, until_decided
+from jaxrl_tab.stats.deciding import Pair, Verdict, decide, looks, scored, until_decided
 from jaxrl_tab.stats.early import (
     Early,
     better_early,
@@ -91,6 +91,7 @@ from jaxrl_tab.stats.measures import (
     time_to_threshold,
     unfinished,
 )
+from jaxrl_tab.stats.pilot import seeds_from_pilot
 from jaxrl_tab.stats.settings import (
     Selection,
     at_edge,
@@ -174,6 +175,8 @@ __all__ = [
     "ranked",
     "score",
     "score_interval",
+    "scored",
+    "seeds_from_pilot",
     "seeds_needed",
     "seeds_wanted",
     "selection",
