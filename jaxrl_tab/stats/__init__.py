@@ -103,6 +103,14 @@ from jaxrl_tab.stats.settings import (
     selection,
     tied,
 )
+from jaxrl_tab.stats.tasks import (
+    Tasks,
+    across_tasks,
+    mean_improvement,
+    mean_rank,
+    normalised,
+    random_value,
+)
 
 __all__ = [
     "COLUMNS",
@@ -118,7 +126,9 @@ __all__ = [
     "Methods",
     "Pair",
     "Selection",
+    "Tasks",
     "Verdict",
+    "across_tasks",
     "area_under_curve",
     "at_edge",
     "best",
@@ -144,11 +154,14 @@ __all__ = [
     "last_tenth",
     "learning_curve",
     "looks",
+    "mean_improvement",
     "mean_interval",
+    "mean_rank",
     "mean_return",
     "median_interval",
     "merge_rows",
     "named",
+    "normalised",
     "optimum",
     "pace",
     "paired_difference",
@@ -158,6 +171,7 @@ __all__ = [
     "probability_of_improvement",
     "progress_interval",
     "proportion_interval",
+    "random_value",
     "ranked",
     "score",
     "score_interval",
