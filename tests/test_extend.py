@@ -375,8 +375,8 @@ def test_on_the_command_line(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert cli.main(["resume", "run", "--history"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("(jaxrl-tab sweep x.toml --out run --quiet)") and len(lines) == 3
-    assert lines[1].endswith("  seeds was 35, and is 70  (jaxrl-tab resume run --seeds 70 --quiet)")
+    assert lines[1] == "    jaxrl-tab sweep x.toml --out run --quiet" and len(lines) == 6
+    assert lines[2].endswith("  seeds was 35, and is 70")
 
 
 if __name__ == "__main__":

@@ -172,7 +172,11 @@ def added(old: Experiment, new: Experiment) -> str:
     renamed = {label: labels[1][key] for key, label in labels[0].items() if labels[1][key] != label}
     known = {f"environment {label} is gone" for label in renamed}
     known |= {f"environment {label} is new" for label in renamed.values()}
-    lines = [line for line in difference(old.data(), new.data()) if line not in known]
+    (was, now), lines = (old.data(), new.data()), []
+    if "select" in was:
+        lines += change("fresh_seeds", was["select"]["fresh_seeds"], now.pop("select")["fresh_seeds"])
+        del was["select"]
+    lines = [*(line for line in difference(was, now) if line not in known), *lines]
     lines += [f"environment {was} is called {now}" for was, now in renamed.items()]
     return "; ".join(lines) or "the same in another order"
 
