@@ -19,7 +19,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import cli, plot, report
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_xla, programs
-from jaxrl_tab.experiment import found, runner, shards, storage
+from jaxrl_tab.experiment import found, growth, runner, shards, storage
 
 SARSA = {"name": "sarsa", "alpha": [0.5, 0.25]}
 MORE = {"name": "sarsa", "alpha": [0.25, 0.9, 0.5]}
@@ -141,7 +141,7 @@ def test_so_it_is_where_environments_are_added(folder, computed):
     assert not (folder / "overview.png").exists()  # for now there is one of each environment
     with xr.open_datatree(folder / "results.nc") as tree:
         own = tree["windy-gridworld,moves=king/sarsa"].to_dataset()
-        xr.testing.assert_equal(own(2).datasets["windy-gridworld,moves=king/sarsa"])
+        xr.testing.assert_equal(own, at_once(2).datasets["windy-gridworld,moves=king/sarsa"])
 
 
 def test_every_run_is_planned_once_and_its_number_stays():
@@ -367,11 +367,16 @@ def test_on_the_command_line(tmp_path, monkeypatch, capsys):
     assert "x.toml was changed since: method Mine is new; put it back" in said
     assert "or add what is new in it: `jaxrl-tab resume run" in said
     assert cli.main(["resume", "run", "x.toml", "--quiet"]) == 0
+    elsewhere = shutil.copy("mine.py", "moved.py")  # what it is called does not matter
+    wider = Path("x.toml").read_text().replace("mine.py", elsewhere).replace("70", "71")
+    Path("y.toml").write_text(wider.replace("moved.py:Mine", 'moved.py:Mine"\nlabel = "Mine'))
     Path("mine.py").unlink()
     assert cli.main(["resume", "run", "--quiet"]) == 0
     with xr.open_datatree("run/results.nc") as tree:
         for label in ("sarsa", "Mine"):
             xr.testing.assert_equal(tree[label].to_dataset(), at_once(0).datasets["windy-gridworld/sarsa"])
+    loaded = rl.Experiment.load("y.toml")
+    assert growth.taken_away(found.find(Path("run")).experiment, loaded) == []
     capsys.readouterr()
     assert cli.main(["resume", "run", "--history"]) == 0
     lines = capsys.readouterr().out.splitlines()

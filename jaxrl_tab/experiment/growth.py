@@ -6,7 +6,7 @@ is of use to every larger one: only the runs that are new are computed. They are
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -200,7 +200,7 @@ def _parts(experiment: Experiment, alone: bool = False) -> dict[Any, _Own]:
 
 def _environments(experiment: Experiment) -> list[tuple[str, int]]:
     """What tells each environment from others, which is all but what it is called."""
-    own = ({key: x for key, x in table.items() if key != "label"} for table in experiment.environment)
+    own = (table | {"name": _identity(table), "label": ""} for table in experiment.environment)
     return _told_apart(json.dumps(x, sort_keys=True) for x in own)
 
 
@@ -210,10 +210,15 @@ def _settings(experiment: Experiment) -> dict[str, dict[tuple[str, int], int]]:
     for method in experiment.method:
         cls = experiment.references[method["name"]].cls
         _, configs = configurations(cls, grid_of(method, cls, experiment.seed))
-        which = f"{method['name']} {method.get('sha256')} "
-        keys = _told_apart(which + _setting(config) for config in configs)
+        keys = _told_apart(_identity(method) + _setting(config) for config in configs)
         found[method["label"]] = {key: i for i, key in enumerate(keys)}
     return found
+
+
+def _identity(table: Mapping[str, Any]) -> str:
+    """What a table names; of what is in a file it is the checksum, wherever the file lies."""
+    _, colon, attribute = table["name"].rpartition(":")
+    return f"{attribute if colon else ''} {table['sha256']}" if "sha256" in table else table["name"]
 
 
 def _setting(config: Any) -> str:
