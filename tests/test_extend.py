@@ -153,6 +153,7 @@ def test_every_run_is_planned_once_and_its_number_stays():
     numbers = {}
     for count in range(1, len(grew) + 1):
         job = shards.Job.of(grew[count - 1], None, {}, grew[: count - 1])
+        job = job._replace(chosen=json.dumps(dict.fromkeys(job.parts, 0)))
         for number, shard in job.shards.items():
             assert numbers.setdefault(number, shard.runs) == shard.runs
         for name, part in job.parts.items():
