@@ -90,6 +90,7 @@ from jaxrl_tab.envs import (
 )
 from jaxrl_tab.exact import importance, planning
 from jaxrl_tab.experiment import executors
+from jaxrl_tab.experiment.compare import compare
 from jaxrl_tab.experiment.runner import explain, resume, run
 from jaxrl_tab.experiment.spec import Experiment
 
@@ -195,6 +196,7 @@ __all__ = [
     "batch",
     "bridge",
     "collect",
+    "compare",
     "envs",
     "evaluation",
     "executors",

@@ -1,4 +1,4 @@
-"""Solutions of the exercises, in several styles; and mistakes, each as a change to one of them.
+"""Solutions of the exercises, in several styles; and mistakes, each as changes to one of them.
 
 They are here so that students do not stumble over them.
 """
@@ -391,7 +391,7 @@ OF_ONE_STEP = [
     (TARGET, "self.alpha * target", "old-not-subtracted"),
     (TARGET, "self.alpha * target - self.q[state, action]", "old-lost"),
     (TARGET, "self.alpha * (self.q[state, action] - target)", "sign"),
-    ("target = reward", "target = 0.0", "no-reward"),
+    ("target = reward", "target = 0.0", "learns-nothing"),
     ("self.q[state, action] += self.alpha", "self.q[next_state, action] += self.alpha", "next-pair"),
     (
         f"self.q[state, action] += {TARGET}",
@@ -409,7 +409,38 @@ OF_ONE_STEP = [
         "whole-target",
     ),
 ]
+FUTURE = " += self.gamma * self.q[next_state, next_action]"
 OF_SARSA = [
+    (
+        f"            target{FUTURE}\n        self",
+        f"            target{FUTURE}\n        if not terminated: self",
+        "skips-terminal",
+    ),
+    (
+        f"            target{FUTURE}\n        self",
+        f"            target{FUTURE}\n        if not truncated: self",
+        "skips-time-limit",
+    ),
+    (
+        f"            target{FUTURE}\n        self",
+        f"            target{FUTURE}\n        if not (terminated or truncated): self",
+        "skips-last",
+    ),
+    ("self.q[state, action] +=", "q = self.q.copy(); q[state, action] +=", "learns-nothing"),
+    ("self.q[state, action] +=", "self.q[:, action] +=", "all-states"),
+    ("np.zeros((num_states, num_actions))", "np.zeros((num_states, num_actions), int)", "whole-numbers"),
+    (
+        "        target = reward\n",
+        "        target = reward\n        self.q[next_state] *= not terminated\n",
+        "terminal-reset",
+    ),
+    ("self.act(next_state)", "self.act(state)", "old-state-action"),
+    (
+        "        target = reward\n",
+        "        self.n = getattr(self, 'n', 0 * self.q); self.n[state, action] += 1\n"
+        "        self.alpha = 1 / self.n[state, action]\n        target = reward\n",
+        "sample-average",
+    ),
     (TARGET, "(self.alpha * reward + (target - reward) - self.q[state, action])", "brackets"),
     ("        return next_action\n", "", "draws-again"),
     ("self.q[next_state, next_action]", "self.q[next_state].max()", "max-target"),
@@ -423,6 +454,13 @@ OF_SARSA = [
     ),
 ]
 OF_Q_LEARNING = [
+    (ANY, "return self.rng.integers(len(values) - 1)", "explores-not-last"),
+    ("next_state, terminated, truncated):", "next_state, truncated, terminated):", "swapped-ends"),
+    (
+        "update(self, state, action, reward, next_state,",
+        "update(self, next_state, action, reward, state,",
+        "swapped-states",
+    ),
     ("np.zeros", "np.ones", "starts-elsewhere"),
     ("self.q[next_state].max()", "self.q[next_state, self.act(next_state)]", "explores-in-target"),
     ("self.q[next_state].max()", "self.q[next_state].argmax()", "action-index"),
@@ -441,6 +479,7 @@ OF_REMEMBERING = [
 FIRST_VISIT = "if (s, a) not in pairs[:t]:"
 RETURN = "g = self.gamma * g + r"
 OF_MONTE_CARLO = [
+    ("/ self.count[s, a]", "/ (self.count[s, a] + 1)", "counts-one-more"),
     (
         RETURN,
         "g = sum(self.gamma**k * x[2] for k, x in enumerate(self.episode[t + 1 :]))",
@@ -467,6 +506,18 @@ OF_MONTE_CARLO = [
 ]
 LEARNS_N = "if len(self.memory) == self.n:"
 OF_N_STEP = [
+    (
+        "        for _, _, r in reversed(self.memory):\n            g = r + self.gamma * g\n",
+        "        g = g * self.gamma**self.n + sum(self.gamma**i * x[2] for i, x in enumerate(self.memory))\n",
+        "gamma-n",
+    ),
+    (
+        f"        {ENDED}\n            while self.memory:\n"
+        "                self.learn(next_state, next_action, terminated)",
+        f"        elif {ENDED[3:]}\n            self.learn(next_state, next_action, terminated)\n"
+        f"        {ENDED}\n            self.memory = []",
+        "flush-oldest",
+    ),
     ("s, a, _ = self.memory.pop(0)", "s, a, _ = self.memory[-1]; self.memory.pop(0)", "newest-pair"),
     (ENDED, f"if truncated: self.memory = []\n        {ENDED}", "no-flush-at-time-limit"),
     ("g = 0.0 if terminated else self.q", "g = self.q", "terminal"),
@@ -487,11 +538,17 @@ OF_N_STEP = [
     ("        return next_action\n", "", "draws-again"),
     ("self.q[next_state, next_action]", "self.q[next_state].max()", "max-target"),
 ]
+OF_LATE = [("s, a, r = self.before", "s, a, r = *self.before[:2], reward", "next-reward")]
 OF_BOX = [
     ("self.gamma ** (upto - tau) *", "self.gamma *", "gamma-once"),
     ("self.gamma ** (i - tau - 1) *", "", "undiscounted-rewards"),
 ]
 OF_LAMBDA = [
+    (
+        "        self.z[state, action] += 1\n",
+        "        z = self.z[state, action]; self.z[state] = 0; self.z[state, action] = z + 1\n",
+        "clears-others",
+    ),
     ("0.0 if terminated else", "0.0 if False else", "terminal"),
     ("0.0 if terminated else", "0.0 if terminated or truncated else", "time-limit"),
     (ENDED, "if terminated:", "traces-kept-at-time-limit"),
@@ -517,6 +574,7 @@ OF_LAMBDA = [
 ]
 ANY_OF_ALL = "return rng.integers(len(values))"
 OF_FUNCTION = [
+    ("    if rng", "    values -= values.max()\n    if rng", "changes-values"),
     ("values == values.max()", "np.arange(len(values)) == values.argmax()", "first-of-ties"),
     ("rng.random() < epsilon", "rng.random() > epsilon", "epsilon-swapped"),
     (ANY_OF_ALL, "return rng.choice(np.delete(np.arange(len(values)), values.argmax()))", "explores-others"),

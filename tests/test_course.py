@@ -18,6 +18,7 @@ from jaxrl_tab.course import EXERCISES, MISTAKES, behaviour, script, student
 from jaxrl_tab.course.updates import Setting
 
 BASED = {name: next(iter(styles.values())) for name, styles in agents.RIGHT.items()}
+BASED["late"] = agents.SARSA["a step later"]
 BASED |= {"remembering": agents.SARSA["remembers A'"], "box": agents.N_STEP["the book's box"]}
 WRONG = {
     "sarsa": agents.OF_ONE_STEP + agents.OF_SARSA,
@@ -25,17 +26,29 @@ WRONG = {
     "remembering": agents.OF_REMEMBERING,
     "monte-carlo": agents.OF_MONTE_CARLO,
     "n-step-sarsa": agents.OF_N_STEP,
+    "late": agents.OF_LATE,
     "box": agents.OF_BOX,
     "sarsa-lambda": agents.OF_LAMBDA,
     "epsilon-greedy": agents.OF_FUNCTION,
 }
-# Each mistake is looked for in one exercise by default, with --slow in all; those that take longer with --slow alone.
-_seen: set[object] = {"episodes-kept"}
+# Those that are looked for by default, each in the first exercise that has it; with --slow all are, everywhere.
+OFTEN = {
+    *("terminal", "time-limit", "draws-again", "max-target", "explores-in-target", "no-gamma", "alpha-twice"),
+    *(
+        "first-of-ties",
+        "never-explores",
+        "explores-others",
+        "other-epsilon",
+        "stale-action",
+        "old-state-action",
+    ),
+    *("every-visit", "n-too-small", "over-the-time-limit", "traces-kept", "replacing", "next-reward"),
+}
 CASES = []
 for base, changes in WRONG.items():
     for old, new, name in changes:
-        marks = [pytest.mark.slow] if name in _seen else []
-        _seen.add(name)
+        marks = [] if name in OFTEN else [pytest.mark.slow]
+        OFTEN.discard(name)
         CASES.append(pytest.param(base, old, new, name, id=f"{base}: {name}", marks=marks))
 
 
@@ -88,6 +101,9 @@ def test_each_mistake_that_can_be_named_is_tried():
         *behaviour.EXPLORES.values(),
         *behaviour.TIES,
         "other-epsilon",
+        "old-state-action",
+        "whole-numbers",
+        "changes-values",
         "stale-action",
         "starts-elsewhere",
     } - {""}
@@ -135,6 +151,20 @@ def test_values_that_should_not_change_are_shown(checked):
     said = str(checked(text))
     assert "None of the known mistakes explains it." in said
     assert "Q(5, 3) was 0, should be 0, and is 9." in said
+    late = changed(
+        agents.SARSA["a step later"],
+        ("        if self.before:", "        self.q[5, 3] = 9.0\n        if self.before:"),
+    )
+    assert "It shows first in episode 1, step 1: S =" in str(checked(late))
+
+
+def test_values_that_grow_beyond_all_bounds(checked):
+    """They say nothing of how it acts; and nobody is warned."""
+    text = changed(
+        BASED["q-learning"], (agents.TARGET, "(self.alpha * target - 1e200 * self.q[state, action])")
+    )
+    said = checked(text)
+    assert [x.right for x in said.verdicts] == [True, True, False] and not said.mistakes
 
 
 # --- how often -----------------------------------------------------------------------------------------
@@ -352,7 +382,8 @@ def test_right_agents_are_right_whatever_they_draw(exercise, tmp_path):
     code = student.load(tmp_path / "agent.py", None)
     for seed in range(10, 16):
         assert script.diagnose(script.record(code, EXERCISES[exercise], seed), EXERCISES[exercise]) == ()
-        for choices in behaviour.watch(code, seed)[:2]:
+        seen = behaviour.watch(code, seed)
+        for choices in (seen.starts, seen.within):
             assert behaviour.diagnose(choices, Setting().epsilon) == ((), "")
 
 
@@ -379,3 +410,5 @@ def test_the_page_shows_what_is_said(checked):
     (agent,) = re.findall(r"```python\n(import numpy as np\n.*?)```", text, re.DOTALL)
     (said,) = re.findall(r"```text\n(my_agent.*?)\n```", text, re.DOTALL)
     assert str(checked(agent)) == said
+    looked_for = {x for exercise in EXERCISES.values() for x in exercise.mistakes}
+    assert f"those of {len(looked_for)} known mistakes" in " ".join(text.split())

@@ -69,6 +69,8 @@ LATER = (
         "figure",
         "explain",
         "explain nowhere",
+        "compare",
+        "compare runs",
         "sweep windy-gridworld sarsa --executor slurm",
         "list --jsn",
         "list --json=1",

@@ -146,6 +146,33 @@ def test_logarithms_and_exponentials_are_right_to_the_last_bits():
     np.testing.assert_allclose(back, np.exp(logs.astype(np.float32).astype(float)), rtol=3e-7)
 
 
+@pytest.mark.parametrize("name", ["r-max", "psrl"])
+def test_what_learns_by_no_step_size_has_none_and_takes_any_policy(name):
+    """Broken once: what epsilon is by default asked of the base class -> fails."""
+    with pytest.raises(
+        rl.InputError, match=f"^{name} has no parameter 'alpha'; choose one of epsilon, gamma, q0"
+    ):
+        rl.sweep(rl.make("chain"), name, {"alpha": 0.1}, num_seeds=1, num_steps=1)
+    softmax = policies.Softmax(0.5)
+    assert rl.ALGORITHMS[name](behaviour=softmax).selection is softmax
+    with pytest.raises(rl.InputError, match="give epsilon or behaviour, not both"):
+        rl.ALGORITHMS[name](behaviour=softmax, epsilon=0.1)
+
+
+@pytest.mark.slow
+def test_psrl_draws_from_the_same_words_in_float64():
+    """Broken once: words of 64 bits, of which no draw was ever accepted -> fails."""
+    x64 = {}
+    for enabled in (False, True):
+        with jax.enable_x64(enabled):
+            method = rl.PSRL(gamma=0.5, spread=0.5)
+            x64[enabled] = np.asarray(
+                rl.train(rng.key(0), method, rl.make("two-doors"), num_steps=20, log_every=20)[0].q
+            )
+    assert (x64[False].dtype, x64[True].dtype) == (np.float32, np.float64)
+    np.testing.assert_allclose(x64[True], x64[False], rtol=1e-5, atol=1e-5)
+
+
 @pytest.mark.slow
 def test_those_who_explore_with_a_model_swim_up_the_river_where_others_stay_at_the_bank():
     """R-max where q0 is optimistic, PSRL anyhow. Broken once: q0 = 0; the mean model -> fails."""

@@ -155,6 +155,14 @@ def test_the_order_follows_from_what_is_decided_and_says_what_is_not():
     assert "≈" in stats.decide(x, 1.0).order
 
 
+def test_what_is_decided_where_the_rest_is_open_is_told():
+    """a is better than c, and b is told apart from neither. Broken once: the signs of neighbours alone -> fails."""
+    x = normal(100, 1, a=0.5, b=0.25, c=0.0)
+    verdict = stats.decide(x, most=100)
+    assert verdicts(verdict)["a", "c"] == "better" and len(verdict.open) == 2
+    assert verdict.order == "a ? b ? c, a > c"
+
+
 def test_lower_is_better_by_turning_the_sign_and_no_floor_is_needed():
     errors = normal(a=1.0, b=2.0)
     verdict = stats.decide({name: -x for name, x in errors.items()})

@@ -14,8 +14,10 @@ from jaxrl_tab.core.types import Transition
 class DoubleExpectedSarsa(DoubleControl):
     """Control in which each table learns by the mean of the other: R + gamma sum_a pi(a | S') Q2(S', a).
 
-    Q1(S, A) <- Q1(S, A) + alpha [R + gamma sum_a pi(a | S') Q2(S', a) - Q1(S, A)], or both the other way round, by a
-    fair coin. pi is the behaviour policy, by the mean of Q1 and Q2. A' is drawn from it after the update.
+    Q1(S, A) <- Q1(S, A) + alpha [R + gamma sum_a pi(a | S') Q2(S', a) - Q1(S, A)]
+
+    or both the other way round, by a fair coin. pi is the behaviour policy, by the mean of Q1 and Q2. A' is drawn from
+    it after the update.
     """
 
     acts_after_update: ClassVar[bool] = True

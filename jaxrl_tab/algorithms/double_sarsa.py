@@ -13,7 +13,9 @@ from jaxrl_tab.core.types import Transition
 class DoubleSarsa(DoubleControl):
     """On-policy control in which each table learns by the other: R + gamma Q2(S', A').
 
-    Q1(S, A) <- Q1(S, A) + alpha [R + gamma Q2(S', A') - Q1(S, A)], or both the other way round, by a fair coin.
+    Q1(S, A) <- Q1(S, A) + alpha [R + gamma Q2(S', A') - Q1(S, A)]
+
+    or both the other way round, by a fair coin.
 
     A' is drawn from the behaviour policy by the mean of Q1 and Q2, before the update, and is the action that is then
     taken.

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Float32, Int, UInt32
 from jaxrl_tab.algorithms.models import Counts
 from jaxrl_tab.core import rng, tables
 
+MOST_TRIES = 100  # far more than are ever needed, but for what is no number
 LOG_2 = math.log(2)
 LOG_2_HIGH = 0.693359375  # few digits, so that its products with whole numbers are exact
 
@@ -74,7 +75,7 @@ def log_gamma(word: UInt32[Array, ""], place: Int[Array, ""], shape: Float[Array
         return k + 1, ratio >= log(u * u * other), v
 
     start = jnp.int32(1), jnp.bool_(False), jnp.zeros_like(shape)
-    _, _, v = lax.while_loop(lambda carry: ~carry[1], propose, start)
+    _, _, v = lax.while_loop(lambda carry: ~carry[1] & (carry[0] < MOST_TRIES), propose, start)
     u = uniform(rng.pair(word, place, jnp.int32(0))[0])
     return log(shape + 1) + v + log(u) / shape
 

@@ -150,7 +150,10 @@ class Prediction(Shown):
 
 @pytree
 class TD(Prediction):
-    """TD(0): V(S) <- V(S) + alpha [R + gamma V(S') - V(S)] (book, equation 6.2)."""
+    """TD(0), prediction that learns from one reward and the value after it: R + gamma V(S').
+
+    V(S) <- V(S) + alpha [R + gamma V(S') - V(S)]      (book, equation 6.2)
+    """
 
     method: ClassVar[type] = Sarsa
     backup: ClassVar[Backup] = Backup("state, action, state")
@@ -158,7 +161,10 @@ class TD(Prediction):
 
 @pytree
 class NStepTD(Prediction):
-    """V(S_t) <- V(S_t) + alpha [R_{t+1} + ... + gamma^n V(S_{t+n}) - V(S_t)] (book, equation 7.2)."""
+    """Prediction that learns from n rewards and the value after them.
+
+    V(S_t) <- V(S_t) + alpha [R_{t+1} + ... + gamma^n V(S_{t+n}) - V(S_t)]      (book, equation 7.2)
+    """
 
     n: int = static(default=4, at_least=1, help="How many rewards it looks ahead.")
 
@@ -168,7 +174,12 @@ class NStepTD(Prediction):
 
 @pytree
 class TDLambda(Prediction):
-    """TD(lambda) with eligibility traces (book, sections 12.2 and 12.5; Silver, lecture 4)."""
+    """TD(lambda), whose error is credited to all states of the episode so far, the more the later they came.
+
+    delta = R + gamma V(S') - V(S)
+    z(s) <- gamma lambda z(s) + 1[s = S]        (accumulating; Silver, lecture 4)
+    V(s) <- V(s) + alpha delta z(s)      (book, section 12.2)
+    """
 
     lam: float = field(default=0.9, at_least=0, at_most=1, help="lambda.")
     trace: Literal["accumulating", "replacing", "dutch"] = static(
@@ -191,7 +202,12 @@ class TDLambda(Prediction):
 class TrueOnlineTDLambda(TDLambda):
     """TD(lambda) with dutch traces, at every step the lambda-returns that look as far as that step.
 
-    It is `TDLambda(trace="dutch")`, by its name (book, section 12.5; van Seijen and Sutton 2014).
+    delta = R + gamma V(S') - V(S)
+    z(s) <- gamma lambda z(s) + [1 - alpha gamma lambda z(S)] 1[s = S]
+    V(s) <- V(s) + alpha (delta + V(S) - V_old) z(s) - alpha (V(S) - V_old) 1[s = S]
+    V_old <- V(S')      (book, section 12.5; van Seijen and Sutton 2014)
+
+    It is `TDLambda(trace="dutch")`, by its name.
     """
 
     trace: ClassVar = "dutch"  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -203,7 +219,9 @@ class TrueOnlineTDLambda(TDLambda):
 
 @pytree
 class OfflineLambdaReturn(Prediction):
-    """V(S_t) <- V(S_t) + alpha [G_t^lambda - V(S_t)], t = 0, 1, ..., at the end of the episode (book, section 12.1).
+    """Prediction towards the lambda-return, which mixes all n-step returns, at the end of the episode.
+
+    V(S_t) <- V(S_t) + alpha [G_t^lambda - V(S_t)] for t = 0, 1, ...      (book, section 12.1)
 
     The lambda-returns have the V of the start of the episode, and the updates are made one after another (equation
     12.4). Their sum by that V alone is `TDLambda(offline=True)`.
@@ -220,7 +238,10 @@ class OfflineLambdaReturn(Prediction):
 
 @pytree
 class MonteCarloPrediction(Prediction):
-    """V(S) <- V(S) + alpha [G - V(S)] at the end of the episode (book, section 5.1 and equation 6.1)."""
+    """Prediction that learns from whole returns, at the end of the episode.
+
+    V(S_t) <- V(S_t) + alpha [G_t - V(S_t)]      (book, section 5.1 and equation 6.1)
+    """
 
     alpha: Rate = field(
         default=sample_average(), help="Step size. By default 1/N(s): V is the mean of the returns."
@@ -343,6 +364,8 @@ class _OfStates(OffPolicyMonteCarlo):
 @pytree
 class OffPolicyMonteCarloPrediction(OffPolicyPrediction):
     """Monte Carlo with importance sampling (book, section 5.5): the mean of returns G of b, weighted.
+
+    V(s) = sum_t rho_{t:T-1} G_t / sum_t rho_{t:T-1}, over the visits t of s      (book, equation 5.6)
 
     "ordinary" averages rho_{t:T-1} G (book, equation 5.5): unbiased, and its variance may be infinite.
     "weighted" divides by the sum of the ratios (equation 5.6): biased, and far closer. "per-decision" weighs

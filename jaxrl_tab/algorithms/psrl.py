@@ -44,7 +44,7 @@ class PSRL(ValueControl):
 
     It is solved by value iteration, and acted on greedily until the next one is drawn. What is not known well differs
     from draw to draw, and now and then looks best: so it is explored, and by whole episodes, not by single steps. The
-    prior is that any state may follow, alike, and counts as so many transitions; of rewards it counts as one of r0.
+    prior is that any state may follow, all alike, and counts as `prior` transitions; that of rewards, as one of r0.
 
     With several `samples` each pair takes the best of so many draws, in each sweep: optimistic posterior sampling
     (Agrawal and Jia 2017).
@@ -53,7 +53,7 @@ class PSRL(ValueControl):
     epsilon: Rate = field(default=0.0, help="Probability of exploring besides.")
     q0: float = field(default=0.0, help="Values from which planning begins, one or a table of them [S, A].")
     prior: float = field(
-        default=1.0, greater_than=0, help="Transitions that count as much as the prior of them."
+        default=1.0, greater_than=0, help="How many transitions the prior of a pair counts as."
     )
     r0: float = field(default=0.0, help="Mean reward that is expected of a pair before it is tried.")
     spread: float = field(
@@ -79,6 +79,10 @@ class PSRL(ValueControl):
         never = jnp.int32(jnp.iinfo(jnp.int32).max)
         return PosteriorState(q, clock, Counts.empty(num_states, num_actions), never)
 
+    def works_with(self, state: PosteriorState):
+        drawn = jnp.repeat(state.model.n, self.samples, axis=1)
+        return drawn, drawn, drawn  # while it is drawn; and times gamma, in the order of the sweeps
+
     def update(self, key, state: PosteriorState, t: Transition):
         state = self.begin(state, t)
         model = state.model.after(t, jnp.ones_like(t.r))
@@ -87,7 +91,8 @@ class PSRL(ValueControl):
             jnp.asarray(x, state.q.dtype) for x in (self.q0, self.prior, self.r0, self.spread, self.gamma)
         )
         solved = partial(_solved, self.samples, self.sweeps)
-        q = tables.changed_where(is_over, solved, state.q, jax.random.bits(key), *model, *numbers)
+        word = jax.random.bits(key, dtype=jnp.uint32)
+        q = tables.changed_where(is_over, solved, state.q, word, *model, *numbers)
         age = jnp.where(is_over, 0, state.age + 1)
         state = PosteriorState(q, end_step(state.clock, t.last), model, age)
         return state, self.policy(key, state, t.s_next)

@@ -30,6 +30,7 @@ MODULES = {
     "sweep": "sweep",
     "resume": "sweep",
     "explain": "explain",
+    "compare": "compare",
     "moments": "moments",
     "figure": "figure",
     "check": "check",
@@ -51,6 +52,7 @@ commands:
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
   resume    go on with a sweep: one that was interrupted, or that is to have more
   explain   where the methods of a sweep lose what they earn less than the best policy
+  compare   results beside others: the same bits, or better, or worse
   moments   exact learning curves of prediction, without a single run
   figure    make published figures again, and check their numbers
   check     whether an agent that a student wrote is right, and which mistake is in it
@@ -66,6 +68,7 @@ examples:
   {PROG} sweep --write-template experiment.toml
   {PROG} resume runs/windy
   {PROG} explain runs/windy
+  {PROG} compare runs/last-month runs/today
   {PROG} moments random-walk td --alpha 0.05 0.1 0.2 --episodes 100
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures
@@ -78,10 +81,11 @@ examples:
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code: 0, 2 (wrong input), 130 (Ctrl-C), or 1.
 
-    1 says that a figure is off, that an agent is wrong, or that something could not be finished, as where the disk
-    is full. Where the reader of its output goes away, as `| head` does, it ends quietly with 1; where stdout or
-    stderr is closed nothing is said there, and the work is done. What the encoding of either lacks is replaced. A
-    defect of this package is one line, too, and exit code 1; with `JAXRL_TAB_TRACEBACK=1` it is raised.
+    1 says that a figure is off, that an agent is wrong, that results are worse (if that was asked), or that something
+    could not be finished, as where the disk is full. Where the reader of its output goes away, as `| head` does, it
+    ends quietly with 1; where stdout or stderr is closed nothing is said there, and the work is done. What the
+    encoding of either lacks is replaced. A defect of this package is one line, too, and exit code 1; with
+    `JAXRL_TAB_TRACEBACK=1` it is raised.
     """
     argv = sys.argv[1:] if argv is None else list(argv)
     prepare_streams()

@@ -76,6 +76,8 @@ def _show(checked: Checked) -> None:
 
 def _hand_out(folder: Path) -> int:
     files = [exercise.handout for exercise in EXERCISES.values()]
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; name a folder")
     for file in files:
         if (folder / file.name).exists():
             raise InputError(f"{folder / file.name} is there already; name another folder")

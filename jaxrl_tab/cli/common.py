@@ -29,7 +29,12 @@ ENVIRONMENTS = ENVIRONMENT._replace(
     help="Parameters of the environment; where one has several values, each is an environment of its own.",
     grids=True,
 )
-OF_VALUES = [name for name, cls in ALGORITHMS.items() if of_method(cls).learns is Learns.ACTIONS]
+# But for those that learn bounds of them, which have other parameters.
+OF_VALUES = [
+    name
+    for name, cls in ALGORITHMS.items()
+    if of_method(cls).learns is Learns.ACTIONS and not of_method(cls).needs_horizon
+]
 HYPERPARAMETERS = Classes(
     METHODS,
     "Of the methods; several values make a grid.",

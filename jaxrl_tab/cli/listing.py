@@ -25,6 +25,7 @@ METHODS = ("methods", "prediction")
 CONTINUING = (
     "\nTasks that are continuing have no end: take a gamma below 1, or a method of the average reward."
 )
+HORIZON = "\nfinite-horizon:20:NAME is any of them that ends after 20 steps, or as many as it says."
 
 
 LIST = Command(
@@ -89,6 +90,8 @@ def list_command(argv: list[str]) -> int:
                 out.print(f"    without {', '.join(without)}")
         if any("continuing" in facts for facts in catalogue.facts[kind].values()):
             out.print(CONTINUING, soft_wrap=True)
+        if kind == "environments" and not names:
+            out.print(HORIZON, highlight=False, soft_wrap=True)
         out.print()
     if not names:
         out.print(escape(catalogue.groups["methods"].help), "\n", soft_wrap=True)

@@ -36,6 +36,8 @@ Typed = dict[str, tuple[str, ...]]
 """The options that were typed, each with its words; none for a switch."""
 MOST = 2 / 3  # of a part of a registry, from where on its name stands for those that are meant
 NONE = "–"  # stands where there is no default
+# What people look for among the options, and where it is.
+ELSEWHERE = {"--horizon": "a task that ends after 20 steps is named finite-horizon:20:NAME"}
 
 
 class Option(NamedTuple):
@@ -48,6 +50,7 @@ class Option(NamedTuple):
         default: its value where it is not typed, in words.
         metavar: stands for its value in the help; empty for a switch, which takes none.
         several: whether its value is made of several words.
+        alone: whether it may stand without a value.
         takes: "int" or "float", where each word is a number; "rate", where it may be a schedule as well; else
             empty.
         limits: of a number, as `pytree.field` has them; None where any will do, or more is checked than each word.
@@ -63,6 +66,7 @@ class Option(NamedTuple):
     takes: str = ""
     limits: Mapping[str, float] | None = None
     choices: Collection[str] = ()
+    alone: bool = False
 
 
 class Entry(NamedTuple):
@@ -152,7 +156,9 @@ def parse(
     for unknown in rest:
         if not unknown.startswith("-"):
             raise InputError(f"unexpected argument {shown(unknown)}")
-        hint = nearest(unknown.partition("=")[0], [flag for of_group in flags.values() for flag in of_group])
+        flag = unknown.partition("=")[0]
+        near = nearest(flag, [flag for of_group in flags.values() for flag in of_group])
+        hint = ELSEWHERE.get(flag, near)
         raise InputError(f"there is no option {one_line(unknown)}; {hint}")
     read = vars(namespace)
     as_words = lambda x: (x,) if isinstance(x, str) else tuple(x or ())
@@ -235,6 +241,7 @@ def _argument(owned: Mapping[str, Option], group: Group) -> dict[str, Any]:
     if not option.metavar:
         return {"action": "store_const", "const": (), "help": help}
     count = {"nargs": "+"} if group.grids or option.several else {}
+    count = {"nargs": "?", "const": ()} if option.alone else count
     return count | {"metavar": option.metavar, "help": help}
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import json as jsonlib
+import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -15,6 +16,7 @@ from rich.table import Table
 
 from jaxrl_tab.cli.streams import console, print_json, too_narrow
 from jaxrl_tab.cli.typed import words
+from jaxrl_tab.core.errors import one_line
 from jaxrl_tab.experiment import files, storage
 from jaxrl_tab.show.words import (
     DOES_NOT_END,
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 
     from jaxrl_tab.stats.column import Column
     from jaxrl_tab.stats.columns import Methods, Row
+    from jaxrl_tab.stats.deciding import Verdict
 
 PATIENCE = 2.0  # seconds of silence, at most
 # Where a window is too narrow, these columns go, one after another, until the others fit.
@@ -60,7 +63,8 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
     if options.json:
         summary = {"folder": folder and str(folder), "summary": _records(outcome.summary)}
         chosen = {"selection": _records(outcome.selection)} if outcome.fresh else {}
-        print_json(summary | chosen)
+        decided = {"verdicts": _verdicts(outcome)} if outcome.verdicts else {}
+        print_json(summary | chosen | decided)
         return
     if options.quiet:
         return
@@ -70,14 +74,46 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         print_summary(environment, methods)
     if outcome.fresh:
         _print_selection(outcome.selection)
+    for environment, verdict in outcome.verdicts.items():
+        _print_verdict(environment, verdict, _digits(outcome.fresh_methods[environment]))
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
         why = "a number became infinite, or NaN, or grew beyond any possible return."
         console().print(f"{diverged} of {runs} runs diverged: {why}")
 
 
+def show_look(environment: str, verdict: "Verdict") -> None:
+    """Tells of a look of a comparison that goes on, beside the progress."""
+    seeds = max(verdict.seeds.values())
+    goes_on = f"; {', '.join(verdict.wanted)}: {verdict.until} seeds next" if verdict.wanted else ""
+    print(one_line(f"{environment}, {seeds} seeds: {verdict.order}{goes_on}"), file=sys.stderr)
+
+
+def _print_verdict(environment: str, verdict: "Verdict", digits: Any) -> None:
+    """What was decided, in a sentence, and what is to be known of it."""
+    out = console()
+    out.print(f"[bold]{escape(environment)}: {escape(verdict.sentence)}.[/]")
+    for note in verdict.notes(digits):
+        out.print(note, markup=False)
+
+
 def _records(table: "pd.DataFrame") -> Any:
     return jsonlib.loads(str(table.to_json(orient="records")))
+
+
+def _verdicts(outcome: files.Outcome) -> dict[str, Any]:
+    """By the environments: the verdict in a sentence, what is to be known of it, and the pairs."""
+    pairs = _records(outcome.verdict)
+    return {
+        label: {
+            "verdict": verdict.sentence,
+            "order": list(verdict.names),
+            "seeds": dict(verdict.seeds),
+            "notes": verdict.notes(),
+            "pairs": [pair for pair in pairs if pair["environment"] == label],
+        }
+        for label, verdict in outcome.verdicts.items()
+    }
 
 
 def _print_selection(table: "pd.DataFrame") -> None:
@@ -197,7 +233,7 @@ def _table(methods: "Methods", varied: Sequence[str], columns: "Mapping[str, Col
     for column in view.columns:  # no number is cut: names are broken before
         column.overflow = "fold"
     for column in view.columns[1:]:
-        column.min_width = max(len(part) for x in column.cells for part in str(x).split())
+        column.min_width = max((len(part) for x in column.cells for part in str(x).split()), default=1)
     return view
 
 

@@ -20,9 +20,9 @@ from jaxrl_tab.cli.common import (
 )
 from jaxrl_tab.cli.interrupt import interruptible
 from jaxrl_tab.cli.options import Typed, checked_name
-from jaxrl_tab.cli.screen import busy, say_where, show_outcome
+from jaxrl_tab.cli.screen import busy, say_where, show_look, show_outcome
 from jaxrl_tab.cli.streams import PROG, print_json
-from jaxrl_tab.cli.typed import Classes, parse, several_of, values, values_of, word
+from jaxrl_tab.cli.typed import OPTIONAL, Classes, parse, several_of, values, values_of, word
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.names import is_from_outside
@@ -99,6 +99,7 @@ class Sweep(Where):
       jaxrl-tab sweep cliff-walking sarsa q-learning --alpha 0.5 --epsilon glie --episodes 500
       jaxrl-tab sweep k-armed-testbed q-learning --alpha 0.1 --behaviour greedy epsilon-greedy:0.1 ucb:2
       jaxrl-tab sweep random-walk n-step-td td-lambda --alpha 0.1 0.3 --n 1 4 16 --episodes 10
+      jaxrl-tab sweep cliff-walking sarsa q-learning --alpha 0.1 0.5 --until-decided 2
       jaxrl-tab sweep mine.py:MyEnv mine.py:MyMethod sarsa --my-parameter 1 2
       jaxrl-tab sweep --write-template experiment.toml
       jaxrl-tab sweep experiment.toml --dry-run
@@ -118,6 +119,11 @@ class Sweep(Where):
             by default.
         seed: Which sequence of seeds.
         select: Run the best setting of each method again, on as many fresh seeds; show both numbers.
+        until_decided: Compare the methods, each at its best setting, on as many fresh seeds as it takes: until each
+            two are told apart, or are surely apart by less than D, of mean scores, if that is given. The first look is
+            at as many fresh seeds as --seeds.
+        most_seeds: With --until-decided: leave open what is not decided by so many seeds. (default: 2000)
+        all_settings: With --until-decided: compare all settings of all methods with each other.
         exact: Also record the exact values of the greedy policy and of the one that acts, and the largest
             |Q - Q*|, at every row of the log. (The error of methods of prediction is always recorded.)
         exact_every: The same at one of so many rows only, and at the last: each takes time for many steps.
@@ -139,6 +145,9 @@ class Sweep(Where):
     log_every: int | None = field(default=None, at_least=1)
     seed: int = field(default=0, at_least=0)
     select: bool = False
+    until_decided: OPTIONAL = False
+    most_seeds: int | None = field(default=None, at_least=2)
+    all_settings: bool = False
     exact: bool = False
     exact_every: int | None = field(default=None, at_least=1)
     record: str | None = None
@@ -156,6 +165,9 @@ OF_EXPERIMENT = (
     "--log-every",
     "--seed",
     "--select",
+    "--until-decided",
+    "--most-seeds",
+    "--all-settings",
     "--exact",
     "--exact-every",
     "--record",
@@ -188,6 +200,13 @@ def _conduct(experiment: Experiment, executor: Executor, options: Sweep, command
             print_json(planned._asdict() | {"parts": parts})
         else:
             print(planned.text(), file=sys.stdout if options.dry_run else sys.stderr)
+            if about := experiment.until_decided:
+                what = "every setting" if about["all_settings"] else "the best setting of each method"
+                print(
+                    f"then {what} is run on {experiment.select['fresh_seeds']} to {about['most_seeds']} fresh seeds, "
+                    "until all is decided",
+                    file=sys.stdout if options.dry_run else sys.stderr,
+                )
         if options.dry_run:
             return 0
     about = {"memory": options.bytes, "command": shlex.join([PROG, *command])}
@@ -235,6 +254,21 @@ def _experiment(
         record=options.record,
         backend=options.backend,
         select={} if options.select else None,
+        until_decided=_comparison(options),
+    )
+
+
+def _comparison(options: Sweep) -> dict[str, Any] | None:
+    """How the methods are compared, as in a file; None where they are not."""
+    given, most = options.until_decided, options.most_seeds
+    if given is False:
+        if most is not None or options.all_settings:
+            what = "--all-settings" if most is None else "--most-seeds"
+            raise InputError(f"{what} says how --until-decided compares: give that as well")
+        return None
+    difference = {} if given is True else {"difference": given}
+    return (
+        difference | {"all_settings": options.all_settings} | ({} if most is None else {"most_seeds": most})
     )
 
 
@@ -341,7 +375,9 @@ def _watched(options: Where, folder: Path | None) -> Iterator[dict[str, Any]]:
     try:
         with interruptible():
             formats = options.formats if options.pictures else ()
-            yield {"progress": False if options.quiet else None, "ready": show, "formats": formats}
+            looked = None if options.quiet else show_look
+            shown = {"progress": False if options.quiet else None, "ready": show, "looked": looked}
+            yield {**shown, "formats": formats}
     except InputError:
         raise
     except BaseException as stop:

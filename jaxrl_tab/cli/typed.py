@@ -33,6 +33,7 @@ from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.envs import drawing
 
 PAIRS = Mapping[str, Any]  # the type of a parameter that is typed as KEY=VALUE ...
+OPTIONAL = bool | float  # the type of a parameter that is on, and may have a number
 FILE = str | Path | None  # the type of a parameter that names a file
 METAVARS = {
     int: "N",
@@ -41,6 +42,7 @@ METAVARS = {
     Path: "DIR",
     FILE: "FILE",
     PAIRS: "KEY=VALUE",
+    OPTIONAL: "D",
     describe.Lines: "TEXT",
 }
 
@@ -176,7 +178,7 @@ def _values(
     for flag in typed:
         if parameter := by_flag.get(flag):
             read = [_value(flag, text, parameter) for text in typed[flag]]
-            chosen[parameter.name] = [not parameter.default] if _is_switch(parameter) else read
+            chosen[parameter.name] = read or [not parameter.default]  # a switch, or what stands alone
     return chosen
 
 
@@ -192,6 +194,9 @@ def _value(flag: str, text: str, parameter: describe.Parameter) -> Any:
             raise InputError(f"{flag} takes KEY=VALUE, not {shown(text)}")
         return key, int(value) if value.isdecimal() and len(value) < 20 else value
     read: Any = text
+    if parameter.type == OPTIONAL:
+        options.check_words(flag, option_of(parameter, "", False), [text])
+        return float(text)
     if (kind := describe.kind(parameter)) in (int, float):
         with contextlib.suppress(ValueError):
             read = (whole_number if kind is int else kind)(text)
@@ -217,7 +222,8 @@ def option_of(parameter: describe.Parameter, spelled: str, default: Any) -> Opti
     takes, limits, choices = "", None, ()
     if not switch and not plain and parameter.type != PAIRS:
         is_rate = describe.takes_schedule(parameter)
-        takes = "rate" if is_rate else {int: "int", float: "float"}.get(describe.kind(parameter), "")
+        kind = float if own == OPTIONAL else describe.kind(parameter)
+        takes = "rate" if is_rate else {int: "int", float: "float"}.get(kind, "")
         # A field of another type, as one that holds several numbers, is checked as a whole.
         limits = parameter.limits if own in (int, float, clock.Rate) and own in KINDS else None
         choices = get_args(parameter.type) if get_origin(parameter.type) is Literal else ()
@@ -231,6 +237,7 @@ def option_of(parameter: describe.Parameter, spelled: str, default: Any) -> Opti
         takes,
         limits,
         choices,
+        own == OPTIONAL,
     )
 
 
@@ -263,7 +270,7 @@ def about(classes: Classes) -> str:
 
 
 def _is_switch(parameter: describe.Parameter) -> bool:
-    return isinstance(parameter.default, bool) and parameter.type != describe.Plain
+    return isinstance(parameter.default, bool) and parameter.type not in (describe.Plain, OPTIONAL)
 
 
 def _is_several(parameter: describe.Parameter) -> bool:

@@ -24,6 +24,7 @@ EXPLORES = {
     "others": "explores-others",
     "all but the first": "explores-others",
     "worse ones": "explores-others",
+    "all but the last action": "explores-not-last",
     "swapped": "epsilon-swapped",
     "to the worst": "takes-worst",
 }
@@ -60,6 +61,8 @@ def probabilities(row: Row, epsilon: float, ties: str = "any", explores: str = "
     if explores == "all but the first" or (explores == "worse ones" and len(all_best) < count):
         random[all_best[:1] if explores == "all but the first" else all_best] = 0
         random /= random.sum()
+    if explores == "all but the last action":
+        random = np.append(np.full(count - 1, 1 / (count - 1)), 0.0)
     if explores == "swapped":
         epsilon = 1 - epsilon
     return (1 - epsilon) * greedy + epsilon * random
@@ -67,7 +70,7 @@ def probabilities(row: Row, epsilon: float, ties: str = "any", explores: str = "
 
 def doubt(choices: Sequence[Choice], law: Callable[[Row], np.ndarray]) -> float:
     """How probable it is that counts are as far from what a law says as these are, if it holds; by G-tests."""
-    count = len(choices[0].row)
+    count = len(choices[0].row) if choices else 0
     statistic, freedom = 0.0, 0
     for where in dict.fromkeys(x.where for x in choices):
         own = [x for x in choices if x.where == where]
@@ -127,8 +130,24 @@ FIRST, SECOND, LEARNED, END, BEGIN = 1, 2, (1, 2), 5, 0
 LESSONS: Mapping[int, Row] = {FIRST: (-4.0, -2.0, -2.0, -8.0), SECOND: (-8.0, -4.0, -16.0, -2.0)}
 
 
-def watch(code: Code, seed: int = 2) -> tuple[list[Choice], list[Choice], list[tuple[int, int]]]:
-    """What an agent does in the first state of episodes, and within them; and its last and first actions side by side.
+class Watched(NamedTuple):
+    """What an agent does.
+
+    Attributes:
+        starts: in the first state of episodes.
+        within: later on.
+        by_old: the latter with the values of the state that was left, by which they must not be drawn.
+        pairs: the last action of an episode and the first of the next.
+    """
+
+    starts: list[Choice]
+    within: list[Choice]
+    by_old: list[Choice]
+    pairs: list[tuple[int, int]]
+
+
+def watch(code: Code, seed: int = 2) -> Watched:
+    """What an agent does where its values are known.
 
     First it learns, in episodes of one step, values in two states: in one of them two actions are best. From then on
     each reward there is what it expects, so that the values stay as they are.
@@ -136,26 +155,33 @@ def watch(code: Code, seed: int = 2) -> tuple[list[Choice], list[Choice], list[t
     agent = Agent(code, Setting(), seed)
     draw = np.random.default_rng(seed)
     _teach(agent)
-    starts, within, pairs = [], [], []
-    last = 0
+    seen, last = Watched([], [], [], []), 0
     for k in range(4 * DRAWS):
         s, inside = LEARNED[k % 2], k // 2 % 2
-        if inside:
+        old: Row = ()
+        if inside and not agent.is_lost:
+            old = tuple(agent.q()[BEGIN])
             action = agent.act(BEGIN)
             agent.update(Step(BEGIN, action, float(draw.integers(-2, 3)), s, False, False))
+        if agent.is_lost:
+            break  # a mistake in what it learns, of which nothing follows for how it acts
         row = tuple(agent.q()[s])
         action = agent.act(s)
-        (within if inside else starts).append(Choice(f"in state {s}", row, action))
-        if not inside:
-            pairs.append((last, action))
+        (seen.within if inside else seen.starts).append(Choice(f"in state {s}", row, action))
+        if inside:
+            seen.by_old.append(Choice("", old, action))
+        else:
+            seen.pairs.append((last, action))
         agent.update(Step(s, action, row[action], END, True, False))
         last = action
-    return starts, within, pairs
+    return seen
 
 
 def _teach(agent: Agent) -> None:
     known: set[tuple[int, int]] = set()
     for k in range(60 * len(LEARNED)):
+        if agent.is_lost:
+            return
         s = LEARNED[k % 2]
         action = agent.act(s)
         r = float(agent.q()[s, action]) if (s, action) in known else LESSONS[s][action]
@@ -163,12 +189,17 @@ def _teach(agent: Agent) -> None:
         agent.update(Step(s, action, r, END, True, False))
 
 
-def is_stale(starts: Sequence[Choice], pairs: Sequence[tuple[int, int]], epsilon: float, end: Row) -> bool:
+def is_stale(seen: Watched, epsilon: float, end: Row) -> bool:
     """Whether the first action of an episode was drawn in the episode before: it is the last one again, or was drawn
     in the state where that ended, whose values are `end`."""
-    if all(last == first for last, first in pairs[1:]):
+    if all(last == first for last, first in seen.pairs[1:]):
         return True
-    return doubt(starts, lambda _: probabilities(end, epsilon)) >= ERROR
+    return doubt(seen.starts, lambda _: probabilities(end, epsilon)) >= ERROR
+
+
+def is_by_old(seen: Watched, epsilon: float) -> bool:
+    """Whether the later actions were drawn by the values of the state that was left."""
+    return doubt(seen.by_old, lambda row: probabilities(row, epsilon)) >= ERROR
 
 
 # --- of a function -----------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -117,23 +118,20 @@ def check(agent: Any, exercise: str | None = None, *, reward: bool = True) -> Ch
 
 def _of_function(code: Code) -> list[Verdict]:
     choices = behaviour.try_function(code)
-    values = np.array([1.0, 2.0, 0.0])
-    behaviour.action_of(
-        code,
-        student.FUNCTION,
-        code.call(student.FUNCTION, code.made, values, 0.0, np.random.default_rng(0)),
-        3,
-    )
-    kept = values.tolist() == [1.0, 2.0, 0.0]
-    changed = () if kept else (f"the values were [1.0, 2.0, 0.0], and are {values.tolist()}",)
-    return [_acts("it draws from all actions with probability ε, else one of the best", choices)] + (
-        [] if kept else [Verdict("it leaves the values as they are", False, (), changed)]
-    )
+    values, rng = np.array([1.0, 2.0, 0.0]), np.random.default_rng(0)
+    code.call(student.FUNCTION, code.made, values, 0.0, rng)
+    verdicts = [_acts("it draws from all actions with probability ε, else one of the best", choices)]
+    if values.tolist() != [1.0, 2.0, 0.0]:
+        told = f"The values were [1.0, 2.0, 0.0], and are {values.tolist()}."
+        verdicts.append(Verdict("it leaves the values as they are", False, ("changes-values",), (told,)))
+    return verdicts
 
 
 def _of_agent(code: Code, exercise: Exercise) -> list[Verdict]:
-    q = student.Agent(code, Setting(), 0).q()
-    verdicts = [Verdict("Q is 0 at the beginning", True)]
+    agent = student.Agent(code, Setting(), 0)
+    q, verdicts = agent.q(), [Verdict("Q is 0 at the beginning", True)]
+    if agent.has_whole_numbers:
+        return [Verdict("Q is a table of numbers", False, ("whole-numbers",))]
     if (q != 0).any():
         s, a = np.argwhere(q != 0).tolist()[0]
         told = f"Q({s}, {a}) is {_number(q[s, a])} at the beginning"
@@ -145,13 +143,15 @@ def _of_agent(code: Code, exercise: Exercise) -> list[Verdict]:
 
 
 def _of_behaviour(code: Code) -> list[Verdict]:
-    starts, within, pairs = behaviour.watch(code)
+    seen = behaviour.watch(code)
     about = "its first action in an episode is ε-greedy", "its later actions are ε-greedy"
-    first, later = (_acts(what, x) for what, x in zip(about, (starts, within), strict=True))
+    first, later = (_acts(what, x) for what, x in zip(about, (seen.starts, seen.within), strict=True))
     if later.right and not first.right:
         end = tuple([0.0] * Setting().num_actions)  # of the state in which episodes end, which learns nothing
-        if behaviour.is_stale(starts, pairs, Setting().epsilon, end):
+        if behaviour.is_stale(seen, Setting().epsilon, end):
             first = first._replace(mistakes=("stale-action",))
+    if first.right and not later.right and behaviour.is_by_old(seen, Setting().epsilon):
+        later = later._replace(mistakes=("old-state-action",))
     if first.right == later.right and first.mistakes == later.mistakes:
         return [later._replace(about="its actions are ε-greedy")]
     return [first, later]
@@ -179,19 +179,13 @@ def _of_update(code: Code, exercise: Exercise) -> Verdict:
     mistakes = script.diagnose(seen, exercise)
     if mistakes == ():
         return Verdict(about, True)
-    late = _learns_late(seen, exercise)
-    bad = script.wrong(seen, exercise.learner(Setting()), late)
-    told = [_where(bad, seen)] if mistakes is None else []
-    if bad:
-        told += _first(bad[0], seen, exercise, late)
+    bad = script.wrong(seen, exercise.learner(Setting()))
+    # Nobody says when the agent means to learn, at once or a step later: it is what makes fewer steps wrong.
+    bad_late = script.wrong(seen, exercise.learner(Setting()), late=True)
+    late = len(bad_late) < len(bad)
+    bad = bad_late if late else bad
+    told = [*([_where(bad, seen)] if mistakes is None else []), *_first(bad[0], seen, exercise, late)]
     return Verdict(about, False, mistakes or (), tuple(filter(None, told)))
-
-
-def _learns_late(seen: Sequence[Seen], exercise: Exercise) -> bool:
-    """Whether an agent looks more like one that learns a step later: it learns nothing in first steps."""
-    firsts = [x for x in seen if x.number == 1 and not x.step.last]
-    one_step = exercise.title in ("Sarsa", "Q-learning", "Sarsa(λ)")
-    return one_step and all((x.before == x.after).all() for x in firsts)
 
 
 def _first(x: Seen, seen: Sequence[Seen], exercise: Exercise, late: bool) -> list[str]:
@@ -199,15 +193,19 @@ def _first(x: Seen, seen: Sequence[Seen], exercise: Exercise, late: bool) -> lis
     assert exercise.learner
     steps = script.follow(seen, exercise.learner(Setting()), late)
     tables = next(tables for y, tables in steps if y is x)
+    right = min(tables, key=lambda t: float(np.abs(t - x.after).max()))
+    off = np.argwhere(np.abs(right - x.after) > script.CLOSE * (1 + np.abs(x.after).max())).tolist()
+    when = ""
+    if late and x.number > 1 and not x.step.last:  # what is learned then is the step before
+        one_before = next(y for y, z in pairwise(seen) if z is x)
+        x, when = one_before._replace(before=x.before, after=x.after), " (learned in the update after it)"
     step = x.step
     end = ", terminated" if step.terminated else ", truncated" if step.truncated else ""
     next_action = "" if x.a_next is None or step.last else f", then A' = {x.a_next}"
     happened = (
-        f"It shows first in episode {x.episode}, step {x.number}: S = {step.s}, A = {step.a}, "
+        f"It shows first in episode {x.episode}, step {x.number}{when}: S = {step.s}, A = {step.a}, "
         f"R = {_number(step.r)}, S' = {step.s_next}{end}{next_action}."
     )
-    right = min(tables, key=lambda t: float(np.abs(t - x.after).max()))
-    off = np.argwhere(np.abs(right - x.after) > script.CLOSE * (1 + np.abs(x.after).max())).tolist()
     pairs = sorted(off, key=lambda pair: pair != [step.s, step.a])
     many = f" {len(pairs)} values are wrong; these are some of them." if len(pairs) > 3 else ""
     should = "should be" if len(tables) == 1 or step.terminated else "should, with one A' of all, be"
@@ -251,10 +249,16 @@ KINDS: Sequence[tuple[str, Callable[[Seen], bool]]] = (
     ("steps that end an episode", lambda x: x.step.last),
     ("steps in which S' is S", lambda x: x.step.s == x.step.s_next),
     ("the first steps of episodes", lambda x: x.number == 1),
+    ("steps in which A' is no best action", lambda x: _is_worse(x)),
     ("steps that do not end an episode", lambda x: not x.step.last),
     ("steps after the first of an episode", lambda x: x.number > 1),
     ("episodes after the first", lambda x: x.episode > 1),
 )
+
+
+def _is_worse(x: Seen) -> bool:
+    row = x.before[x.step.s_next]
+    return x.a_next is not None and bool(row[x.a_next] < row.max())
 
 
 def _where(bad: Sequence[Seen], seen: Sequence[Seen]) -> str:

@@ -42,19 +42,22 @@ class Exercise(NamedTuple):
         return path
 
 
-AHEAD = ("terminal", "time-limit", "no-gamma", "gamma-on-all", "no-reward", "never-bootstraps", "old-state")
-HOW_FAR = (
-    "alpha-twice",
-    "no-alpha",
-    "alpha-swapped",
-    "old-not-subtracted",
-    "whole-target",
-    "old-lost",
-    "brackets",
-    "sign",
+def _named(names: str) -> tuple[str, ...]:
+    return tuple(names.split())
+
+
+# Names of mistakes, those first that say most: what several explain is said by the first.
+AHEAD = (
+    *_named(
+        "learns-nothing terminal time-limit swapped-ends no-gamma gamma-on-all never-bootstraps old-state"
+    ),
+    *_named("skips-terminal skips-time-limit skips-last"),
 )
-LOOKS_AT = ("same-action", "expected-target", "uniform-target", "min-target", "action-index")
-PAIRS = ("next-pair", "whole-row")
+HOW_FAR = _named(
+    "alpha-twice no-alpha sample-average alpha-swapped old-not-subtracted whole-target old-lost brackets sign"
+)
+LOOKS_AT = _named("same-action expected-target uniform-target min-target action-index")
+PAIRS = _named("next-pair whole-row all-states terminal-reset swapped-states")
 EXERCISES = {
     "epsilon-greedy": Exercise(
         1, "ε-greedy", "book, section 2.2 and the box of section 5.4; Silver, lecture 5"
@@ -65,9 +68,9 @@ EXERCISES = {
         "book, box of section 5.4",
         learner=WholeReturns,
         mistakes=(
-            *("every-visit", "last-visit", "first-of-state", "no-gamma", "gamma-on-all", "same-return"),
-            *("discounted-from-start", "rewards-alone", "own-reward-missing", "constant-alpha", "sum"),
-            *("last-return", "counts-all", "counts-states", "episodes-kept"),
+            *_named("learns-nothing every-visit last-visit first-of-state no-gamma gamma-on-all same-return"),
+            *_named("discounted-from-start rewards-alone own-reward-missing constant-alpha sum last-return"),
+            *_named("counts-all counts-states counts-one-more episodes-kept"),
         ),
         time_limits=False,
         task="blackjack",
@@ -79,7 +82,7 @@ EXERCISES = {
         "book, box of section 6.4",
         ("alpha", "gamma", "epsilon"),
         Learner,
-        (*AHEAD, *HOW_FAR, "max-target", *LOOKS_AT, *PAIRS, "draws-again"),
+        (*AHEAD, *HOW_FAR, "max-target", *LOOKS_AT, *PAIRS, "next-reward", "draws-again"),
         task="windy-gridworld",
         episodes=1000,
         alpha=0.1,
@@ -101,11 +104,15 @@ EXERCISES = {
         ("alpha", "gamma", "epsilon", "n"),
         NStep,
         (
-            *("terminal", "time-limit", "no-gamma", "n-too-small", "n-too-large", "one-step", "gamma-once"),
-            *("undiscounted-rewards", "no-flush", "flush-one", "no-flush-at-time-limit", "over-the-end"),
-            *("over-the-time-limit", "newest-pair", "never-bootstraps", *HOW_FAR[:-2], "sign", "max-target"),
-            *LOOKS_AT,
-            "draws-again",
+            *_named("learns-nothing terminal time-limit swapped-ends no-gamma never-bootstraps"),
+            *_named("n-too-small n-too-large one-step gamma-once gamma-n undiscounted-rewards newest-pair"),
+            *_named(
+                "flush-oldest flush-one no-flush no-flush-at-time-limit over-the-end over-the-time-limit"
+            ),
+            *_named(
+                "alpha-twice no-alpha sample-average alpha-swapped old-not-subtracted whole-target old-lost sign"
+            ),
+            *("max-target", *LOOKS_AT, "draws-again"),
         ),
         task="windy-gridworld",
         episodes=1000,
@@ -118,13 +125,10 @@ EXERCISES = {
         ("alpha", "gamma", "epsilon", "lam"),
         Traces,
         (
-            *AHEAD,
-            *("no-traces", "replacing", "traces-kept", "traces-kept-at-time-limit", "no-lambda"),
-            *("no-gamma-in-traces", "no-fading", "fades-at-once", "trace-too-late"),
-            *HOW_FAR,
-            "max-target",
-            *LOOKS_AT,
-            "draws-again",
+            *(*AHEAD, *HOW_FAR),
+            *_named("no-traces replacing clears-others traces-kept traces-kept-at-time-limit"),
+            *_named("no-lambda no-gamma-in-traces no-fading fades-at-once trace-too-late"),
+            *("max-target", *LOOKS_AT, "draws-again"),
         ),
         task="windy-gridworld",
         episodes=1000,

@@ -38,6 +38,10 @@ MISTAKES = {
         "With probability ε it must draw from all actions, the best included: the best one then has probability "
         "1 - ε + ε/|A|, and each other one ε/|A|.",
     ),
+    "explores-not-last": Mistake(
+        "It never explores the last action.",
+        "With probability ε it must draw from all actions: rng.integers(n) is one of 0 to n - 1 already.",
+    ),
     "epsilon-swapped": Mistake(
         "It explores with probability 1 - ε.",
         "It must explore with probability ε, and be greedy with 1 - ε: the comparison is the wrong way "
@@ -55,6 +59,12 @@ MISTAKES = {
         "Where an episode ends, by a terminal state or by a time limit, forget the next action; the first action is "
         "drawn in the first state.",
     ),
+    "old-state-action": Mistake(
+        "It draws A' by the values of S, not of S'.", "A' is what it does in the next state: act(next_state)."
+    ),
+    "changes-values": Mistake(
+        "It changes the values that it is given.", "They belong to the caller: change a copy, values.copy()."
+    ),
     # --- what it looks ahead to ---
     "terminal": Mistake(
         "It bootstraps through a terminal state.",
@@ -65,6 +75,14 @@ MISTAKES = {
         "It does not bootstrap at a time limit.",
         "Where truncated is True the episode was only cut off, and the task would have gone on: the target still "
         "has the value of the next state. Only terminated says that nothing comes.",
+    ),
+    "swapped-ends": Mistake(
+        "It takes terminated for truncated, and truncated for terminated.",
+        "Terminated comes first. After it there is nothing; where truncated is True, the task would have gone on.",
+    ),
+    "swapped-states": Mistake(
+        "It takes S for S', and S' for S.",
+        "update gets the state that was left first, and next_state after the reward.",
     ),
     "never-bootstraps": Mistake(
         "It never bootstraps: it learns from R alone.",
@@ -108,10 +126,32 @@ MISTAKES = {
         "It discounts the reward as well.",
         "R is the reward of this very step: γ stands before what comes after it. R + γ ..., not γ (R + ...).",
     ),
-    "no-reward": Mistake("It forgets the reward.", "The target begins with R."),
+    "skips-terminal": Mistake(
+        "It does not learn from the step into a terminal state.",
+        "That step has a reward as well, often the only one: Q(S, A) moves towards R.",
+    ),
+    "skips-last": Mistake(
+        "It does not learn from the last step of an episode.",
+        "That step has a reward as well: where terminated is True it learns from R alone, else as in any step.",
+    ),
+    "skips-time-limit": Mistake(
+        "It does not learn from the step that a time limit ends.",
+        "Where truncated is True the step is learned from as any other; there is only none after it.",
+    ),
+    "terminal-reset": Mistake(
+        "It sets Q of the state to 0 in which an episode ended.",
+        "Other episodes may go on from there. Leave its values alone; where terminated is True do not look at them.",
+    ),
+    "next-reward": Mistake(
+        "A pair learns from the reward of the step after it.",
+        "Keep the reward with the pair that it came from, until A' is known.",
+    ),
     # --- how far it goes ---
     "alpha-twice": Mistake("It applies α twice.", "The step is α (target - Q(S, A)): α stands there once."),
     "no-alpha": Mistake("It forgets α.", "Q goes only the part α of the way to the target."),
+    "sample-average": Mistake(
+        "It learns with 1/N(S, A) and not with α.", "The step size is the α of the constructor, as it is."
+    ),
     "alpha-swapped": Mistake(
         "It has α and 1 - α the wrong way round.",
         "Q <- (1 - α) Q + α target: the small part is the new one.",
@@ -158,6 +198,14 @@ MISTAKES = {
     "undiscounted-rewards": Mistake(
         "It does not discount the rewards within the n steps.", "R_{t+1} + γ R_{t+2} + γ^2 R_{t+3} + ..."
     ),
+    "gamma-n": Mistake(
+        "It discounts the last value by γ^n even where an episode ends and fewer rewards came before it.",
+        "Before it stands γ to the power of how many rewards there are.",
+    ),
+    "flush-oldest": Mistake(
+        "Where an episode ends, only the oldest pair learns, and the others are forgotten.",
+        "All that are left learn then, the oldest first, each from the rewards that follow it.",
+    ),
     "no-flush": Mistake(
         "The last steps of an episode never learn.",
         "Where the episode ends, fewer than n rewards follow the last n - 1 pairs: they learn from those.",
@@ -191,6 +239,9 @@ MISTAKES = {
     "replacing": Mistake(
         "Its traces are replacing where they should be accumulating.",
         "A pair that comes again gets 1 added to its trace: z(S, A) <- z(S, A) + 1, not z(S, A) <- 1.",
+    ),
+    "clears-others": Mistake(
+        "It sets the traces of the other actions of S to 0.", "Only the trace of (S, A) changes in a visit."
     ),
     "traces-kept": Mistake(
         "Its traces are not reset where an episode ends.",
@@ -258,6 +309,25 @@ MISTAKES = {
     "episodes-kept": Mistake(
         "It does not forget an episode when it is over.",
         "After it has learned, its list of steps must be emptied.",
+    ),
+    "counts-one-more": Mistake(
+        "It counts one return too many.",
+        "The first return is the mean of itself: N(S, A) begins at 0, and is 1 when the first one is taken in.",
+    ),
+    # --- the table ---
+    "learns-nothing": Mistake(
+        "Q never changes.",
+        "Is it self.q that is changed, and not a copy, or a variable that is gone when update returns? And is R in the "
+        "target?",
+    ),
+    "whole-numbers": Mistake(
+        "The table holds whole numbers only.",
+        "What is written into it is rounded towards 0: np.zeros((num_states, num_actions)) alone has floats.",
+    ),
+    "all-states": Mistake(
+        "It changes Q of all states: they share one row.",
+        "[[0.0] * num_actions] * num_states is the same list many times: write "
+        "[[0.0] * num_actions for _ in range(num_states)].",
     ),
     "starts-elsewhere": Mistake("Q is not 0 at the beginning.", "All values begin at 0 here."),
 }

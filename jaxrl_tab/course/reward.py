@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from jaxrl_tab import envs
-from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.course.exercises import Exercise
 from jaxrl_tab.course.student import Agent, Code
 from jaxrl_tab.course.updates import Setting, Step
+from jaxrl_tab.envs.base import Grid
 from jaxrl_tab.exact import planning
 
 EPSILON = 0.1
@@ -27,7 +27,7 @@ def shown(code: Code, exercise: Exercise) -> tuple[str, ...]:
     best = planning.start_value(env, planning.value_iteration(env)[0])
     worth = "may go round for ever" if np.isinf(found) else f"is worth {_number(found)} from the start"
     line = f"After {episodes} episodes of {exercise.task} its greedy policy {worth}; the best is worth {_number(best)}."
-    return (line, *_drawn(env, q))
+    return (line, *([] if np.isinf(found) else _drawn(env, model, q)))
 
 
 def _learn(agent: Agent, model: planning.Model, episodes: int, longest: int) -> int:
@@ -39,11 +39,7 @@ def _learn(agent: Agent, model: planning.Model, episodes: int, longest: int) -> 
         s = int(np.searchsorted(starts, draw.random(), side="right"))
         for length in range(1, longest + 1):
             a = agent.act(s)
-            k = (
-                0
-                if certain
-                else min(int(np.searchsorted(edges[s, a], draw.random(), side="right")), edges.shape[-1] - 1)
-            )
+            k = 0 if certain else int(np.searchsorted(edges[s, a, :-1], draw.random(), side="right"))
             s_next, terminated = int(model.s_next[s, a, k]), bool(model.terminal[s, a, k])
             truncated = length == longest and not terminated
             agent.update(Step(s, a, float(model.reward[s, a, k]), s_next, terminated, truncated))
@@ -55,24 +51,20 @@ def _learn(agent: Agent, model: planning.Model, episodes: int, longest: int) -> 
     return episodes
 
 
-def _drawn(env: Any, q: np.ndarray) -> tuple[str, ...]:
-    """On a grid the greedy actions along the way, one line for each row of cells."""
-    if not hasattr(env, "shape") or len(of_environment(env).panels()) != 1:
-        return ()
-    model = planning.exact_model(env)
-    rows = [["·"] * env.shape[1] for _ in range(env.shape[0])]
-    s, names = int(model.start.argmax()), of_environment(env).action_names
-    cell = lambda s: divmod(s, env.shape[1])
+def _drawn(env: Any, model: planning.Model, q: np.ndarray) -> list[str]:
+    """On a grid the greedy way from the start, one line for each row of cells."""
+    if not isinstance(env, Grid):
+        return []
+    cells, names = [["·"] * env.shape[1] for _ in range(env.shape[0])], env.action_names
+    s, ends = env.start_state, False
     for _ in range(env.num_states):
         a = int(q[s].argmax())
-        row, column = cell(s)
-        rows[row][column] = names[a]
-        s = int(model.s_next[s, a, 0])
-        if model.terminal[s].all() or s == int(model.start.argmax()):
+        cells[s // env.shape[1]][s % env.shape[1]] = names[a]
+        s, ends = int(model.s_next[s, a, 0]), bool(model.terminal[s, a, 0])
+        if ends:
+            cells[s // env.shape[1]][s % env.shape[1]] = "G"
             break
-    row, column = cell(s)
-    rows[row][column] = "G"
-    return tuple(" ".join(row) for row in rows)
+    return [" ".join(row) for row in cells]
 
 
 def _number(x: float) -> str:

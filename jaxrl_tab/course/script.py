@@ -57,6 +57,8 @@ def record(code: Code, exercise: Exercise, seed: int = 1) -> list[Seen]:
             before = agent.q()
             a_next = agent.update(step)
             after = agent.q()
+            if agent.is_lost:
+                return [*seen, Seen(episode, number, step, a_next, before, after)]
             if not step.last:
                 a_next = action = agent.act(s_next)
             seen.append(Seen(episode, number, step, a_next, before, after))
@@ -76,7 +78,8 @@ def follow(
     for x in seen:
         tables = [x.before]
         if pending is not None:
-            learner.see(pending.step)
+            own = pending.step
+            learner.see(own._replace(r=x.step.r) if "next-reward" in learner.mistakes else own)
             tables = [learner.after(q, a) for q in tables for a in _choices(learner, pending)]
         if not late or x.step.last:
             learner.see(x.step)

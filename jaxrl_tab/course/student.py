@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -47,7 +48,6 @@ class Code:
         where: the file as people call it.
         made: the class or the function.
         exercise: the name of the exercise.
-        printed: how many times something was printed.
     """
 
     def __init__(self, where: str, made: Any, exercise: str):
@@ -56,16 +56,12 @@ class Code:
         self._busy: tuple[float, str] | None = None  # since when a call runs, and which
 
     def line(self, of: Any) -> str:
-        """ "my_agent.py, line 12" of a function or a class."""
-        number = None
+        """ "my_agent.py, line 12" of a function; of the class where it is one, or what that has from elsewhere."""
         if inspect.isfunction(of):
-            number = of.__code__.co_firstlineno
-        elif inspect.isclass(of):
-            begins = re.compile(rf"\s*class {of.__name__}\b")
-            number = next(
-                (k for k, x in enumerate(linecache.getlines(self.file), 1) if begins.match(x)), None
-            )
-        return f"{self.where}, line {number}" if number else self.where
+            return f"{self.where}, line {of.__code__.co_firstlineno}"
+        begins = re.compile(rf"\s*class {self.made.__name__}\b")
+        numbers = [k for k, x in enumerate(linecache.getlines(self.file), 1) if begins.match(x)]
+        return f"{self.where}, line {numbers[0]}" if numbers else self.where
 
     def call(self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Calls a function of the student. Raises Unusable where that fails; `what` is what it is called."""
@@ -85,7 +81,7 @@ class Code:
 
     @contextlib.contextmanager
     def watched(self) -> Iterator[None]:
-        """Stops a call that does not end; keeps quiet what is printed, and lets nothing wait for a person."""
+        """Stops a call that does not end, lets nothing wait for a person, and shows nothing that is printed."""
         done, thread = threading.Event(), threading.get_ident()
 
         def watch() -> None:
@@ -102,7 +98,8 @@ class Code:
         watcher.start()
         try:
             sys.stdin = io.StringIO()
-            with contextlib.redirect_stdout(_Nowhere()):
+            with contextlib.redirect_stdout(_Nowhere()), warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of numbers that overflow, which the verdict says in its way
                 yield
         except TookTooLong as error:
             raise Unusable(f"{self._at(error)}: {_too_long()}") from None
@@ -314,6 +311,17 @@ class Agent:
                 f"{self.code.line(self.code.made)}: self.{self.table} cannot be read as q[s, a], q[s][a] or q[(s, a)] "
                 f"for {size[0]} states and {size[1]} actions: {type(error).__name__}: {_told(error)}"
             ) from None
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether Q has numbers in it that are infinite, or NaN, by which nobody can act."""
+        return not np.isfinite(self.q()).all()
+
+    @property
+    def has_whole_numbers(self) -> bool:
+        """Whether the table can hold nothing but whole numbers."""
+        q = getattr(self.agent, self.table or "")
+        return isinstance(q, np.ndarray) and q.dtype.kind in "iub"
 
 
 def _entry(q: Any, s: int, a: int) -> Any:

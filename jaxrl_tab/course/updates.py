@@ -66,6 +66,7 @@ class Learner:
     def __init__(self, setting: Setting, mistakes: frozenset[str] = frozenset()):
         self.setting, self.mistakes = setting, mistakes
         self.steps: list[Step] = []
+        self.visits = np.zeros((setting.num_states, setting.num_actions), int)
         self.gamma = 1.0 if "no-gamma" in mistakes else setting.gamma
         self.kind = next((TARGETS[x] for x in mistakes if x in TARGETS), self.target)
         self.unsure = bool(UNSURE & mistakes)
@@ -74,7 +75,10 @@ class Learner:
         """Remembers a step."""
         if self.steps and self.forgets(self.steps[-1]):
             self.steps = []
+        if "swapped-states" in self.mistakes:
+            step = step._replace(s=step.s_next, s_next=step.s)
         self.steps.append(step)
+        self.visits[step[:2]] += 1
 
     def forgets(self, last: Step) -> bool:
         """Whether what was remembered is forgotten after this step."""
@@ -83,16 +87,30 @@ class Learner:
     def after(self, q: np.ndarray, a_next: int) -> np.ndarray:
         """Q after the last step that was seen, where it was `q`, and `a_next` is A'."""
         step, q = self.steps[-1], q.copy()
-        self.move(q, step, step.r + self.discounted(q, a_next))
+        if "terminal-reset" in self.mistakes and step.terminated:
+            q[step.s_next] = 0
+        if not self.skips(step):
+            self.move(q, step, step.r + self.discounted(q, a_next))
         return q
+
+    def skips(self, step: Step) -> bool:
+        """Whether nothing is learned from a step."""
+        skipped = {"learns-nothing"}
+        if step.last:
+            skipped |= {"skips-last", "skips-terminal" if step.terminated else "skips-time-limit"}
+        return bool(skipped & self.mistakes)
 
     def discounted(self, q: np.ndarray, a_next: int, steps: int = 1) -> float:
         """What the state is worth that the last step led to, seen from so many steps before."""
         step, mistakes = self.steps[-1], self.mistakes
         ends = step.terminated and "terminal" not in mistakes
+        if "swapped-ends" in mistakes:
+            ends = step.truncated
         if ends or (step.truncated and "time-limit" in mistakes) or "never-bootstraps" in mistakes:
             return 0.0
         row = q[step.s if "old-state" in mistakes else step.s_next]
+        if "gamma-n" in mistakes:
+            steps = self.setting.n
         return self.gamma ** (1 if "gamma-once" in mistakes else steps) * self.worth(row, step.a, a_next)
 
     def worth(self, row: np.ndarray, a: int, a_next: int) -> float:
@@ -113,15 +131,17 @@ class Learner:
         """Moves Q of the pair of a step towards a target."""
         pair: Any = (step.s_next if "next-pair" in self.mistakes else step.s, step.a)
         old: Any = q[step.s, step.a]
+        if "all-states" in self.mistakes:
+            pair = (slice(None), step.a)
         if "whole-row" in self.mistakes:
             pair, old = step.s, q[step.s].copy()
-        q[pair] += self.moved(old, target, step.r) - old
+        q[pair] += self.moved(old, target, step) - old
 
-    def moved(self, old: Any, target: float, r: float) -> Any:
-        """What an old value becomes."""
-        mistakes, alpha = self.mistakes, self.setting.alpha
-        if "no-reward" in mistakes:
-            target -= r
+    def moved(self, old: Any, target: float, step: Step) -> Any:
+        """What the old value of the pair of a step becomes."""
+        mistakes, alpha, r = self.mistakes, self.setting.alpha, step.r
+        if "sample-average" in mistakes:
+            alpha = 1 / self.visits[step[:2]]
         if "gamma-on-all" in mistakes:
             target += (self.gamma - 1) * r
         new = {
@@ -165,6 +185,8 @@ class NStep(Learner):
 
     def _left(self, last: Step) -> int:
         """How many learn where an episode ends."""
+        if "flush-oldest" in self.mistakes:
+            return 1
         none = {"no-flush", "over-the-end"} & self.mistakes
         late = {"no-flush-at-time-limit", "over-the-time-limit"} & self.mistakes and last.truncated
         if none or late:
@@ -177,6 +199,8 @@ class NStep(Learner):
 
     def after(self, q: np.ndarray, a_next: int) -> np.ndarray:
         q, steps = q.copy(), self.steps
+        if "learns-nothing" in self.mistakes:
+            return q
         discount = 1.0 if "undiscounted-rewards" in self.mistakes else self.gamma
         for k in range(self.due):
             window = steps[k : k + self.n]
@@ -211,6 +235,8 @@ class Traces(Learner):
         self.z *= fading
         if "no-traces" in self.mistakes:
             self.z[:] = 0
+        if "clears-others" in self.mistakes:
+            self.z[step.s] *= np.arange(self.setting.num_actions) == step.a
         if "replacing" in self.mistakes:
             self.z[step[:2]] = 1
         elif "trace-too-late" not in self.mistakes:
@@ -218,8 +244,10 @@ class Traces(Learner):
 
     def after(self, q: np.ndarray, a_next: int) -> np.ndarray:
         step = self.steps[-1]
+        if self.skips(step):
+            return q
         old = q[step[:2]]
-        return q + (self.moved(old, step.r + self.discounted(q, a_next), step.r) - old) * self.z
+        return q + (self.moved(old, step.r + self.discounted(q, a_next), step) - old) * self.z
 
 
 class WholeReturns(Learner):
@@ -227,7 +255,7 @@ class WholeReturns(Learner):
 
     def __init__(self, setting: Setting, mistakes: frozenset[str] = frozenset()):
         super().__init__(setting, mistakes)
-        self.visits = np.zeros((setting.num_states, setting.num_actions), int)
+        self.returns = np.zeros((setting.num_states, setting.num_actions), int)
         self.lessons: list[tuple[Step, float, int]] = []  # the steps that learn, their returns, and N
 
     def forgets(self, last: Step) -> bool:
@@ -240,11 +268,12 @@ class WholeReturns(Learner):
             return
         for k in self._visits():
             pair = self.steps[k]
-            self.visits[pair[:2]] += 1
+            self.returns[pair[:2]] += 1
             counted = pair.s if "counts-states" in self.mistakes else pair[:2]
-            self.lessons.append((pair, self._return(k), int(self.visits[counted].sum())))
+            count = int(self.returns[counted].sum()) + ("counts-one-more" in self.mistakes)
+            self.lessons.append((pair, self._return(k), count))
         if "counts-all" in self.mistakes:
-            self._count_the_others()
+            self.lessons = [(pair, g, int(self.visits[pair[:2]])) for pair, g, _ in self.lessons]
 
     def _visits(self) -> list[int]:
         """The steps that learn, from the last to the first."""
@@ -257,13 +286,6 @@ class WholeReturns(Learner):
         for k in order:
             found.setdefault(what(steps[k]), k)
         return sorted(found.values(), reverse=True)
-
-    def _count_the_others(self) -> None:
-        """N(S, A) is increased at every visit, before the first one learns."""
-        firsts = {k: self.steps[k][:2] for k in self._visits()}
-        for k, step in enumerate(self.steps):
-            self.visits[step[:2]] += k not in firsts
-        self.lessons = [(step, g, int(self.visits[step[:2]])) for step, g, _ in self.lessons]
 
     def _return(self, k: int) -> float:
         mistakes, gamma = self.mistakes, self.gamma
@@ -284,7 +306,7 @@ class WholeReturns(Learner):
 
     def after(self, q: np.ndarray, a_next: int) -> np.ndarray:
         q = q.copy()
-        for step, g, count in self.lessons:
+        for step, g, count in () if "learns-nothing" in self.mistakes else self.lessons:
             old = q[step[:2]]
             size = 1 / count
             if "constant-alpha" in self.mistakes:

@@ -98,8 +98,8 @@ class Part:
 
         def largest(config: Any) -> float:
             method = of_method(config)
-            bounds_nothing = method.multiplies_returns or method.learns is Learns.PREFERENCES
-            if not of_outcomes or bounds_nothing or method.needs_horizon:
+            grows = method.multiplies_returns or method.learns is Learns.PREFERENCES or method.needs_horizon
+            if not of_outcomes or grows:
                 return np.inf
             initial = abs(getattr(config, method.learns.initial, 0.0))
             return BEYOND * (initial + largest_return(config.gamma, method.exploring_starts))

@@ -18,6 +18,7 @@ from jaxrl_tab.algorithms.psrl import PSRL
 from jaxrl_tab.algorithms.r_max import RMax
 from jaxrl_tab.algorithms.sarsa_lambda_forward import SarsaLambdaForward
 from jaxrl_tab.algorithms.traces import TraceControl
+from jaxrl_tab.algorithms.ucbvi import UCBVI
 from jaxrl_tab.algorithms.whole_returns import WholeReturns
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.errors import InputError
@@ -38,6 +39,7 @@ METHODS: list[tuple[tuple[type, ...], float, float]] = [
     ((DoubleQLearning,), 9, 0),
     ((DynaQ,), 60, 0),
     ((RMax,), 30, 0),
+    ((UCBVI,), 60, 0),
     ((PSRL,), 30, 60),
     ((PrioritizedSweeping,), 30, 4),
     ((object,), 6, 0),

@@ -307,6 +307,10 @@ def spread(
 ) -> Bool[np.ndarray, " S"]:
     """What can be reached from `states` along arrows from `source` to `target`, these included, bool [S]."""
     # In plain Python, since to import SciPy's graphs takes longer than this does for a hundred thousand arrows.
+    if len(source) > len(states) ** 2:  # then some are there several times
+        arrows = np.zeros((len(states), len(states)), bool)
+        arrows[source, target] = True
+        source, target = np.nonzero(arrows)
     order = np.argsort(source, kind="stable")
     targets = target[order].tolist()
     first = np.searchsorted(source[order], np.arange(len(states) + 1)).tolist()

@@ -10,6 +10,7 @@ Its modules, from the ground up:
     growth     which runs an experiment has that those before it in its folder had not
     shards     an experiment in pieces that are computed and kept one by one
     plan       what an experiment will take: runs, shards, memory
+    comparing  methods compared on as many fresh seeds as it takes
     storage    shards on disk and their manifest
     records    what a folder says about the sessions that computed it
     found      the experiment that is found in a folder, and what it was before it grew
@@ -18,5 +19,7 @@ Its modules, from the ground up:
     again      settings run again, to record what was learned on the way
     painter    a process beside this one that draws pictures
     files      the files of results in the folder
+    sides      results that are to be compared, from wherever they are
+    compare    results of experiments side by side
     runner     an experiment in a folder: `run` and `resume`
 """

@@ -19,7 +19,7 @@ from jaxrl_tab.engine import provenance
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import painter, storage
 from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp
-from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, SELECTION, SUMMARY, Store
+from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, SELECTION, SUMMARY, VERDICT, Store
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from jaxrl_tab.show.explorer.over_time import Again
     from jaxrl_tab.show.report import Page
     from jaxrl_tab.stats.columns import Methods
+    from jaxrl_tab.stats.deciding import Verdict
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,14 @@ class Outcome:
         fresh: the same of the setting chosen for each part, on fresh seeds; empty without selection.
         envs: the environments by their names.
         parts: what was run, by the same names as the datasets.
+        verdicts: what was decided in each environment, where methods were compared until all was.
     """
 
     datasets: "dict[str, xr.Dataset]"
     fresh: "dict[str, xr.Dataset]"
     envs: dict[str, Environment]
     parts: "Mapping[str, Part]" = field(default_factory=dict)
+    verdicts: "dict[str, Verdict]" = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<Outcome: {one_line(', '.join(self.datasets))}>"
@@ -68,7 +71,8 @@ class Outcome:
         from jaxrl_tab.show import report
 
         about = {"made by": repr(self), "versions": provenance.installed()}
-        return report.page(self.methods, about, self.fresh_methods, explained=self.explained_in_report)
+        seen = {"explained": self.explained_in_report, "verdicts": self.verdicts}
+        return report.page(self.methods, about, self.fresh_methods, **seen)
 
     def explain(self) -> "Explanation":
         """Where each method, at its best setting, loses what it earns less than the best policy: `SweepResult.explain`.
@@ -147,6 +151,22 @@ class Outcome:
         scores = [name for name in names if name.startswith(("chosen_", "fresh_"))]
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
+    @property
+    def verdict(self) -> "pd.DataFrame":
+        """What is known of each two methods that were compared until all was decided.
+
+        Returns:
+            A frame with the columns `environment`, and those of `stats.Pair`.
+        """
+        import pandas as pd
+
+        rows = [
+            {"environment": label, **pair._asdict()}
+            for label, verdict in self.verdicts.items()
+            for pair in verdict.pairs
+        ]
+        return pd.DataFrame(rows)
+
 
 Format: TypeAlias = Literal["png", "svg", "pdf"]
 FORMATS: tuple[Format, ...] = get_args(Format)
@@ -208,9 +228,12 @@ def write_files(
         if outcome.fresh:
             files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
             files.append(_write_table(folder / SELECTION, outcome.selection))
+        if outcome.verdicts:
+            files.append(_write_table(folder / VERDICT, outcome.verdict))
         about_all = _about(store, records, history)
         explained, fresh = outcome.explained_in_report, outcome.fresh_methods
-        report.write_methods(scratch, outcome.methods, about_all, fresh, again, toml, explained)
+        more = again, toml, explained, outcome.verdicts
+        report.write_methods(scratch, outcome.methods, about_all, fresh, *more)
         pictures.finish()
     for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
         goal = folder / file.relative_to(scratch)

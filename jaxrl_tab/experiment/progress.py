@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
 from jaxrl_tab.engine import speeds
+from jaxrl_tab.experiment.comparing import Look
 from jaxrl_tab.experiment.shards import Job, Shard
 from jaxrl_tab.experiment.storage import Store
 from jaxrl_tab.show.progress import Progress, Report, reporting
@@ -66,7 +67,7 @@ class Meter:
     def begin(
         self,
         store: Store,
-        job: Job,
+        job: Job | Look,
         missing: Sequence[int],
         later: Mapping[str, int],
         known: speeds.Known,

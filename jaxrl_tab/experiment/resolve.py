@@ -46,6 +46,24 @@ class Selection:
     fresh_seeds: int = field(default=100, at_least=1)
 
 
+@checked_dataclass
+class UntilDecided:
+    """How methods are compared on as many fresh seeds as it takes (see `stats.until_decided`).
+
+    The first look is at the `fresh_seeds` of the selection.
+
+    Attributes:
+        difference: of mean scores, the size that matters: two methods that are surely apart by less are the same; with
+            0 only which one is better is asked.
+        most_seeds: what is not decided by so many seeds is left open.
+        all_settings: compare every setting of every method with all others, and not the best one of each method alone.
+    """
+
+    difference: float = field(default=0.0, at_least=0)
+    most_seeds: int = field(default=2000, at_least=2)
+    all_settings: bool = field(default=False)
+
+
 def environments(written: Any, source: Source | None, references: References) -> list[dict[str, Any]]:
     """The plain data of each environment: one for each combination of what is listed."""
     resolved, places = [], []
@@ -416,6 +434,32 @@ def selection(written: Any, seeds: int) -> dict[str, Any]:
         raise InputError(f"select must be a table of {', '.join(keys(Selection))}, not {shown(written)}")
     with blame(written):
         return dataclasses.asdict(build(Selection, "select", {"fresh_seeds": seeds, **written}))
+
+
+def comparison(written: Any, methods: int, fresh_seeds: int) -> dict[str, Any]:
+    """The plain data of how many `methods` are compared; True, or the difference that matters, is enough."""
+    if isinstance(written, UntilDecided):
+        written = dataclasses.asdict(written)
+    if written is True or isinstance(written, int | float):
+        written = {} if written is True else {"difference": float(written)}
+    if not isinstance(written, Mapping):
+        wanted = f"true, the difference that matters, or a table of {', '.join(keys(UntilDecided))}"
+        raise InputError(f"until_decided must be {wanted}, not {shown(written)}")
+    with blame(written):
+        one = build(UntilDecided, "until_decided", dict(written))
+    if fresh_seeds < 2:
+        raise InputError("until_decided: the first look takes two fresh seeds or more, not 1")
+    if one.most_seeds < fresh_seeds:
+        raise InputError(
+            f"until_decided: most_seeds must be at least the {fresh_seeds} fresh seeds of the first look, not "
+            f"{one.most_seeds}"
+        )
+    if methods < 2 and not one.all_settings:
+        raise InputError(
+            "until_decided: name two methods or more to compare, or set all_settings, which compares all of their "
+            "settings"
+        )
+    return dataclasses.asdict(one)
 
 
 def keys(cls: type) -> list[str]:

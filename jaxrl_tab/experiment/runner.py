@@ -31,8 +31,9 @@ from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
 from jaxrl_tab.engine.sweep import result
-from jaxrl_tab.experiment import growth, shards, sources, storage
+from jaxrl_tab.experiment import comparing, growth, shards, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
+from jaxrl_tab.experiment.comparing import Look, Looked
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, write_files
 from jaxrl_tab.experiment.found import Found, find, grow, wished
@@ -67,6 +68,7 @@ def run(
     ready: Callable[[Outcome], None] | None = None,
     formats: Sequence[Format] = FORMATS[:1],
     command: str | None = None,
+    looked: Looked | None = None,
 ) -> Outcome:
     """Runs an experiment, and leaves everything in a new folder. Where it is interrupted, `resume` goes on.
 
@@ -80,6 +82,8 @@ def run(
             written into the folder, which takes longer than to look at it.
         formats: of the pictures, some of "png", "svg" and "pdf"; none for no pictures.
         command: what was typed, for the records; by default what started this process.
+        looked: where methods are compared until all is decided, it is called with the name of the environment and the
+            `stats.Verdict` at every look.
 
     Raises:
         InputError: something given is wrong; nothing was computed.
@@ -91,12 +95,12 @@ def run(
     if folder is None:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "experiment"
-            found = _begin(path, experiment, memory, keep=False)
-            return _go_on(path, found, executor, memory, progress, ready, formats, command, keep=False)
+            found, how = _begin(path, experiment, memory, keep=False), {"keep": False, "looked": looked}
+            return _go_on(path, found, executor, memory, progress, ready, formats, command, **how)
     path = _path(folder)
     found = _begin(path, experiment, memory)
     with storage.lock(path):
-        return _go_on(path, found, executor, memory, progress, ready, formats, command)
+        return _go_on(path, found, executor, memory, progress, ready, formats, command, looked=looked)
 
 
 def resume(
@@ -109,6 +113,7 @@ def resume(
     formats: Sequence[Format] = FORMATS[:1],
     command: str | None = None,
     mixed: bool = False,
+    looked: Looked | None = None,
     experiment: Experiment | None = None,
     seeds: int | None = None,
     steps: int | None = None,
@@ -127,7 +132,7 @@ def resume(
 
     Args:
         folder: the folder.
-        executor, memory, progress, ready, formats, command: as in `run`.
+        executor, memory, progress, ready, formats, command, looked: as in `run`.
         mixed: go on also with other versions, or on another kind of processor, which may give numbers that
             differ in the last bits. The folder's provenance and report tell of it.
         experiment: what it is to be: all that it was, and more. By default it is what `experiment.toml` in the
@@ -149,7 +154,8 @@ def resume(
         new = wished(found, experiment, more)
         if new.data() != found.experiment.data():
             found = _grown(path, found, new, memory, command, mixed)
-        return _go_on(path, found, executor, memory, progress, ready, formats, command, mixed=mixed)
+        how = {"mixed": mixed, "looked": looked}
+        return _go_on(path, found, executor, memory, progress, ready, formats, command, **how)
 
 
 def explain(folder: str | Path) -> "Explanation":
@@ -218,6 +224,7 @@ def _go_on(
     command: str,
     keep: bool = True,
     mixed: bool = False,
+    looked: Looked | None = None,
 ) -> Outcome:
     """All that is still to be done in a folder."""
     experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
@@ -231,9 +238,7 @@ def _go_on(
             if _missing(store, job):
                 origin.check(path)
             with session(store, records, command, libraries):
-                select = experiment.select
-                fresh_seeds = select["fresh_seeds"] if select else 0
-                outcome, new = _results(store, job, fresh_seeds, executor or Local(), meter, origin)
+                outcome, new = _results(store, job, experiment, executor or Local(), meter, origin, looked)
         writes = keep and (new or not store.files)
         with drawing(store, outcome, formats if writes else ()) as pictures:
             if ready:
@@ -276,15 +281,33 @@ def _grown(path: Path, found: Found, new: Experiment, limit: int | None, command
 
 
 def _results(
-    store: Store, job: Job, fresh_seeds: int, executor: Executor, meter: Meter, origin: Origin
+    store: Store,
+    job: Job,
+    experiment: Experiment,
+    executor: Executor,
+    meter: Meter,
+    origin: Origin,
+    looked: Looked | None,
 ) -> tuple[Outcome, bool]:
     """What the experiment gives, of which the missing shards are computed; and whether there were any."""
+    fresh_seeds = experiment.select["fresh_seeds"] if experiment.select else 0
     later = {FRESH + name: fresh_seeds for name in job.parts if fresh_seeds}
     new = _compute(store, job, executor, meter, later, origin)
     datasets, room = _collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
     envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
     outcome = Outcome(datasets, {}, envs, job.parts)
-    if fresh_seeds:
+    if experiment.until_decided:
+        own = comparing.open_store(store.path, experiment, outcome.chosen)
+
+        def computed(look: Look) -> "tuple[dict[str, xr.Dataset], bool]":
+            new = _compute(own, look, executor, meter, {}, origin)
+            return _collect(own, look, list(look.parts), room)[0], new
+
+        verdicts, fresh, more = comparing.compare(job, experiment, outcome.chosen, computed, looked)
+        outcome.verdicts.update(verdicts)
+        outcome.fresh.update(fresh)
+        new |= more
+    elif fresh_seeds:
         job = job._replace(chosen=json.dumps(outcome.chosen))
         new |= _compute(store, job, executor, meter, {}, origin)
         fresh, _ = _collect(store, job, list(later), room)
@@ -293,7 +316,12 @@ def _results(
 
 
 def _compute(
-    store: Store, job: Job, executor: Executor, meter: "Meter", later: Mapping[str, int], origin: Origin
+    store: Store,
+    job: Job | Look,
+    executor: Executor,
+    meter: "Meter",
+    later: Mapping[str, int],
+    origin: Origin,
 ) -> bool:
     """Computes the shards that are not there; whether there were any. `later`: see `Meter.begin`."""
     missing = _missing(store, job)
@@ -332,12 +360,12 @@ def _heard(underway: Callable[[int, int], None]) -> Iterator[None]:
         shards.progress.reset(token)
 
 
-def _missing(store: Store, job: Job) -> list[int]:
+def _missing(store: Store, job: Job | Look) -> list[int]:
     """The numbers of the shards that are to be computed."""
     return [number for number, shard in job.shards.items() if not _has_shard(store, job, number, shard)]
 
 
-def _has_shard(store: Store, job: Job, number: int, shard: Shard) -> bool:
+def _has_shard(store: Store, job: Job | Look, number: int, shard: Shard) -> bool:
     """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give.
 
     It may lack what an earlier version did not record.
@@ -348,7 +376,7 @@ def _has_shard(store: Store, job: Job, number: int, shard: Shard) -> bool:
     return {**{name: expected[name] for name in LATER & expected.keys()}, **found} == expected
 
 
-def _is_of_setting(store: Store, job: Job, number: int) -> bool:
+def _is_of_setting(store: Store, job: Job | Look, number: int) -> bool:
     """Whether a shard that is there is of the setting that is chosen now, if it is one of fresh seeds."""
     return store.shards[number].setting == job.setting(job.shards[number])
 
@@ -360,7 +388,9 @@ def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
     return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
-def _collect(store: Store, job: Job, names: Sequence[str], room: int) -> "tuple[dict[str, xr.Dataset], int]":
+def _collect(
+    store: Store, job: Job | Look, names: Sequence[str], room: int
+) -> "tuple[dict[str, xr.Dataset], int]":
     """The results of some parts from their shards, which are all there; and how much of `room` is left.
 
     What some shards of a part lack, which an earlier version wrote, the results lack.

@@ -104,14 +104,18 @@ class Job(NamedTuple):
         name = shard.part.removeprefix(FRESH)
         return _generations(self.experiment, self.before)[1][name][json.loads(self.chosen)[name]]
 
+    def check_libraries(self) -> None:
+        """Raises InputError where this process has another version of a library."""
+        if changed := provenance.differences(self.libraries, library_versions(json.loads(self.experiment))):
+            raise InputError(f"{'; '.join(changed)} on {platform.node()}: install the same on all machines")
+
     def __call__(self, number: int) -> dict[str, np.ndarray]:
         """What the runs of a shard give: `q`, what is in the log, and the `seconds` it took.
 
         Raises:
             InputError: this process has another version of a library; or as `sweep.compute`.
         """
-        if changed := provenance.differences(self.libraries, library_versions(json.loads(self.experiment))):
-            raise InputError(f"{'; '.join(changed)} on {platform.node()}: install the same on all machines")
+        self.check_libraries()
         shard = self.shards[number]
         part = self.parts[shard.part]
         computed = compute(part, runs(part, shard), memory=self.memory, progress=progress.get())
@@ -127,8 +131,8 @@ def _parts(experiment: str, chosen: str | None) -> dict[str, Part]:
     if chosen is None:
         return _experiment(experiment).parts()
     parts, seeds = _parts(experiment, None), json.loads(experiment)["select"]["fresh_seeds"]
-    again = {FRESH + name: _again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
-    return parts | again
+    on_fresh = {FRESH + name: again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
+    return parts | on_fresh
 
 
 @functools.lru_cache(maxsize=4)
@@ -158,10 +162,10 @@ def forget_parts() -> None:
     _shards.cache_clear()
 
 
-def _again(part: Part, config: int, seeds: int) -> Part:
-    """One configuration of a part on fresh seeds: numbers from 0 of a root of their own, see `part.Part`."""
+def again(part: Part, config: int, seeds: int, first: int = 0) -> Part:
+    """One configuration of a part on fresh seeds: numbers from `first` of a root of their own, see `part.Part`."""
     one = [part.configs[config]]
-    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=0, fresh=True)
+    return dataclasses.replace(part, axes={}, configs=one, num_seeds=seeds, first_seed=first, fresh=True)
 
 
 def _fresh_block(part: Part, fresh: Fresh) -> Block:

@@ -49,6 +49,7 @@ from jaxrl_tab.experiment.resolve import (
     ABOUT,
     References,
     belongs,
+    comparison,
     environments,
     grid_of,
     keys,
@@ -91,6 +92,9 @@ class Experiment:
         backend: what compiles it: "lanes", "xla", or "auto", which is `lanes` where it can; see `engine.backend`.
         select: whether the best setting of each method is run again on fresh seeds, and by what it is chosen:
             a dict as `Selection` has it; None: not.
+        until_decided: whether methods are compared, each at its best setting, on as many fresh seeds as it takes to
+            decide which is better: True, the difference of mean scores that matters, or a dict as `UntilDecided` has
+            it; None: not. It makes `select` a dict.
         source: the file that it was read from; not part of the data.
         references: what the names stand for; not part of the data.
     """
@@ -108,6 +112,7 @@ class Experiment:
     record: Any = None
     backend: Backend = dataclasses.field(default="auto", metadata={"static": True})
     select: Any = None
+    until_decided: Any = None
     source: Source | None = dataclasses.field(default=None, repr=False, compare=False)
     references: References = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -130,8 +135,16 @@ class Experiment:
                 self._set(
                     "record", None if self.record is None else recorder(self.record, source, references)
                 )
+            if self.until_decided is False:
+                self._set("until_decided", None)
+            if self.until_decided is not None and self.select is None:
+                self._set("select", {})
             with at("select"):
                 self._set("select", None if self.select is None else selection(self.select, self.seeds))
+            if self.until_decided is not None and self.select is not None:
+                with at("until_decided"):
+                    first, count = self.select["fresh_seeds"], len(self.method)
+                    self._set("until_decided", comparison(self.until_decided, count, first))
 
     def __repr__(self) -> str:
         return f"<Experiment: {self.in_words}>"
@@ -252,6 +265,13 @@ class Experiment:
                     with at("method", i):
                         _ = part.needs  # policies in tables must be of the task's size
                     parts[f"{environment['label']}/{method['label']}"] = part
+            with at("until_decided"):
+                if self.until_decided and sum(len(x.configs) for x in parts.values()) == len(
+                    self.environment
+                ):
+                    raise InputError(
+                        "until_decided: there is one setting alone, and nothing to compare it with"
+                    )
         return parts
 
     def to_toml(self) -> str:

@@ -414,6 +414,22 @@ def _are_files(files: Any) -> bool:
     return isinstance(files, dict) and all(_is_result_file(f) and _is_sha256(x) for f, x in files.items())
 
 
+def has_checksum(file: Path, sha256: str) -> bool:
+    """Whether a file has this checksum; False where it is missing, too. Nothing is set aside."""
+    with as_run_error(file, "read"):
+        return is_file(file) and _sha256(file) == sha256
+
+
+def peek(folder: Path, number: int, sha256: str) -> dict[str, np.ndarray] | None:
+    """The arrays of a shard in a folder that is only looked at; None where it is missing or damaged."""
+    file = folder / SHARDS / _name(number)
+    if not has_checksum(file, sha256):
+        return None
+    with as_run_error(file, "read"):
+        found = _load(file)
+    return found and {name: x for name, x in found.items() if name != ABOUT}
+
+
 def _are_facts(facts: Any) -> bool:
     return (
         isinstance(facts, dict)
@@ -536,6 +552,7 @@ def _exists(path: Path) -> str:
 
 AS_WRITTEN, RESOLVED, PROVENANCE = "experiment.toml", "resolved.json", "provenance.json"
 DATA, FRESH_DATA, SUMMARY, SELECTION = "results.nc", "fresh.nc", "summary.csv", "selection.csv"
+VERDICT = "verdict.csv"
 
 
 def warn(line: str) -> None:

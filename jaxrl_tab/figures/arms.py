@@ -33,7 +33,8 @@ def run(method, setting, num_problems, chances=None, env=None, plays=PLAYS, ever
     def measured(progress):
         ds = sweep(progress)
         of_arms = ds.table.isel(table_0=0)
-        is_best = np.eye(env.arms)[best_arms(env, num_problems, ds.steps.isel(seed=0).cumsum("row").values)]
+        of_one = ds.steps.values.reshape(-1, ds.sizes["row"])[0]  # all settings and seeds play as often
+        is_best = np.eye(env.arms)[best_arms(env, num_problems, of_one.cumsum())]
         best = (chances(of_arms.values) * is_best).sum(-1)
         return ds.drop_vars("table").assign(best=(of_arms.dims[:-1], best))
 

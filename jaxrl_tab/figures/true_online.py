@@ -1,6 +1,7 @@
 """True online TD(lambda) on a random task with tabular features (van Seijen et al. 2016).
 
-The paper of 2014, which introduced the method, has walks alone whose states share features.
+The task is the one that the authors' public program draws. The paper of 2014, which introduced the method, has walks
+alone, whose states share features.
 """
 
 import jax.numpy as jnp
@@ -60,7 +61,7 @@ def _average_reward():
     return _truth()[1] @ (p * r).sum(1)
 
 
-def _experiment(num_seeds=300):
+def _experiment(num_seeds=200):
     budget = {"num_seeds": num_seeds, "num_steps": STEPS, "log_every": 1, "record": _error}
     grid = {"lam": list(LAMBDAS), "alpha": list(ALPHAS), "gamma": GAMMA}
     return {name: swept(_env(), method, grid | own, **budget) for name, (method, own) in METHODS.items()}
@@ -102,8 +103,7 @@ def _draw(datasets):
 
 FIGURE = Figure(
     title="True online TD(λ) on a random task",
-    source="van Seijen, Mahmood, Pilarski, Machado and Sutton 2016, True online temporal-difference learning, the "
-    "small random task with tabular features, as the authors' public program draws it",
+    source="van Seijen, Mahmood, Pilarski, Machado and Sutton 2016, the small random task with tabular features",
     shows="What long traces are good for depends on how they are kept. Accumulating ones bear small step sizes alone, "
     "so that a large λ gains nothing; replacing ones gain much, and true online TD(λ) more, with large steps as well.",
     experiment=_experiment,

@@ -24,6 +24,7 @@ Its modules, from the ground up:
     explorer  the data of the report, in which its readers look around
     explained where methods lose what they earn less than the best policy, in numbers and in words
     loss_maps pictures of that
+    compared  results beside other results, in numbers and in words
     heat      what the report shows of that
     rows      what a chapter of the report says: its rows, notes and tables
     report    the report of an experiment, one HTML file; `rl.report`

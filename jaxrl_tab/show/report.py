@@ -100,15 +100,17 @@ def write_methods(
     again: Again | None = None,
     toml: Mapping[str, str] | None = None,
     explained: Mapping[str, Explained] | None = None,
+    verdicts: Mapping[str, stats.Verdict] | None = None,
 ) -> Path:
     """`write`, of the methods of each environment, of which something may have been worked out already.
 
     Args:
         again, toml: see `explorer`; without `again` there are tables at the end of the runs alone.
         explained: where the methods lose, by "ENV/METHOD"; of those that are in it.
+        verdicts: what was decided in each environment, where methods were compared until all was.
         Others: as in `write`.
     """
-    return page(methods, about, fresh, again, toml, explained).save(folder / FILE)
+    return page(methods, about, fresh, again, toml, explained, verdicts).save(folder / FILE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,6 +148,7 @@ def page(
     again: Again | None = None,
     toml: Mapping[str, str] | None = None,
     explained: Mapping[str, Explained] | None = None,
+    verdicts: Mapping[str, stats.Verdict] | None = None,
 ) -> Page:
     """The report; arguments as in `write_methods`."""
     several = len(methods) > 1
@@ -154,7 +157,8 @@ def page(
         group = f"{label}/" if several else ""
         seen = explorer(label, own, group=group, again=again, toml=toml, chapters=len(methods))
         losing = heats(explained or {}, label)
-        chapters.append(_chapter(label, own, fresh.get(label, Methods({})), seen, losing))
+        chapter = _chapter(label, own, fresh.get(label, Methods({})), seen, losing)
+        chapters.append(chapter if verdicts is None else _decided(chapter, verdicts.get(label), own))
     sweeps = {f"{label}/{name}": ds for label, own in methods.items() for name, ds in own.items()}
     seeds = [ds.sizes["seed"] for ds in sweeps.values()]
     title = _title(chapters)
@@ -206,6 +210,8 @@ class Chapter(NamedTuple):
     losing: list[Heat]
     data: Any
     blocks: dict[str, str]
+    verdict: str = ""
+    verdict_notes: Sequence[str] = ()
 
 
 # --- a chapter ---------------------------------------------------------------------------------------
@@ -257,6 +263,19 @@ def _chapter(label: str, methods: Methods, fresh: Methods, seen: Explorer, losin
         losing=losing,
         data=as_json(seen.data),
         blocks=seen.blocks,
+    )
+
+
+def _decided(chapter: Chapter, verdict: stats.Verdict | None, methods: Methods) -> Chapter:
+    """The chapter with what was decided between its methods."""
+    if verdict is None:
+        return chapter
+    verdict = verdict.renamed(words.title_of)
+    digits = decimals(methods.rows)
+    return chapter._replace(
+        finding=f"{verdict.sentence}; {chapter.finding}",
+        verdict=verdict.sentence,
+        verdict_notes=verdict.notes(lambda x: number(x, digits)),
     )
 
 

@@ -43,6 +43,7 @@ from jaxrl_tab.stats.comparisons import (
     probability_of_improvement,
     proportion_interval,
     seeds_needed,
+    unpaired_difference,
 )
 from jaxrl_tab.stats.deciding import Pair, Verdict, decide, looks, until_decided
 from jaxrl_tab.stats.early import (
@@ -171,6 +172,7 @@ __all__ = [
     "time_to_threshold",
     "tolerance_interval",
     "unfinished",
+    "unpaired_difference",
     "unseen",
     "until_decided",
 ]

@@ -11,7 +11,15 @@ from scipy import special
 from jaxrl_tab.core.checks import FRACTION, check_within
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.stats.along import Interval, aligned, along, check_dims
-from jaxrl_tab.stats.intervals import least_of, mean_with_p, seeds_wanted, with_one_more
+from jaxrl_tab.stats.intervals import (
+    hall_bounds,
+    hall_p,
+    least_of,
+    mean_with_p,
+    one_more,
+    seeds_wanted,
+    with_one_more,
+)
 
 POWER_RUNS, POWER_SIMULATED = 20_000, 200  # experiments; from so many seeds on Hall's test is Student's
 
@@ -150,6 +158,88 @@ def paired_difference(
     with np.errstate(divide="ignore", invalid="ignore"):
         reduction = 1 - difference.var(dim) / (x.var(dim) + y.var(dim))
     return Difference(Interval(mean, low, high, n), p, reduction)
+
+
+def unpaired_difference(
+    x: xr.DataArray,
+    y: xr.DataArray,
+    dim: str = "seed",
+    confidence: float = 0.95,
+    worst: xr.DataArray | float | None = None,
+) -> Difference:
+    """The difference of the means of x and y, whose runs have nothing to do with each other: of other seeds.
+
+    It is Welch's, with Satterthwaite's degrees of freedom, and made right for skewness as `mean_interval` is:
+    Hall's transformation with the skewness of the difference of the means. 95% intervals held the difference
+    in so many per cent of 20 000 experiments, of 10 and 10, 10 and 100, 30 and 30, 100 and 100 values:
+
+        normal, one spread thrice the other  95.9  95.5  95.4  95.1
+        exponential and normal               96.1  93.9  95.5  95.6
+        lognormal(1) twice                   97.2  89.4  95.9  95.9
+
+    p is never less than what a test by permutations would have at best, 2 of all ways to divide the values,
+    and where that is more than 1 - `confidence` the interval holds 0.
+
+    Args:
+        x, y: a number for each seed, [..., dim, ...] each, of as many seeds as they have. A NaN is left out.
+        dim, confidence: as in `mean_interval`.
+        worst: as in `paired_difference`.
+
+    Returns:
+        The difference, where `n` is the number of values of both together, and `reduction` is NaN.
+
+    Raises:
+        InputError: as `mean_interval`; or other dimensions have different labels.
+    """
+    check_within("confidence", confidence, FRACTION)
+    check_dims(x, [dim])
+    check_dims(y, [dim])
+    x, y = aligned(x, y.rename({dim: "other run"}), apart=[dim, "other run"])
+    y = y.rename({"other run": dim})
+    mean, low, high, p, n, m = _welch(x, y, dim, confidence)
+    if worst is not None:
+        worst = least_of(x.min(dim), y.min(dim), worst)
+        few = seeds_wanted(x, dim) > n
+        _, lower, _, q, *_ = _welch(one_more(x, worst, dim), y, dim, confidence, skewed=False)
+        q = q.where(np.sign(mean) == np.sign(one_more(x, worst, dim).mean(dim) - y.mean(dim)), 1)
+        low, p = low.where(~few, np.fmin(low, lower)), p.where(~few | (mean <= 0), np.fmax(p, q))
+        few = seeds_wanted(y, dim) > m
+        _, _, upper, q, *_ = _welch(x, one_more(y, worst, dim), dim, confidence, skewed=False)
+        q = q.where(np.sign(mean) == np.sign(x.mean(dim) - one_more(y, worst, dim).mean(dim)), 1)
+        high, p = high.where(~few, np.fmax(high, upper)), p.where(~few | (mean > 0), np.fmax(p, q))
+    least = 2 / special.binom(n + m, n)
+    p = p.where(p.isnull(), np.minimum(np.maximum(p, least), 1))
+    uncertain = least > 1 - confidence
+    low, high = low.where(~(uncertain & (low > 0)), 0), high.where(~(uncertain & (high < 0)), 0)
+    return Difference(Interval(mean, low, high, n + m), p, xr.full_like(mean, np.nan))
+
+
+def _welch(
+    x: xr.DataArray, y: xr.DataArray, dim: str, confidence: float, skewed: bool = True
+) -> tuple[xr.DataArray, ...]:
+    """The difference of the means, bounds, p of "it is 0", and how many values x and y have."""
+
+    def of(values: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The mean, and the second and third cumulant of its distribution."""
+        n = values.shape[-1]
+        z = values - values.mean(-1, keepdims=True)
+        second = (z**2).sum(-1) / max(n - 1, 1) / n if n > 1 else np.full(len(z), np.nan)
+        third = (z**3).sum(-1) / ((n - 1) * (n - 2)) / n if n > 2 else np.zeros(len(z))
+        return values.mean(-1), second, third
+
+    a, b = along(x, dim, of), along(y, dim, of)
+    (mean_x, var_x, third_x, n), (mean_y, var_y, third_y, m) = a, b
+    mean, variance = mean_x - mean_y, var_x + var_y
+    with np.errstate(divide="ignore", invalid="ignore"):
+        degrees = variance**2 / (var_x**2 / (n - 1) + var_y**2 / (m - 1))
+        skewness = (third_x - third_y) / variance**1.5
+    degrees = degrees.where(variance != 0, n + m - 2)
+    skewness = skewness.where(variance > 0, 0) * skewed
+    error, a, freedom = (part.values.reshape(-1) for part in (variance**0.5, skewness, degrees))
+    estimate = mean.values.reshape(-1)
+    low, high = estimate + hall_bounds(error, a, freedom, confidence)
+    p = hall_p(estimate, error, a, freedom)
+    return mean, *(mean.copy(data=part.reshape(mean.shape)) for part in (low, high, p)), n, m
 
 
 def probability_of_improvement(

@@ -11,10 +11,10 @@ The levels spend the error equally on each doubling of the seeds (Lan and DeMets
 docs/deciding.md has the error rates and the power, from simulating all of it, and where it cannot hold.
 """
 
+import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from jaxrl_tab.core.checks import FRACTION, check_within
 from jaxrl_tab.core.errors import InputError, shown, whole
 from jaxrl_tab.stats.comparisons import paired_difference
 from jaxrl_tab.stats.intervals import least_of, unseen
+from jaxrl_tab.stats.measures import diverged_runs, earned, has_errors, last_tenth, mean_error
 
 FIRST, MOST = 100, 2000  # seeds at the first look and at the last
 POINTS = 401  # at which the density of a path is known, between two looks
@@ -69,6 +70,15 @@ def levels(looks: tuple[int, ...], error: float) -> tuple[float, ...]:
         place, weight, before = new, density * width, n
         found.append(float(2 * special.ndtr(-bound / np.sqrt(n))))
     return tuple(found)
+
+
+def scored(ds: xr.Dataset) -> xr.DataArray:
+    """The `score` of each run for `decide`: higher is better, and NaN where the run diverged, [*hyperparameters, seed].
+
+    A number that depends on its run alone, and on no others that may be added.
+    """
+    score = -mean_error(ds) if has_errors(ds) else earned(ds, last_tenth(ds))
+    return score.where(~diverged_runs(ds)).reset_coords(drop=True)
 
 
 def repeated_interval(
@@ -132,7 +142,7 @@ class Pair(NamedTuple):
     stuck: float
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Verdict:
     """What is decided about some methods, and who needs more seeds.
 
@@ -156,6 +166,17 @@ class Verdict:
     confidence: float
     diverged: Mapping[str, int]
 
+    def renamed(self, name: Callable[[str], str]) -> "Verdict":
+        """The same with other names for the methods."""
+        return dataclasses.replace(
+            self,
+            names=tuple(map(name, self.names)),
+            pairs=tuple(x._replace(first=name(x.first), second=name(x.second)) for x in self.pairs),
+            seeds={name(key): n for key, n in self.seeds.items()},
+            wanted=tuple(map(name, self.wanted)),
+            diverged={name(key): n for key, n in self.diverged.items()},
+        )
+
     @property
     def open(self) -> tuple[Pair, ...]:
         """The pairs that are not decided."""
@@ -163,14 +184,23 @@ class Verdict:
 
     @property
     def order(self) -> str:
-        """All in a line: "a > b ≈ c ? d", where ≈ is the same but for less than what matters, and ? is open."""
-        signs = {"better": ">", "same": "≈", "open": "?"}
-        verdicts = {(pair.first, pair.second): pair.verdict for pair in self.pairs}
-        line = self.names[0]
-        for first, second in itertools.pairwise(self.names):
-            known = verdicts.get((first, second)) or verdicts[second, first]
-            line += f" {signs[known]} {second}"
-        return line
+        """All in a line: "a > b ≈ c ? d".
+
+        All before a > are better than all after it; ≈ is the same but for less than what matters; the others are left
+        open, at least in part. What is decided there stands after it, as in "a ? b ? c, a > c".
+        """
+        beats, names = _beats(self.names, self.pairs), self.names
+        same = {frozenset(pair[:2]) for pair in self.pairs if pair.verdict == "same"}
+        line, group = names[0], [0]  # the numbers of those between two >
+        for i in range(1, len(names)):
+            is_cut = all(set(names[i:]) <= beats[name] for name in names[:i])
+            line += (
+                f" {'>' if is_cut else '≈' if frozenset(names[i - 1 : i + 1]) in same else '?'} {names[i]}"
+            )
+            group.append(group[-1] + is_cut)
+        number = dict(zip(names, group, strict=True))
+        within = [x for x in self.pairs if x.verdict == "better" and number[x.first] == number[x.second]]
+        return ", ".join([line, *(f"{pair.first} > {pair.second}" for pair in within)])
 
     @property
     def sentence(self) -> str:
@@ -334,13 +364,18 @@ def _unknown(names: tuple[str, str]) -> Pair:
 
 def _ordered(names: Scores, pairs: Sequence[Pair], used: Mapping[str, xr.DataArray]) -> tuple[str, ...]:
     """The names, the best first: by what is decided, and what follows from it, and then by their means."""
-    beats = {
-        name: {pair.second for pair in pairs if pair.verdict == "better" and pair.first == name}
-        for name in names
-    }
-    for via in names:
-        for name in names:
-            beats[name] |= beats[via] if via in beats[name] else set()
+    beats = _beats(names, pairs)
     lead = lambda name: len(beats[name]) - sum(name in others for others in beats.values())
     mean = lambda name: float(used[name].mean()) if used[name].size else 0.0
     return tuple(sorted(names, key=lambda name: (-lead(name), -mean(name))))
+
+
+def _beats(names: Iterable[str], pairs: Iterable[Pair]) -> dict[str, set[str]]:
+    """Whom each is better than, as is decided or follows from that."""
+    found = {name: set[str]() for name in names}
+    for pair in pairs:
+        found[pair.first] |= {pair.second} if pair.verdict == "better" else set()
+    for via in found:
+        for others in found.values():
+            others |= found[via] if via in others else set()
+    return found

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -107,24 +108,38 @@ def _student(z: np.ndarray, confidence: float) -> np.ndarray:
 
 
 def _hall(z: np.ndarray, confidence: float) -> np.ndarray:
-    """Hall's bounds about the mean, [2, c], and nowhere inside Student's."""
-    student, a = _student(z, confidence), _skew(z)
-    u = special.stdtrit(z.shape[-1] - 1, (1 + confidence) / 2) * np.array([[1.0], [-1.0]])
+    """Hall's bounds about the mean, [2, c], from deviations [c, n]."""
+    return hall_bounds(standard_error(z), _skew(z), z.shape[-1] - 1, confidence)
+
+
+def hall_bounds(error: np.ndarray, a: np.ndarray, degrees: Any, confidence: float) -> np.ndarray:
+    """Hall's bounds about an estimate, [2, c], and nowhere inside Student's.
+
+    Args:
+        error, a: the standard error of the estimate, and the skewness of its distribution: [c].
+        degrees: of freedom of the error, [c] or [].
+    """
+    quantile = special.stdtrit(degrees, (1 + confidence) / 2)
+    half, u = quantile * error, quantile * np.array([[1.0], [-1.0]])
     curved = np.abs(a) > 1e-6  # else the transformation is the identity
     a = np.where(curved, a, 1)
     t = np.where(curved, 3 / a * (np.cbrt(1 + a * (u - a / 6)) - 1), u)
-    low, high = -t * standard_error(z)
-    return np.stack([np.minimum(low, student[0]), np.maximum(high, student[1])])
+    low, high = -t * error
+    return np.stack([np.minimum(low, -half), np.maximum(high, half)])
 
 
 def _p_value(z: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Two-sided p of "the mean is 0", [c]: it is under 5% where Hall's 95% interval does not hold 0."""
-    error, a = standard_error(z), _skew(z)
+    """Two-sided p of "the mean is 0", [c], from the deviations [c, n]."""
+    return hall_p(mean, standard_error(z), _skew(z), z.shape[-1] - 1)
+
+
+def hall_p(estimate: np.ndarray, error: np.ndarray, a: np.ndarray, degrees: Any) -> np.ndarray:
+    """Two-sided p of "it is 0", [c]: under 5% where 0 is not within Hall's 95% bounds. Arguments as there."""
     with np.errstate(divide="ignore", invalid="ignore"):  # no spread
-        t = np.where(mean == 0, 0, mean / error)
+        t = np.where(estimate == 0, 0, estimate / error)
         u = np.where(np.isfinite(t), t + a * t**2 / 3 + a**2 * t**3 / 27 + a / 6, t)
     nearer = np.where(t * u > 0, np.minimum(abs(t), abs(u)), 0)
-    return 2 * special.stdtr(z.shape[-1] - 1, -nearer)
+    return 2 * special.stdtr(degrees, -nearer)
 
 
 BOUNDS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
@@ -175,6 +190,13 @@ def least_of(*numbers: xr.DataArray | float) -> xr.DataArray:
     return functools.reduce(lambda a, b: xr.where(a < b, a, b), numbers)
 
 
+def one_more(x: xr.DataArray, value: xr.DataArray, dim: str) -> xr.DataArray:
+    """`x` with one more along `dim`, which has this value."""
+    bare = x.drop_vars(dim, errors="ignore")
+    last = value.broadcast_like(bare.isel({dim: 0}))
+    return xr.concat([bare, last], dim, coords="minimal", compat="override")
+
+
 def with_one_more(
     x: xr.DataArray, value: xr.DataArray, dim: str, confidence: float
 ) -> tuple[xr.DataArray, ...]:
@@ -182,10 +204,7 @@ def with_one_more(
 
     p is 1 where the value turns the sign of the mean.
     """
-    bare = x.drop_vars(dim, errors="ignore")
-    more = xr.concat(
-        [bare, value.broadcast_like(bare.isel({dim: 0}))], dim, coords="minimal", compat="override"
-    )
+    more = one_more(x, value, dim)
     mean, low, high, p, _ = along(more, dim, lambda z: mean_with_p(z, "t", confidence), parts=4)
     return mean, low, high, p.where(np.sign(mean) == np.sign(x.mean(dim)), 1)
 
