@@ -170,6 +170,20 @@ def test_seeds_before_the_first_are_added_as_well(folder, tmp_path):
 
 
 @pytest.mark.slow
+def test_it_can_be_decided_afterwards(folder, computed):
+    """And with more seeds, where the same settings are chosen, nothing is compared again."""
+    given = {
+        "method": [SARSA, "q-learning"],
+        "select": {"fresh_seeds": 5},
+        "until_decided": {"most_seeds": 20},
+    }
+    outcome = rl.resume(folder, experiment=experiment(**given))
+    assert repr(outcome.verdicts) == repr(rl.run(experiment(**given)).verdicts)
+    computed.clear()
+    assert repr(rl.resume(folder, seeds=36).verdicts) == repr(outcome.verdicts) and sum(computed) == 3
+
+
+@pytest.mark.slow
 def test_longer_runs_are_computed_anew_and_the_old_ones_stay(folder, computed, caplog):
     before = kept(folder)
     outcome = rl.resume(folder, steps=40)

@@ -19,7 +19,7 @@ from jaxrl_tab.experiment.spec import Experiment, change, difference
 
 LENGTH = ("steps", "episodes", "log_every")
 PARTS = ("environment", "method")
-GROWS = ("seeds", "first_seed", "select", *LENGTH, *PARTS)
+GROWS = ("seeds", "first_seed", "select", "until_decided", *LENGTH, *PARTS)
 
 
 class Block(NamedTuple):
