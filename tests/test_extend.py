@@ -170,8 +170,10 @@ def test_seeds_before_the_first_are_added_as_well(folder, tmp_path):
 
 
 @pytest.mark.slow
-def test_it_can_be_decided_afterwards(folder, computed):
+def test_it_can_be_decided_afterwards(tmp_path, computed):
     """And with more seeds, where the same settings are chosen, nothing is compared again."""
+    folder = tmp_path / "run"
+    rl.run(experiment(select=None), folder)
     given = {
         "method": [SARSA, "q-learning"],
         "select": {"fresh_seeds": 5},
