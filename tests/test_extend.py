@@ -88,7 +88,8 @@ def at_once(stage):
 
 @pytest.fixture
 def computed(monkeypatch):
-    """How many runs are computed in each shard."""
+    """How many runs are computed in each shard, but for those of what is run at once."""
+    at_once(0), at_once(1)
     runs, call = [], shards.Job.__call__
     monkeypatch.setattr(
         shards.Job, "__call__", lambda job, n: runs.append(job.shards[n].runs) or call(job, n)
