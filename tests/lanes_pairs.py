@@ -40,11 +40,10 @@ class Unloaded:
 def pairs(env: str) -> Iterator[tuple[str, str]]:
     """(method, budget): Sarsa and some of the others, in the next environment the next ones; in one all.
 
-    So that each is in three environments besides that one, whatever their number. Every other one by episodes, where
-    not by both. Methods of the average reward are in `GOES_ON` alone, and those that need a horizon in
-    `HAS_HORIZON`.
+    So that each is in two environments besides that one, whatever their number: in one by steps, in the other by
+    episodes. Methods of the average reward are in `GOES_ON` alone, and those that need a horizon in `HAS_HORIZON`.
     """
-    every = max(1, len(ENVS) // 3)
+    every = max(1, len(ENVS) // 2)
     for k, method in enumerate(METHODS, list(ENVS).index(env)):
         declared = of_method(METHODS[method])
         if declared.in_the_long_run or declared.needs_horizon:

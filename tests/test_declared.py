@@ -9,7 +9,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import plot, stats
 from jaxrl_tab.algorithms import PolicyGradient
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
-from jaxrl_tab.core.declared import Learns, LearnsFrom, of_environment, of_method
+from jaxrl_tab.core.declared import Learns, LearnsFrom, OfMethod, of_environment, of_method
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.stats.measures import has_errors
@@ -55,17 +55,8 @@ class Mean:
 
 def test_texts_in_own_classes_are_the_declaration():
     declared = of_method(Mean())
-    assert declared == (
-        Learns.ACTIONS,
-        LearnsFrom.TRANSITIONS_OF_B,
-        False,
-        False,
-        False,
-        False,
-        (),
-        None,
-        None,
-    )
+    assert declared == OfMethod(learns_from=LearnsFrom.TRANSITIONS_OF_B)
+    assert (declared.learns, declared.learns_from) == ("actions", "transitions of b")
     log = rl.Experience(s=[0], a=[0], r=[2.0], s_next=[1], terminal=[True])
     with pytest.raises(rl.InputError, match="Mean weighs what it learns by the policy that acted"):
         rl.learn(jax.random.key(0), Mean(), log, 2, 1)

@@ -114,16 +114,6 @@ def test_what_is_under_way_is_given_up(connection, tmp_path):
 
 
 @pytest.mark.slow
-def test_own_classes_go_along_with_the_work(connection, tmp_path, monkeypatch):
-    """Workers have neither the file nor its folder: they load what goes along with the work."""
-    (tmp_path / "mine.py").write_text(test_own.OWN)
-    monkeypatch.chdir(tmp_path)
-    _shards.cache_clear()  # as below
-    outcome = rl.run(test_own.experiment(), "run", executor=connection)
-    test_own.check(outcome.datasets["Coin/Hasty"], test_own.expected())
-
-
-@pytest.mark.slow
 def test_own_files_go_all_the_way_on_the_command_line(connection, cluster, tmp_path, monkeypatch):
     """A method, an environment and a recorder of one file, which imports another: typed, killed, resumed, reported.
 

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from keeping import forget
-from marks import slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab.core.pytree import pytree
@@ -97,11 +96,16 @@ def test_each_run_has_its_own_problem_and_each_configuration_the_same_ones():
     assert not np.isin(other.rewards, log.rewards).any()
 
 
-@pytest.mark.one_in(2)
-@pytest.mark.parametrize("backend", slow_but_first(["lanes", "xla"]))
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize(
-    "length",
-    slow_but_first([{"num_steps": 120}, {"num_episodes": 7}, {"num_steps": 125}, {"num_episodes": 12}], 2),
+    ("backend", "length"),
+    [
+        ("lanes", {"num_steps": 120}),
+        ("lanes", {"num_episodes": 7}),
+        ("lanes", {"num_steps": 125}),
+        ("lanes", {"num_episodes": 12}),
+        ("xla", {"num_steps": 125}),
+    ],
     ids=str,
 )
 def test_how_many_rows_are_measured_at_once_changes_nothing(backend, length, monkeypatch):

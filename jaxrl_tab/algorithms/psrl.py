@@ -79,6 +79,10 @@ class PSRL(ValueControl):
         never = jnp.int32(jnp.iinfo(jnp.int32).max)
         return PosteriorState(q, clock, Counts.empty(num_states, num_actions), never)
 
+    def works_with(self, state: PosteriorState):
+        drawn = jnp.repeat(state.model.n, self.samples, axis=1)
+        return drawn, drawn, drawn  # while it is drawn; and times gamma, in the order of the sweeps
+
     def update(self, key, state: PosteriorState, t: Transition):
         state = self.begin(state, t)
         model = state.model.after(t, jnp.ones_like(t.r))

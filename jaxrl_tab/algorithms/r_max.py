@@ -59,6 +59,9 @@ class RMax(ValueControl):
         q, clock = super().init(num_states, num_actions)
         return ModelState(q, clock, Counts.empty(num_states, num_actions))
 
+    def works_with(self, state: ModelState):
+        return state.model.n  # as probabilities
+
     def update(self, key, state: ModelState, t: Transition):
         state = self.begin(state, t)
         m = jnp.asarray(self.m, state.q.dtype)

@@ -70,6 +70,9 @@ class UCBVI(Optimistic):
         n = jnp.zeros((*visits.shape, states + 1), q.dtype)
         return LayeredState(q, clock.start(num_states, num_actions, False), n, visits, visits)
 
+    def works_with(self, state: LayeredState):
+        return state.n  # as probabilities
+
     def update(self, key, state: LayeredState, t: Transition):
         counted = clock.begin_step(state.clock, t.s, t.a)
         end, (rows, actions, width) = state.q.shape[0] - 1, state.n.shape

@@ -30,6 +30,7 @@ MODULES = {
     "sweep": "sweep",
     "resume": "sweep",
     "explain": "explain",
+    "seeds": "seeds",
     "compare": "compare",
     "moments": "moments",
     "figure": "figure",
@@ -53,6 +54,7 @@ commands:
   resume    go on with a sweep that was interrupted
   explain   where the methods of a sweep lose what they earn less than the best policy
   compare   results beside others: the same bits, or better, or worse
+  seeds     how many seeds a comparison takes, judged by the runs of a sweep
   moments   exact learning curves of prediction, without a single run
   figure    make published figures again, and check their numbers
   check     whether an agent that a student wrote is right, and which mistake is in it
@@ -69,6 +71,7 @@ examples:
   {PROG} resume runs/windy
   {PROG} explain runs/windy
   {PROG} compare runs/last-month runs/today
+  {PROG} seeds runs/windy --difference 0.5
   {PROG} moments random-walk td --alpha 0.05 0.1 0.2 --episodes 100
   {PROG} figure cliff-walking --out runs/cliff
   {PROG} figure --all --out runs/figures

@@ -43,6 +43,7 @@ COMMANDS = {
         {"hyperparameters": ("exact methods", "method"), "environment": _ENVIRONMENT},
     ),
     "explain": ("explain", "Explain", {}),
+    "seeds": ("seeds", "Seeds", {}),
     "compare": ("compare", "Compare", {}),
     "figure": ("figure", "Figure", {}),
 }

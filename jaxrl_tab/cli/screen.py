@@ -64,7 +64,7 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         summary = {"folder": folder and str(folder), "summary": _records(outcome.summary)}
         chosen = {"selection": _records(outcome.selection)} if outcome.fresh else {}
         decided = {"verdicts": _verdicts(outcome)} if outcome.verdicts else {}
-        print_json(summary | chosen | decided)
+        print_json(summary | chosen | decided | _tasks_as_json(outcome))
         return
     if options.quiet:
         return
@@ -72,6 +72,8 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         with busy("summing up"):
             _work_out(methods)
         print_summary(environment, methods)
+    if len(outcome.envs) > 1:
+        _print_tasks(outcome)
     if outcome.fresh:
         _print_selection(outcome.selection)
     for environment, verdict in outcome.verdicts.items():
@@ -80,6 +82,15 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
         why = "a number became infinite, or NaN, or grew beyond any possible return."
         console().print(f"{diverged} of {runs} runs diverged: {why}")
+
+
+def _tasks_as_json(outcome: files.Outcome) -> dict[str, Any]:
+    """The methods over all environments, where there are several."""
+    if len(outcome.envs) < 2 or (tasks := outcome.tasks) is None:
+        return {}
+    from jaxrl_tab.show import over_tasks
+
+    return {"over_environments": over_tasks.to_dict(tasks)}
 
 
 def show_look(environment: str, verdict: "Verdict") -> None:
@@ -99,6 +110,25 @@ def _print_verdict(environment: str, verdict: "Verdict", digits: Any) -> None:
 
 def _records(table: "pd.DataFrame") -> Any:
     return jsonlib.loads(str(table.to_json(orient="records")))
+
+
+def _print_tasks(outcome: files.Outcome) -> None:
+    """The methods over all environments."""
+    from jaxrl_tab.show import over_tasks  # here, for it imports xarray and the statistics
+
+    with busy("summing up"):
+        tasks = outcome.tasks
+    if tasks is None:
+        return
+    out, view = console(), Table(*over_tasks.head(tasks))
+    for column in view.columns[1:]:
+        column.justify = "right"
+    for row in over_tasks.rows(tasks):
+        view.add_row(*map(escape, row))
+    out.print(f"[bold]over {tasks.scores.sizes['environment']} environments[/]")
+    out.print(view)
+    for line in over_tasks.notes(tasks, outcome.fresh.keys() == outcome.datasets.keys()):
+        out.print(line, markup=False)
 
 
 def _verdicts(outcome: files.Outcome) -> dict[str, Any]:

@@ -79,6 +79,8 @@ class OfMethod(NamedTuple):
             which may be greater than any return.
         in_the_long_run: whether it learns about the average reward of a step, in tasks that do not end.
         records: names of fields of its state that are recorded at the end of every row of the log.
+        works_with: gives, from a state, arrays of the shapes of those with which `update` works beside it, for the
+            forecast of memory; None where these are no more than some numbers of each state and action.
         behaviour: the policy that acts, where the method was given one.
         backup: the diagram of what `update` looks ahead to, a `Backup` or its levels as text; None where nobody has
             drawn it. The class that defines `update` declares it, or a subclass without an `update` of its own.
@@ -92,6 +94,7 @@ class OfMethod(NamedTuple):
     needs_horizon: bool = False
     in_the_long_run: bool = False
     records: tuple[str, ...] = ()
+    works_with: Callable[[Any], Any] | None = None
     behaviour: Any = None
     backup: Backup | None = None
 

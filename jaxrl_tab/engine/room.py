@@ -221,11 +221,11 @@ def needs_of_program(budget: Budget, signature: Signature) -> Needs:
     root, seed, algorithm, envs = signature.arguments
     env, _ = envs
     shapes = jax.eval_shape(lambda algorithm, env: gives(algorithm, env, budget), algorithm[0], env)
-    results, others, waiting = shapes
+    results, others, beside = shapes
     call = memory.Call(
         shared=memory.size((root, envs)),
         kept=memory.size((seed, algorithm, results)),
-        working=_working(env, budget, memory.size((results, others))) + memory.size(waiting),
+        working=_working(env, budget, memory.size((results, others))) + memory.size(beside),
     )
     program = hashlib.sha256(f"{budget} {signature.treedef} {signature.avals}".encode()).hexdigest()[:16]
     return Needs(results, call, program)

@@ -48,7 +48,8 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
     """Arrays of the shapes of what a run gives, and of what it carries beside. No step and no exact value is traced.
 
     Returns:
-        (table, Log); what else is in the state of the learner; and states of it that wait to be measured.
+        (table, Log); what else is in the state of the learner; and states of it that wait to be measured, with what
+        its update works with.
     """
     algorithm = restricted(algorithm, available_actions(env))
     learner = init_learner(algorithm, env)
@@ -62,7 +63,9 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
     rows = max((rows_at_once(what, algorithm, learner) for what in _measured(algorithm, budget)), default=1)
     if rows > 1:
         waiting = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), learner)
-    return (q, loop.empty_log(q.dtype, budget, measured)), others, waiting
+    works_with = of_method(algorithm).works_with
+    beside = (waiting, None if works_with is None else works_with(learner))
+    return (q, loop.empty_log(q.dtype, budget, measured)), others, beside
 
 
 def problem_of(stream: rng.Stream, env: Any) -> Any:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 from jaxrl_tab.core.checks import is_list
-from jaxrl_tab.core.errors import RunError, check_choice, one_line, unfit
+from jaxrl_tab.core.errors import InputError, RunError, check_choice, one_line, unfit
 from jaxrl_tab.core.memory import words
 from jaxrl_tab.core.netcdf import save
 from jaxrl_tab.core.notebook import table
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from jaxrl_tab.show.report import Page
     from jaxrl_tab.stats.columns import Methods
     from jaxrl_tab.stats.deciding import Verdict
+    from jaxrl_tab.stats.tasks import Tasks
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,20 @@ class Outcome:
         from jaxrl_tab.stats.columns import by_environment
 
         return by_environment(self.fresh, self.envs)
+
+    @cached_property
+    def tasks(self) -> "Tasks | None":
+        """The methods over all environments, on fresh seeds where all were run on some: see `stats.across_tasks`.
+
+        None where there are not two of them in which methods can be compared.
+        """
+        from jaxrl_tab import stats
+
+        on_fresh = self.fresh.keys() == self.datasets.keys()
+        try:
+            return stats.across_tasks(self.fresh_methods if on_fresh else self.methods)
+        except InputError:
+            return None
 
     @property
     def chosen(self) -> dict[str, int]:

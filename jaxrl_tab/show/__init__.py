@@ -24,6 +24,7 @@ Its modules, from the ground up:
     explorer  the data of the report, in which its readers look around
     explained where methods lose what they earn less than the best policy, in numbers and in words
     loss_maps pictures of that
+    over_tasks methods over several environments, in a table and in words
     compared  results beside other results, in numbers and in words
     heat      what the report shows of that
     rows      what a chapter of the report says: its rows, notes and tables

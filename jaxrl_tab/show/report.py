@@ -19,7 +19,7 @@ from jaxrl_tab.core import describe
 from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
-from jaxrl_tab.show import words
+from jaxrl_tab.show import over_tasks, words
 from jaxrl_tab.show.explained import Explained
 from jaxrl_tab.show.explorer.chapter import Explorer, explorer
 from jaxrl_tab.show.explorer.measures import POINTS
@@ -169,6 +169,7 @@ def page(
         points=f"at most {POINTS}",
         title=title,
         chapters=chapters,
+        over_tasks=_over_tasks(methods, fresh) if several else None,
         explained=dict(item for chapter in chapters for item in chapter.explained.items()),
         about=about,
         speed=[_speed(name, ds) for name, ds in sweeps.items()],
@@ -180,6 +181,21 @@ def page(
         version=__version__,
     )
     return Page(title, rendered)
+
+
+def _over_tasks(methods: Mapping[str, Methods], fresh: Mapping[str, Methods]) -> dict[str, Any] | None:
+    """What is told of the methods over all environments; None where there are not two in which they are compared."""
+    on_fresh = all(fresh.get(label, {}).keys() == own.keys() for label, own in methods.items())
+    try:
+        tasks = stats.across_tasks(fresh if on_fresh else methods)
+    except InputError:
+        return None
+    return {
+        "head": over_tasks.head(tasks),
+        "rows": over_tasks.rows(tasks),
+        "notes": [*over_tasks.notes(tasks, on_fresh)],
+        "count": tasks.scores.sizes["environment"],
+    }
 
 
 class Chapter(NamedTuple):

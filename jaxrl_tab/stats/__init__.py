@@ -45,7 +45,7 @@ from jaxrl_tab.stats.comparisons import (
     seeds_needed,
     unpaired_difference,
 )
-from jaxrl_tab.stats.deciding import Pair, Verdict, decide, looks, until_decided
+from jaxrl_tab.stats.deciding import Pair, Verdict, decide, looks, scored, until_decided
 from jaxrl_tab.stats.early import (
     Early,
     better_early,
@@ -91,6 +91,7 @@ from jaxrl_tab.stats.measures import (
     time_to_threshold,
     unfinished,
 )
+from jaxrl_tab.stats.pilot import seeds_from_pilot
 from jaxrl_tab.stats.settings import (
     Selection,
     at_edge,
@@ -101,6 +102,14 @@ from jaxrl_tab.stats.settings import (
     score_interval,
     selection,
     tied,
+)
+from jaxrl_tab.stats.tasks import (
+    Tasks,
+    across_tasks,
+    mean_improvement,
+    mean_rank,
+    normalised,
+    random_value,
 )
 
 __all__ = [
@@ -117,7 +126,9 @@ __all__ = [
     "Methods",
     "Pair",
     "Selection",
+    "Tasks",
     "Verdict",
+    "across_tasks",
     "area_under_curve",
     "at_edge",
     "best",
@@ -143,11 +154,14 @@ __all__ = [
     "last_tenth",
     "learning_curve",
     "looks",
+    "mean_improvement",
     "mean_interval",
+    "mean_rank",
     "mean_return",
     "median_interval",
     "merge_rows",
     "named",
+    "normalised",
     "optimum",
     "pace",
     "paired_difference",
@@ -157,9 +171,12 @@ __all__ = [
     "probability_of_improvement",
     "progress_interval",
     "proportion_interval",
+    "random_value",
     "ranked",
     "score",
     "score_interval",
+    "scored",
+    "seeds_from_pilot",
     "seeds_needed",
     "seeds_wanted",
     "selection",

@@ -189,6 +189,11 @@ def statistic_bounds(
     return _percentiles(resampled(n, of)[None], n, 1, n - 1, confidence)[:, 0]
 
 
+def percentile_bounds(resampled: np.ndarray, n: int, strata: int, confidence: float) -> np.ndarray:
+    """Bounds, [2, c], from what resamples of n values in so many strata gave, [c, resamples]."""
+    return _percentiles(resampled, n, strata, n - strata, confidence)
+
+
 def _percentiles(resampled: np.ndarray, n: int, strata: int, degrees: float, confidence: float) -> np.ndarray:
     """Bounds, [2, c], from what resamples of n values gave, [c, resamples]; NaN where n is too small."""
     if n <= strata:
