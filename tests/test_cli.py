@@ -20,10 +20,11 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning, plot, stats
 from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
-from jaxrl_tab.cli import main, screen, tables
+from jaxrl_tab.cli import main, screen
 from jaxrl_tab.cli import sweep as sweep_module
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Sweep
+from jaxrl_tab.cli.tables import best_actions
 from jaxrl_tab.cli.typed import flag_of
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.errors import InputError
@@ -690,8 +691,8 @@ def cells(text, row):
 
 def test_where_a_run_has_diverged_no_action_is_the_best():
     """`watch` shows such a table. Broken once: the maximum of no number -> fails."""
-    assert tables.best_actions(np.full(4, np.nan)).size == 0
-    assert tables.best_actions(np.array([0.0, -1.0, 0.0])).tolist() == [0, 2]
+    assert best_actions(np.full(4, np.nan)).size == 0
+    assert best_actions(np.array([0.0, -1.0, 0.0])).tolist() == [0, 2]
 
 
 def test_solve_draws_values_and_best_actions_where_they_are(capsys):
