@@ -412,6 +412,17 @@ def test_pictures_are_of_the_formats_that_are_wanted(options, endings, tmp_path,
     assert (out / "overview.png").exists()
 
 
+def test_a_sweep_over_several_environments_takes_the_options_of_each(capsys):
+    """Broken once: the second name stays a method -> refused."""
+    command = "sweep windy-gridworld cliff-walking sarsa q-learning --moves king --alpha 0.5 --dry-run --json"
+    assert main(command.split()) == 0
+    parts = json.loads(capsys.readouterr().out)["parts"]
+    assert [*parts] == [
+        f"{env}/{m}" for env in ("windy-gridworld", "cliff-walking") for m in ("sarsa", "q-learning")
+    ]
+    assert {part["runs"] for part in parts.values()} == {100}
+
+
 # --- refusals ----------------------------------------------------------------------------------------
 
 REFUSALS = {
@@ -426,8 +437,11 @@ REFUSALS = {
     "compare nowhere nothing": "there is no folder nowhere",
     "compare a b --fail-if-wors": "did you mean '--fail-if-worse'?",
     "compare a b --html nowhere/x.html": "there is no folder nowhere for x.html",
+    "sweep windy-gridworld cliff-walking": "name a method: sarsa",
+    "sweep windy-gridworld cliff-walking sarsa --states 4": "none of windy-gridworld, cliff-walking has --states",
+    "sweep windy-gridworld clif-walking sarsa": "'clif-walking' is not a method",
     "swep": "did you mean 'sweep'?",
-    "xyzzy": "watch, sweep, resume, explain, compare, moments, figure, check",
+    "xyzzy": "explain, seeds, compare, moments, figure, check",
     "list --jsn": "did you mean '--json'?",
     "list sara": "'sara' is not an environment, a method or a figure; did you mean 'sarsa'?",
     "list mine.py:Mine": "there is no file",

@@ -159,6 +159,21 @@ def test_a_damaged_look_is_computed_again(undisturbed, tmp_path, computed, caplo
     same(folder, undisturbed)
 
 
+@pytest.mark.slow
+def test_a_folder_that_grows_keeps_its_looks(undisturbed, tmp_path, computed):
+    """What was decided is not looked at again by another plan: that would be wrong more often than is said.
+
+    Broken once: as many fresh seeds at the first look as seeds -> fails.
+    """
+    folder = Path(shutil.copytree(undisturbed[0], tmp_path / "run"))
+    outcome = rl.resume(folder, seeds=9)
+    assert {ds.sizes["seed"] for ds in outcome.datasets.values()} == {9}
+    assert outcome.verdicts == undisturbed[1].verdicts and computed[comparing.Look] == []
+    other = dataclasses.replace(EXPERIMENT, select={"fresh_seeds": 10})
+    with pytest.raises(rl.InputError, match="fresh_seeds was 8, and is 10"):
+        rl.resume(folder, experiment=dataclasses.replace(other, seeds=9))
+
+
 # --- the words ---------------------------------------------------------------------------------------
 def test_the_report_the_table_and_json_tell_it(undisturbed, tmp_path, capsys):
     folder, outcome, _ = undisturbed

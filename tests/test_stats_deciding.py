@@ -123,7 +123,7 @@ def test_what_diverges_more_often_is_never_called_better():
     verdict = stats.decide(x)
     assert verdicts(verdict) == {("a", "b"): "open"} and verdict.seeds["a"] == 2000
     assert verdict.pairs[0].low == -inf and verdict.diverged == {"a": 1}
-    assert any("1 runs of a diverged" in note for note in verdict.notes())
+    assert any("1 run of a diverged" in note for note in verdict.notes())
     x["b"][5:7] = nan  # now b does more often
     assert verdicts(stats.decide(x)) == {("a", "b"): "better"}
     all_lost = {"a": np.full(100, nan), "b": np.full(100, nan)}

@@ -177,7 +177,8 @@ def wished(found: Found, given: Experiment | None, more: Mapping[str, int]) -> E
     new = one
     if more:
         numbers = dict(more)
-        if one.select and one.select["fresh_seeds"] == one.seeds and "seeds" in more:  # as it is by default
+        as_many = one.select and one.select["fresh_seeds"] == one.seeds  # as it is by default
+        if as_many and "seeds" in more and not one.until_decided:  # whose looks stay as they were planned
             numbers["fresh_seeds"] = more["seeds"]
         select = one.select and one.select | {k: x for k, x in numbers.items() if k == "fresh_seeds"}
         data = one.data() | dict(more) | ({"select": select} if select else {})

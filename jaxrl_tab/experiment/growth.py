@@ -142,7 +142,7 @@ def taken_away(old: Experiment, new: Experiment) -> list[str]:
     elif now[longest] == was[longest]:
         lines += change("log_every", was["log_every"], now["log_every"])
     fresh = [x.select["fresh_seeds"] if x.select else 0 for x in (old, new)]
-    if fresh[0] > fresh[1]:
+    if fresh[0] > fresh[1] or (old.until_decided and fresh[0] < fresh[1]):  # a second look at what is decided
         lines += change("select: fresh_seeds", *(n or None for n in fresh))
     return lines + _taken_from_tables(old, new)
 

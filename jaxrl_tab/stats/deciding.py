@@ -227,8 +227,8 @@ class Verdict:
                 line = f"{pair.first} and {pair.second} are left open: {between(pair)}"
             lines.append(f"{line}.")
         lines += [
-            f"{count} runs of {name} diverged: they score as the worst run that was seen, and what diverges more often "
-            "is never called better."
+            f"{count} {'runs' if count > 1 else 'run'} of {name} diverged: such a run scores as the worst that was "
+            "seen, and what diverges more often is never called better."
             for name, count in self.diverged.items()
         ]
         fewest = min(self.seeds.values())
