@@ -24,6 +24,7 @@ from jaxrl_tab.cli import main, screen
 from jaxrl_tab.cli import sweep as sweep_module
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Sweep
+from jaxrl_tab.cli.tables import best_actions
 from jaxrl_tab.cli.typed import flag_of
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.errors import InputError
@@ -411,6 +412,17 @@ def test_pictures_are_of_the_formats_that_are_wanted(options, endings, tmp_path,
     assert (out / "overview.png").exists()
 
 
+def test_a_sweep_over_several_environments_takes_the_options_of_each(capsys):
+    """Broken once: the second name stays a method -> refused."""
+    command = "sweep windy-gridworld cliff-walking sarsa q-learning --moves king --alpha 0.5 --dry-run --json"
+    assert main(command.split()) == 0
+    parts = json.loads(capsys.readouterr().out)["parts"]
+    assert [*parts] == [
+        f"{env}/{m}" for env in ("windy-gridworld", "cliff-walking") for m in ("sarsa", "q-learning")
+    ]
+    assert {part["runs"] for part in parts.values()} == {100}
+
+
 # --- refusals ----------------------------------------------------------------------------------------
 
 REFUSALS = {
@@ -425,8 +437,11 @@ REFUSALS = {
     "compare nowhere nothing": "there is no folder nowhere",
     "compare a b --fail-if-wors": "did you mean '--fail-if-worse'?",
     "compare a b --html nowhere/x.html": "there is no folder nowhere for x.html",
+    "sweep windy-gridworld cliff-walking": "name a method: sarsa",
+    "sweep windy-gridworld cliff-walking sarsa --states 4": "none of windy-gridworld, cliff-walking has --states",
+    "sweep windy-gridworld clif-walking sarsa": "'clif-walking' is not a method",
     "swep": "did you mean 'sweep'?",
-    "xyzzy": "watch, sweep, resume, explain, compare, moments, figure, check",
+    "xyzzy": "explain, seeds, compare, moments, figure, check",
     "list --jsn": "did you mean '--json'?",
     "list sara": "'sara' is not an environment, a method or a figure; did you mean 'sarsa'?",
     "list mine.py:Mine": "there is no file",
@@ -686,6 +701,12 @@ def cells(text, row):
         i for i, line in enumerate(lines) if line.startswith(f"│ {row} ") or line.startswith(f"│{row}")
     ]
     return [[cell.strip() for cell in lines[i].split("│")[2:-1]] for i in (first, first + 1)]
+
+
+def test_where_a_run_has_diverged_no_action_is_the_best():
+    """`watch` shows such a table. Broken once: the maximum of no number -> fails."""
+    assert best_actions(np.full(4, np.nan)).size == 0
+    assert best_actions(np.array([0.0, -1.0, 0.0])).tolist() == [0, 2]
 
 
 def test_solve_draws_values_and_best_actions_where_they_are(capsys):

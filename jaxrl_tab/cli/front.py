@@ -11,7 +11,16 @@ from collections.abc import Sequence
 from importlib import metadata
 
 from jaxrl_tab.cli.catalogue import COMMANDS, Catalogue, current
-from jaxrl_tab.cli.options import Entry, Group, Typed, check_owners, check_words, checked_name, parse
+from jaxrl_tab.cli.options import (
+    Entry,
+    Group,
+    Typed,
+    check_owners,
+    check_words,
+    checked_name,
+    environments_first,
+    parse,
+)
 
 
 def answer(command: str, argv: Sequence[str]) -> None:
@@ -35,6 +44,11 @@ def answer(command: str, argv: Sequence[str]) -> None:
         return
     if command == "figure" and (name := places.get("name")):
         checked_name("a figure", name, catalogue.figures)
+    if command == "sweep":
+        named = environments_first(
+            places.get("env", ""), places.get("methods", ()), groups["environment"][0].entries
+        )
+        places |= dict(zip(("env", "methods"), named, strict=True))
     # In the order in which the commands look at them.
     for title in ("executor", "environment", "hyperparameters"):
         if title not in groups:

@@ -10,6 +10,7 @@ need neither JAX nor any of the classes.
 
 import argparse
 import contextlib
+import itertools
 import math
 import re
 import shutil
@@ -264,6 +265,14 @@ def checked_name(kind: str, name: str, choices: Collection[str]) -> str:
     if name not in choices:
         raise InputError(f"{shown(name)} is not {kind}; {nearest(name, choices)}")
     return name
+
+
+def environments_first(
+    env: str, methods: Sequence[str], environments: Collection[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The names of environments, and of methods: `windy-gridworld cliff-walking sarsa` has two and one."""
+    more = tuple(itertools.takewhile(lambda name: name in environments, methods))
+    return (env, *more), tuple(methods[len(more) :])
 
 
 def check_owners(names: Sequence[str], typed: Typed, group: Group) -> None:

@@ -19,7 +19,7 @@ from jaxrl_tab.cli.common import (
     start_jax,
 )
 from jaxrl_tab.cli.interrupt import interruptible
-from jaxrl_tab.cli.options import Typed, checked_name
+from jaxrl_tab.cli.options import Typed, checked_name, environments_first
 from jaxrl_tab.cli.screen import busy, say_where, show_look, show_outcome
 from jaxrl_tab.cli.streams import PROG, print_json
 from jaxrl_tab.cli.typed import OPTIONAL, Classes, parse, several_of, values, values_of, word
@@ -100,6 +100,7 @@ class Sweep(Where):
       jaxrl-tab sweep k-armed-testbed q-learning --alpha 0.1 --behaviour greedy epsilon-greedy:0.1 ucb:2
       jaxrl-tab sweep random-walk n-step-td td-lambda --alpha 0.1 0.3 --n 1 4 16 --episodes 10
       jaxrl-tab sweep cliff-walking sarsa q-learning --alpha 0.1 0.5 --until-decided 2
+      jaxrl-tab sweep windy-gridworld cliff-walking sarsa q-learning
       jaxrl-tab sweep mine.py:MyEnv mine.py:MyMethod sarsa --my-parameter 1 2
       jaxrl-tab sweep --write-template experiment.toml
       jaxrl-tab sweep experiment.toml --dry-run
@@ -108,7 +109,7 @@ class Sweep(Where):
     Attributes:
         env: Name of the environment, see `jaxrl-tab list`, or one of your own: mine.py:MyEnv,
             package.module:MyEnv, a table mdp.npz, gymnasium:NAME, gymnax:NAME; or an experiment in a file
-            FILE.toml.
+            FILE.toml. Several names of environments that are listed are compared over all of them.
         methods: Names of one or more methods; see `jaxrl-tab list`; or of your own, mine.py:MyMethod. An
             option goes to all that have it.
         seeds: How many seeds.
@@ -136,7 +137,7 @@ class Sweep(Where):
             stop.
     """
 
-    env: str = word("ENV|FILE")
+    env: str = word("ENV ...|FILE")
     methods: tuple[str, ...] = word("METHOD ...", many=True)
     seeds: int = field(default=SEEDS, at_least=1)
     first_seed: int = field(default=0, at_least=0)
@@ -228,9 +229,11 @@ def _experiment(
                 f"{beside[0]} cannot be given together with a file: {options.env} alone says what is run"
             )
         return Experiment.load(options.env)
-    find(environment, options.env)
-    env = {"name": options.env} | several_of(options.env, typed["environment"], environment)
-    names = options.methods or ("",)
+    envs, names = environments_first(options.env, options.methods, ENVS)
+    for env in envs:
+        find(environment, env)
+    environments = several_of(envs, typed["environment"], environment)
+    names = names or ("",)
     for name in names:
         find(hyperparameters, name)
     grids = values(names, typed["hyperparameters"], hyperparameters)
@@ -241,7 +244,7 @@ def _experiment(
     if options.episodes is not None and "--steps" in typed["options"]:
         raise InputError("give --steps or --episodes, not both")
     return Experiment(
-        [env],
+        environments,
         methods,
         seeds=options.seeds,
         first_seed=options.first_seed,

@@ -142,13 +142,19 @@ def values_of(name: str, typed: Typed, classes: Classes) -> dict[str, Any]:
     return {key: _one(types[key], x) for key, x in values([name], typed, classes)[name].items()}
 
 
-def several_of(name: str, typed: Typed, classes: Classes) -> dict[str, Any]:
-    """The parameters of one entry of a registry that were typed, as in a file: a value, or a list of several.
+def several_of(names: Sequence[str], typed: Typed, classes: Classes) -> list[dict[str, Any]]:
+    """For each of these entries of a registry a table as in a file: its name, and the parameters that were typed.
 
-    Several words for a text in lines are its lines, but where each names one, as "dyna" and "my.txt" do, texts.
+    Each of them is a value, or a list of several. Several words for a text in lines are its lines, but where each names
+    one, as "dyna" and "my.txt" do, texts.
     """
+    given = values(names, typed, classes)
+    return [{"name": name} | _several_of(name, given[name], classes) for name in names]
+
+
+def _several_of(name: str, given: Mapping[str, list[Any]], classes: Classes) -> dict[str, Any]:
     types, found = {p.name: p for p in parameters(classes.registry[name])}, {}
-    for key, words in values([name], typed, classes)[name].items():
+    for key, words in given.items():
         if types[key].type == describe.Lines and len(words) > 1 and all(map(drawing.is_name, words)):
             found[key] = [[word] for word in words]
         elif len(words) < 2 or _is_several(types[key]):
