@@ -24,6 +24,7 @@ from jaxrl_tab.cli import main, screen
 from jaxrl_tab.cli import sweep as sweep_module
 from jaxrl_tab.cli.solve import Solve
 from jaxrl_tab.cli.sweep import Sweep
+from jaxrl_tab.cli.tables import best_actions
 from jaxrl_tab.cli.typed import flag_of
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.errors import InputError
@@ -700,6 +701,12 @@ def cells(text, row):
         i for i, line in enumerate(lines) if line.startswith(f"│ {row} ") or line.startswith(f"│{row}")
     ]
     return [[cell.strip() for cell in lines[i].split("│")[2:-1]] for i in (first, first + 1)]
+
+
+def test_where_a_run_has_diverged_no_action_is_the_best():
+    """`watch` shows such a table. Broken once: the maximum of no number -> fails."""
+    assert best_actions(np.full(4, np.nan)).size == 0
+    assert best_actions(np.array([0.0, -1.0, 0.0])).tolist() == [0, 2]
 
 
 def test_solve_draws_values_and_best_actions_where_they_are(capsys):

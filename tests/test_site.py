@@ -130,7 +130,7 @@ def test_the_notebook_is_shown_with_what_it_gave(pages):
 
 # --- what is typed ------------------------------------------------------------------------------------
 COMMANDS = [
-    *(line for name in METHODS for line in site.method_commands(name)),
+    *(site.method_commands(name)[-1] for name in METHODS),
     *(line for name in rl.ENVS for line in site.environment_commands(name)),
 ]
 
@@ -144,11 +144,11 @@ def test_what_a_page_says_to_type_can_be_typed(command, tmp_path, monkeypatch):
 
 
 def type_in(command):
-    """What takes long is not done: a sweep is planned only, and its folder not explained."""
+    """What takes long is not done: a sweep is planned only, its folder not explained, and nothing is watched."""
     words = shlex.split(command, comments=True)[1:]
     if words[0] == "figure":  # which have tests of their own
         assert words[1] in FIGURES
-    elif words[0] != "explain":
+    elif words[0] not in ("explain", "watch"):
         assert main([*words, *(["--dry-run"] if words[0] == "sweep" else [])]) == 0, command
 
 

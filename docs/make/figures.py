@@ -1,6 +1,7 @@
-"""Keeps, for the site, what `jaxrl-tab figure --all --out FOLDER` gave: small pictures, and what the numbers came to.
+"""Keeps, for the site, what `jaxrl-tab figure` gave: small pictures, and what the numbers came to.
 
-python docs/make/figures.py runs/figures
+python docs/make/figures.py runs/figures            # of `jaxrl-tab figure --all --out runs/figures`
+python docs/make/figures.py runs/regret regret      # of `jaxrl-tab figure regret --out runs/regret`
 """
 
 import json
@@ -14,27 +15,27 @@ from jaxrl_tab.figures import FIGURES
 from jaxrl_tab.figures.page import cells
 
 KEPT = Path(__file__).parents[1] / "figures"
+NUMBERS = KEPT / "numbers.json"
 WIDTH, COLOURS = 840, 64
 
 
-def keep(folder: Path) -> None:
-    """Makes the pictures and numbers.json of docs/figures anew."""
-    KEPT.mkdir(exist_ok=True)
-    numbers = {}
+def keep(folder: Path, alone: str = "") -> None:
+    """Keeps the figures that are in a folder; those that are not, as they were kept before."""
+    kept = json.loads(NUMBERS.read_text(encoding="utf-8"))
     with xr.open_datatree(folder / "results.nc", engine="h5netcdf") as tree:
-        for name, figure in FIGURES.items():
-            if name not in tree.children:  # it came later
-                continue
-            runs = [node for node in tree[name].subtree if node.data_vars]
-            datasets = {node.path.removeprefix(f"/{name}/"): node.to_dataset() for node in runs}
-            numbers[name] = []
-            for number in figure.numbers:
-                what, published, got, error, expected, *_ = cells(number.check(datasets))
-                row = {"what": what, "published": published, "got": got, "error": error, "expected": expected}
-                numbers[name].append(row)
+        made = {alone: tree} if alone else {name: tree[name] for name in FIGURES if name in tree.children}
+        for name, of_figure in made.items():
+            runs = [node for node in of_figure.subtree if node.data_vars]
+            above = f"{of_figure.path.rstrip('/')}/"
+            datasets = {node.path.removeprefix(above): node.to_dataset() for node in runs}
+            kept[name] = [_row(*cells(number.check(datasets))) for number in FIGURES[name].numbers]
             _shrink(folder / f"{name}.png", KEPT / f"{name}.png")
-    text = json.dumps(numbers, ensure_ascii=False, indent=1)
-    (KEPT / "numbers.json").write_text(text + "\n", encoding="utf-8")
+    text = json.dumps({name: kept[name] for name in FIGURES if name in kept}, ensure_ascii=False, indent=1)
+    NUMBERS.write_text(text + "\n", encoding="utf-8")
+
+
+def _row(what: str, published: str, got: str, error: str, expected: str, *_: str) -> dict[str, str]:
+    return {"what": what, "published": published, "got": got, "error": error, "expected": expected}
 
 
 def _shrink(file: Path, kept: Path) -> None:
@@ -48,4 +49,4 @@ def _shrink(file: Path, kept: Path) -> None:
 
 
 if __name__ == "__main__":
-    keep(Path(sys.argv[1]))
+    keep(Path(sys.argv[1]), *sys.argv[2:3])

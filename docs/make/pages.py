@@ -103,7 +103,9 @@ def method_commands(name: str) -> list[str]:
             f"jaxrl-tab watch random-walk {name} --episodes 20",
             f"jaxrl-tab sweep random-walk {name} --episodes 100 --out runs/{name}",
         ]
-    if declared.in_the_long_run:
+    if declared.needs_horizon:
+        task, budget = "finite-horizon:20:windy-gridworld", "--steps 8000"
+    elif declared.in_the_long_run:
         task, budget = "river-swim", "--steps 8000"
     elif name == "gradient-bandit":
         task, budget = "k-armed-testbed", "--steps 1000"
@@ -202,14 +204,7 @@ def _diagram(backup: Any) -> str:
 
 
 def _parameters(cls: type, heading: str = "## Parameters") -> str:
-    rows = [
-        (
-            f"`{p.name}`",
-            _code(label(p.default)) if p.default is not describe.MISSING else "must be given",
-            p.help,
-        )
-        for p in describe.parameters(cls)
-    ]
+    rows = [(f"`{p.name}`", _default(p.default), p.help) for p in describe.parameters(cls)]
     return _page(heading, _table(("parameter", "default", "what it is"), rows)) if rows else ""
 
 
@@ -420,8 +415,11 @@ def _cell_text(text: str) -> str:
     return re.sub(r"(?<!\\)\|", r"\\|", text).replace("\n", " ")
 
 
-def _code(text: str) -> str:
-    return f"`{text}`" if text else ""
+def _default(value: Any) -> str:
+    if value is describe.MISSING:
+        return "must be given"
+    shown = label(value)
+    return "–" if shown is None else f"`{shown:g}`" if isinstance(shown, float) else f"`{shown}`"
 
 
 def _console(commands: list[str]) -> str:

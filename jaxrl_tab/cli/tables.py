@@ -121,7 +121,7 @@ def _best(env: Any, q: np.ndarray | None) -> Callable[[int], str]:
 
 def best_actions(q: np.ndarray) -> np.ndarray:
     """The actions whose values are maximal but for rounding, int [n], from values [A]."""
-    return np.flatnonzero(q >= q.max() - 1e-9 * abs(q[q > policies.UNAVAILABLE]).max())
+    return np.flatnonzero(q >= q.max() - 1e-9 * abs(q[q > policies.UNAVAILABLE]).max(initial=0))
 
 
 def _panel(panel: Panel, cells: Sequence[str], wind: Any, lines: bool = True) -> Table:
