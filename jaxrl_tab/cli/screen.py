@@ -16,7 +16,6 @@ from rich.table import Table
 
 from jaxrl_tab.cli.streams import console, print_json, too_narrow
 from jaxrl_tab.cli.typed import words
-from jaxrl_tab.core.errors import one_line
 from jaxrl_tab.experiment import files, storage
 from jaxrl_tab.show.words import (
     DOES_NOT_END,
@@ -95,9 +94,8 @@ def _tasks_as_json(outcome: files.Outcome) -> dict[str, Any]:
 
 def show_look(environment: str, verdict: "Verdict") -> None:
     """Tells of a look of a comparison that goes on, beside the progress."""
-    seeds = max(verdict.seeds.values())
-    goes_on = f"; {', '.join(verdict.wanted)}: {verdict.until} seeds next" if verdict.wanted else ""
-    print(one_line(f"{environment}, {seeds} seeds: {verdict.order}{goes_on}"), file=sys.stderr)
+    goes_on = f"; on to {verdict.until} seeds" if verdict.wanted else ""
+    print(f"{environment}, {max(verdict.seeds.values())} seeds: {verdict.order}{goes_on}", file=sys.stderr)
 
 
 def _print_verdict(environment: str, verdict: "Verdict", digits: Any) -> None:
