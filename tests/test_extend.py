@@ -19,7 +19,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import cli, plot, report
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_xla, programs
-from jaxrl_tab.experiment import found, runner, shards, storage
+from jaxrl_tab.experiment import found, growth, runner, shards, storage
 
 SARSA = {"name": "sarsa", "alpha": [0.5, 0.25]}
 MORE = {"name": "sarsa", "alpha": [0.25, 0.9, 0.5]}
@@ -88,7 +88,8 @@ def at_once(stage):
 
 @pytest.fixture
 def computed(monkeypatch):
-    """How many runs are computed in each shard."""
+    """How many runs are computed in each shard, but for those of what is run at once."""
+    at_once(0), at_once(1)
     runs, call = [], shards.Job.__call__
     monkeypatch.setattr(
         shards.Job, "__call__", lambda job, n: runs.append(job.shards[n].runs) or call(job, n)
@@ -141,7 +142,7 @@ def test_so_it_is_where_environments_are_added(folder, computed):
     assert not (folder / "overview.png").exists()  # for now there is one of each environment
     with xr.open_datatree(folder / "results.nc") as tree:
         own = tree["windy-gridworld,moves=king/sarsa"].to_dataset()
-        xr.testing.assert_equal(own(2).datasets["windy-gridworld,moves=king/sarsa"])
+        xr.testing.assert_equal(own, at_once(2).datasets["windy-gridworld,moves=king/sarsa"])
 
 
 def test_every_run_is_planned_once_and_its_number_stays():
@@ -153,6 +154,7 @@ def test_every_run_is_planned_once_and_its_number_stays():
     numbers = {}
     for count in range(1, len(grew) + 1):
         job = shards.Job.of(grew[count - 1], None, {}, grew[: count - 1])
+        job = job._replace(chosen=json.dumps(dict.fromkeys(job.parts, 0)))
         for number, shard in job.shards.items():
             assert numbers.setdefault(number, shard.runs) == shard.runs
         for name, part in job.parts.items():
@@ -166,6 +168,22 @@ def test_seeds_before_the_first_are_added_as_well(folder, tmp_path):
     wider = experiment(first_seed=10, seeds=65, select=None)
     assert_same(rl.resume(tmp_path / "later", experiment=wider), rl.run(wider))
     assert list(later.datasets["windy-gridworld/sarsa"].seed[[0, -1]]) == [20, 69]
+
+
+@pytest.mark.slow
+def test_it_can_be_decided_afterwards(tmp_path, computed):
+    """And with more seeds, where the same settings are chosen, nothing is compared again."""
+    folder = tmp_path / "run"
+    rl.run(experiment(select=None), folder)
+    given = {
+        "method": [SARSA, "q-learning"],
+        "select": {"fresh_seeds": 5},
+        "until_decided": {"most_seeds": 20},
+    }
+    outcome = rl.resume(folder, experiment=experiment(**given))
+    assert repr(outcome.verdicts) == repr(rl.run(experiment(**given)).verdicts)
+    computed.clear()
+    assert repr(rl.resume(folder, seeds=36).verdicts) == repr(outcome.verdicts) and sum(computed) == 3
 
 
 @pytest.mark.slow
@@ -367,16 +385,21 @@ def test_on_the_command_line(tmp_path, monkeypatch, capsys):
     assert "x.toml was changed since: method Mine is new; put it back" in said
     assert "or add what is new in it: `jaxrl-tab resume run" in said
     assert cli.main(["resume", "run", "x.toml", "--quiet"]) == 0
+    elsewhere = shutil.copy("mine.py", "moved.py")  # what it is called does not matter
+    wider = Path("x.toml").read_text().replace("mine.py", elsewhere).replace("70", "71")
+    Path("y.toml").write_text(wider.replace("moved.py:Mine", 'moved.py:Mine"\nlabel = "Mine'))
     Path("mine.py").unlink()
     assert cli.main(["resume", "run", "--quiet"]) == 0
     with xr.open_datatree("run/results.nc") as tree:
         for label in ("sarsa", "Mine"):
             xr.testing.assert_equal(tree[label].to_dataset(), at_once(0).datasets["windy-gridworld/sarsa"])
+    loaded = rl.Experiment.load("y.toml")
+    assert growth.taken_away(found.find(Path("run")).experiment, loaded) == []
     capsys.readouterr()
     assert cli.main(["resume", "run", "--history"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("(jaxrl-tab sweep x.toml --out run --quiet)") and len(lines) == 3
-    assert lines[1].endswith("  seeds was 35, and is 70  (jaxrl-tab resume run --seeds 70 --quiet)")
+    assert lines[1] == "    jaxrl-tab sweep x.toml --out run --quiet" and len(lines) == 6
+    assert lines[2].endswith("  seeds was 35, and is 70")
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ commands:
   solve     the exact values and an optimal policy of an environment
   watch     an episode of a method, step by step, while it learns
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
-  resume    go on with a sweep that was interrupted
+  resume    go on with a sweep: one that was interrupted, or that is to have more
   explain   where the methods of a sweep lose what they earn less than the best policy
   compare   results beside others: the same bits, or better, or worse
   seeds     how many seeds a comparison takes, judged by the runs of a sweep

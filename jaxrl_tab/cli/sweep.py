@@ -353,7 +353,7 @@ def _show_history(folder: Path, options: Resume) -> int:
         print_json([dict(zip(("time", "what", "command"), line, strict=True)) for line in lines])
     else:
         for time, what, command in lines:
-            print(f"{time}  {what}  ({command})")
+            print(f"{time}  {what}\n    {command}")
     return 0
 
 

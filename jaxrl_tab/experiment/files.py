@@ -300,6 +300,7 @@ def _about(
     first, last = records["sessions"][0], records["sessions"][-1]
     sessions, origins = len(records["sessions"]), origins_of(store)
     grown = max(1, len(history))
+    added = {str(i): f"{time}: {what} ({by})" for i, (time, what, by) in enumerate(history, 1)}
     computed = recorded(records, origins)
     session = (computed or [last])[0]  # the last session may have computed no shard
     surroundings = session["surroundings"]
@@ -311,7 +312,7 @@ def _about(
         "started": first["started"],
         "finished": timestamp(),
         **({"interrupted": f"{sessions - grown} times"} if sessions > grown else {}),
-        **({"history": "\n".join(map(": ".join, history))} if grown > 1 else {}),
+        **({"history": added} if grown > 1 else {}),
         **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
         "versions": {x: surroundings[x] for x in packages if x in surroundings}
         | {"python": session.get("python")},

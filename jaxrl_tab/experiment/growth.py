@@ -6,7 +6,7 @@ is of use to every larger one: only the runs that are new are computed. They are
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from jaxrl_tab.experiment.spec import Experiment, change, difference
 
 LENGTH = ("steps", "episodes", "log_every")
 PARTS = ("environment", "method")
-GROWS = ("seeds", "first_seed", "select", *LENGTH, *PARTS)
+GROWS = ("seeds", "first_seed", "select", "until_decided", *LENGTH, *PARTS)
 
 
 class Block(NamedTuple):
@@ -144,6 +144,8 @@ def taken_away(old: Experiment, new: Experiment) -> list[str]:
     fresh = [x.select["fresh_seeds"] if x.select else 0 for x in (old, new)]
     if fresh[0] > fresh[1] or (old.until_decided and fresh[0] < fresh[1]):  # a second look at what is decided
         lines += change("select: fresh_seeds", *(n or None for n in fresh))
+    if old.select:  # its fresh seeds were looked at already, with another plan
+        lines += change("until_decided", was.get("until_decided"), now.get("until_decided"))
     return lines + _taken_from_tables(old, new)
 
 
@@ -172,7 +174,11 @@ def added(old: Experiment, new: Experiment) -> str:
     renamed = {label: labels[1][key] for key, label in labels[0].items() if labels[1][key] != label}
     known = {f"environment {label} is gone" for label in renamed}
     known |= {f"environment {label} is new" for label in renamed.values()}
-    lines = [line for line in difference(old.data(), new.data()) if line not in known]
+    (was, now), lines = (old.data(), new.data()), []
+    if "select" in was:
+        lines += change("fresh_seeds", was["select"]["fresh_seeds"], now.pop("select")["fresh_seeds"])
+        del was["select"]
+    lines = [*(line for line in difference(was, now) if line not in known), *lines]
     lines += [f"environment {was} is called {now}" for was, now in renamed.items()]
     return "; ".join(lines) or "the same in another order"
 
@@ -196,7 +202,7 @@ def _parts(experiment: Experiment, alone: bool = False) -> dict[Any, _Own]:
 
 def _environments(experiment: Experiment) -> list[tuple[str, int]]:
     """What tells each environment from others, which is all but what it is called."""
-    own = ({key: x for key, x in table.items() if key != "label"} for table in experiment.environment)
+    own = (table | {"name": _identity(table), "label": ""} for table in experiment.environment)
     return _told_apart(json.dumps(x, sort_keys=True) for x in own)
 
 
@@ -206,10 +212,15 @@ def _settings(experiment: Experiment) -> dict[str, dict[tuple[str, int], int]]:
     for method in experiment.method:
         cls = experiment.references[method["name"]].cls
         _, configs = configurations(cls, grid_of(method, cls, experiment.seed))
-        which = f"{method['name']} {method.get('sha256')} "
-        keys = _told_apart(which + _setting(config) for config in configs)
+        keys = _told_apart(_identity(method) + _setting(config) for config in configs)
         found[method["label"]] = {key: i for i, key in enumerate(keys)}
     return found
+
+
+def _identity(table: Mapping[str, Any]) -> str:
+    """What a table names; of what is in a file it is the checksum, wherever the file lies."""
+    _, colon, attribute = table["name"].rpartition(":")
+    return f"{attribute if colon else ''} {table['sha256']}" if "sha256" in table else table["name"]
 
 
 def _setting(config: Any) -> str:

@@ -3,9 +3,9 @@
 The folder holds `experiment.toml` as it was given, `resolved.json` with all defaults and draws filled in, copies
 of the files that somebody's own classes are in (see `sources`), `provenance.json`, the shards with their manifest
 (see `storage`), and, when all are there, `results.nc`, `summary.csv`, pictures and `report.html`. Which runs are in
-a shard depends on the experiment alone, and what a run gives on its seed and hyperparameters alone: so the results
-are the same to the last bit, however often it was interrupted. Where they would not be, as with another version of
-JAX, nothing is computed: see `Origin`.
+a shard depends on the experiment alone, and on what it was before it grew (see `growth`); and what a run gives on
+its seed and hyperparameters alone: so the results are the same to the last bit, however often it was interrupted, and
+however it grew. Where they would not be, as with another version of JAX, nothing is computed: see `Origin`.
 """
 
 import contextlib

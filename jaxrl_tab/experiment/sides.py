@@ -5,6 +5,8 @@ which a sweep is under way.
 """
 
 import dataclasses
+import itertools
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -141,11 +143,27 @@ def _in_file(file: Path, environment: str | None) -> "dict[str, xr.Dataset]":
 
     datasets = {}
     for name, ds in export.load(file).items():
+        if not _is_of_runs(ds):
+            raise InputError(f"{one_line(str(file))}: {name} is not what a sweep writes")
         label = environment or ds.attrs.get("environment", "")
         datasets[name if "/" in name else f"{label}/{name}"] = ds.load() if ds.nbytes < free() // 8 else ds
     if not datasets:
         raise InputError(f"{one_line(str(file))} has no results of runs in it")
     return datasets
+
+
+def _is_of_runs(ds: "xr.Dataset") -> bool:
+    """Whether a dataset is what `SweepResult.to_xarray` gives, as far as it is looked at here."""
+    from jaxrl_tab.stats.export import LOG
+
+    attrs = ds.attrs
+    try:
+        numbers = [int(attrs["log_every"]), int(attrs.get("num_steps", attrs.get("num_episodes")))]
+        texts = [json.loads(attrs.get(key, "{}")) for key in ("fixed", "environment_parameters")]
+    except (KeyError, TypeError, ValueError):
+        return False
+    has_log = all(name in ds and {"seed", "row"} <= set(ds[name].dims) for name in LOG)
+    return has_log and "seed" in ds.coords and min(numbers) > 0 and all(isinstance(x, dict) for x in texts)
 
 
 # --- of a sweep that is not finished -----------------------------------------------------------------
@@ -213,8 +231,6 @@ def _finished(part: Part, arrays: Mapping[str, np.ndarray], found: np.ndarray) -
 
 def _points(part: Part) -> list[dict[str, Any]]:
     """The swept hyperparameters of each configuration."""
-    import itertools
-
     points = []
     for values in itertools.product(*part.axes.values()):
         point = dict(zip(part.axes, values, strict=True))
