@@ -187,14 +187,14 @@ def _figures() -> dict[str, str]:
 
 
 def _of(cls: type, source: bool = False) -> str:
-    """The docstring of a class, and its code where that is short and its own."""
+    """The docstring of a class, and its code, where its update is its own."""
     options = {
         "show_root_heading": False,
         "show_root_toc_entry": False,
         "members": False,
         "show_source": source,
     }
-    return _docstring(_path(cls), cls.__name__, show_bases=False, **options)
+    return _docstring(_path(cls), **options)
 
 
 def _diagram(backup: Any) -> str:
@@ -340,9 +340,7 @@ def api() -> dict[str, str]:
             made[f"api/{page}.md"] = _page(f"# {title}", *in_wings[page])
     for name, module in modules.items():
         entries = [_entry(module, f"{module.__name__}.{x}", x, f"{name}.{x}") for x in public_names(module)]
-        about = _docstring(
-            module.__name__, name, members=False, show_root_heading=False, show_root_toc_entry=False
-        )
+        about = _docstring(module.__name__, members=False, show_root_heading=False, show_root_toc_entry=False)
         made[f"api/{name}.md"] = _page(f"# rl.{name}", about, *entries)
     about = "All that `import jaxrl_tab as rl` gives, and where it is described. Nothing else is public."
     return {
@@ -374,7 +372,7 @@ def _entry(module: Any, path: str, name: str, shown: str) -> str:
         return _page(f"## `{shown}`", f"`{one_line(repr(thing))}`" if plain else f"A {type(thing).__name__}.")
     fields = _parameters(thing, "") if isinstance(thing, type) and dataclasses.is_dataclass(thing) else ""
     return _page(
-        f"## `{shown}`", _docstring(path, name, show_root_toc_entry=False, show_root_heading=False), fields
+        f"## `{shown}`", _docstring(path, show_root_toc_entry=False, show_root_heading=False), fields
     )
 
 
@@ -397,7 +395,7 @@ def _path(cls: type) -> str:
     return f"{cls.__module__}.{cls.__qualname__}"
 
 
-def _docstring(path: str, name: str, **options: Any) -> str:
+def _docstring(path: str, **options: Any) -> str:
     lines = [f"      {key}: {json.dumps(value)}" for key, value in options.items()]
     return "\n".join([f"::: {path}", "    options:", *lines])
 
