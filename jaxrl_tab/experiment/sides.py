@@ -158,7 +158,10 @@ def _is_of_runs(ds: "xr.Dataset") -> bool:
 
     attrs = ds.attrs
     try:
-        numbers = [int(attrs["log_every"]), int(attrs.get("num_steps", attrs.get("num_episodes")))]
+        numbers = [
+            int(attrs["log_every"]),
+            int(attrs["num_steps" if "num_steps" in attrs else "num_episodes"]),
+        ]
         texts = [json.loads(attrs.get(key, "{}")) for key in ("fixed", "environment_parameters")]
     except (KeyError, TypeError, ValueError):
         return False
