@@ -221,6 +221,26 @@ def test_of_an_unfinished_folder_what_is_there_is_compared(folder, tmp_path):
     refused(lambda: rl.compare(folder, other), f"nothing is finished in {other}", "jaxrl-tab resume")
 
 
+@pytest.mark.parametrize(
+    ("now", "note"),
+    [
+        ({"select": {"by": "score", "fresh_seeds": 9}}, "the runs on fresh seeds are not all there"),
+        ({"seeds": 50}, "not finished: 2 of 3 shards are there"),
+    ],
+)
+def test_what_was_to_be_added_and_is_not_there_is_told(folder, tmp_path, now, note):
+    """A process was killed after it had written what the sweep is to be. Broken once: `results.nc` of what it was
+    before passes for all of that -> fails.
+    """
+    shutil.copytree(folder, other := tmp_path / "b")
+    was = json.loads((other / "resolved.json").read_text())
+    entry = {"experiment": was, "files": {}, "time": "", "command": ""}
+    (other / "resolved.json").write_text(json.dumps(was | now | {"history": [entry]}))
+    (beside,) = rl.compare(folder, other).others
+    assert note in " ".join(beside.notes) and not beside.whole
+    assert [(row.verdict, row.common) for row in beside.rows] == [("same", 40)] * 2
+
+
 def test_what_cannot_be_compared_is_one_line(folder, tmp_path):
     refused(lambda: rl.compare(folder), "compare takes two results or more", "not 1")
     refused(lambda: rl.compare(folder, tmp_path / "no"), "there is no folder")
