@@ -286,6 +286,15 @@ def test_the_command_says_what_is_worse_and_ends_with_1_if_asked(in_files, tmp_p
     assert "exists already" in capsys.readouterr().err
 
 
+def test_a_file_is_compared_whatever_the_environment_is_called_elsewhere(in_files):
+    """Broken once: by the names alone -> there is nothing to compare; whatever the environment is -> it is renamed."""
+    labelled = outcome(made_up(SCORES), "my wind/sarsa")
+    rows = rl.compare(labelled, in_files[0]).others[0].rows
+    assert [(row.name, row.verdict) for row in rows] == [("my wind/sarsa", "same")] * 2
+    elsewhere = outcome(made_up(SCORES, environment="taxi"), "taxi/sarsa")
+    refused(lambda: rl.compare(labelled, elsewhere), "has my wind/sarsa", "has taxi/sarsa")
+
+
 def test_what_is_missing_ends_with_2_if_asked(in_files, tmp_path, capsys):
     rl.export.save({NAME: made_up(SCORES), "x/td": made_up(SCORES)}, tmp_path / "more.nc")
     more = str(tmp_path / "more.nc")
