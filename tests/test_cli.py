@@ -27,10 +27,10 @@ from jaxrl_tab.cli.sweep import Sweep
 from jaxrl_tab.cli.tables import best_actions
 from jaxrl_tab.cli.typed import flag_of
 from jaxrl_tab.core import describe
-from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.experiment import shards
+from jaxrl_tab.experiment import runner, shards
 from jaxrl_tab.figures import FIGURES, figure
 from jaxrl_tab.show import rows as of_report
 from jaxrl_tab.stats.columns import Methods
@@ -352,6 +352,17 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(run, stopped, monkeypat
     for method in ("sarsa", "q-learning"):
         ds, expected = (xr.open_datatree(x / "results.nc")[method].to_dataset() for x in (out, run))
         xr.testing.assert_equal(ds, expected)
+
+
+def test_to_go_on_all_is_asked_for_again_that_was(monkeypatch, tmp_path, capsys):
+    """It may have stopped before the folder knew of it. Broken once: the folder alone is named -> fails."""
+
+    def resume(*_, **__):
+        raise RunError("no space left on device")
+
+    monkeypatch.setattr(runner, "resume", resume)
+    assert main(["resume", str(tmp_path), "--seeds", "90"]) == 1
+    assert f"`jaxrl-tab resume {tmp_path} --seeds 90` goes on" in capsys.readouterr().err
 
 
 def test_without_a_folder_ctrl_c_leaves_nothing(stopped, tmp_path, capsys):

@@ -149,7 +149,7 @@ def test_other_seeds_are_compared_unpaired():
     found = rl.compare(outcome(made_up(x)), outcome(made_up(y, root=1)))
     for i, row in enumerate(found.others[0].rows):
         assert (row.paired, row.common, row.same) == (False, 0, 0)
-        assert row.p == pytest.approx(oracle.ttest_ind(y[i], x[i], equal_var=False).pvalue)
+        assert row.p == pytest.approx(oracle.ttest_ind(y[i], x[i], equal_var=False)[1])
     assert "Unpaired, for fewer than 6 seeds are in both: 2 comparisons." in found.sentences
     later = rl.compare(outcome(made_up(x)), outcome(made_up(y, first=10))).others[0].rows
     assert [(row.paired, row.common) for row in later] == [(True, 10)] * 2
@@ -163,7 +163,7 @@ def test_where_other_values_were_tried_the_best_settings_are_compared():
     assert (equal.kind, equal.verdict) == ("setting", "same")
     assert (chosen.kind, chosen.setting, chosen.other) == ("chosen", {"alpha": 0.5}, {"alpha": 0.7})
     assert chosen.difference == pytest.approx(-1) and chosen.verdict == "worse"
-    alone = stats.paired_difference(*(stats.score(ds)[1] for ds in (b, a)), worst=np.inf).p
+    alone = stats.paired_difference(stats.score(b)[1], stats.score(a)[1], worst=np.inf).p
     assert chosen.p == pytest.approx(4 * float(alone))
     best_in_both = made_up(SCORES + column(5, 0), alphas=(0.25, 0.7))
     (row,) = rl.compare(outcome(made_up(SCORES + column(5, 0))), outcome(best_in_both)).others[0].rows
@@ -221,6 +221,26 @@ def test_of_an_unfinished_folder_what_is_there_is_compared(folder, tmp_path):
     refused(lambda: rl.compare(folder, other), f"nothing is finished in {other}", "jaxrl-tab resume")
 
 
+@pytest.mark.parametrize(
+    ("now", "note"),
+    [
+        ({"select": {"by": "score", "fresh_seeds": 9}}, "the runs on fresh seeds are not all there"),
+        ({"seeds": 50}, "not finished: 2 of 3 shards are there"),
+    ],
+)
+def test_what_was_to_be_added_and_is_not_there_is_told(folder, tmp_path, now, note):
+    """A process was killed after it had written what the sweep is to be. Broken once: `results.nc` of what it was
+    before passes for all of that -> fails.
+    """
+    shutil.copytree(folder, other := tmp_path / "b")
+    was = json.loads((other / "resolved.json").read_text())
+    entry = {"experiment": was, "files": {}, "time": "", "command": ""}
+    (other / "resolved.json").write_text(json.dumps(was | now | {"history": [entry]}))
+    (beside,) = rl.compare(folder, other).others
+    assert note in " ".join(beside.notes) and not beside.whole
+    assert [(row.verdict, row.common) for row in beside.rows] == [("same", 40)] * 2
+
+
 def test_what_cannot_be_compared_is_one_line(folder, tmp_path):
     refused(lambda: rl.compare(folder), "compare takes two results or more", "not 1")
     refused(lambda: rl.compare(folder, tmp_path / "no"), "there is no folder")
@@ -264,6 +284,15 @@ def test_the_command_says_what_is_worse_and_ends_with_1_if_asked(in_files, tmp_p
     assert main(["compare", worse, a, "--fail-if-worse"]) == 0
     assert main(["compare", a, a, "--html", str(page)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_a_file_is_compared_whatever_the_environment_is_called_elsewhere(in_files):
+    """Broken once: by the names alone -> there is nothing to compare; whatever the environment is -> it is renamed."""
+    labelled = outcome(made_up(SCORES), "my wind/sarsa")
+    rows = rl.compare(labelled, in_files[0]).others[0].rows
+    assert [(row.name, row.verdict) for row in rows] == [("my wind/sarsa", "same")] * 2
+    elsewhere = outcome(made_up(SCORES, environment="taxi"), "taxi/sarsa")
+    refused(lambda: rl.compare(labelled, elsewhere), "has my wind/sarsa", "has taxi/sarsa")
 
 
 def test_what_is_missing_ends_with_2_if_asked(in_files, tmp_path, capsys):

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from marks import slow_but
 import jaxrl_tab as rl
 from jaxrl_tab import plot, report, stats
 from jaxrl_tab.cli import main
+from jaxrl_tab.cli.screen import show_outcome
 from jaxrl_tab.experiment import comparing, shards
 from jaxrl_tab.experiment.resolve import UntilDecided
 
@@ -105,6 +107,7 @@ def test_the_verdict_is_that_of_the_scores(undisturbed):
         )
 
 
+@pytest.mark.slow
 def test_all_settings_are_compared_where_that_is_asked_and_lower_errors_are_better():
     about = UntilDecided(most_seeds=12, all_settings=True)
     method = {"name": "td", "alpha": [1e-6, 0.1]}
@@ -115,6 +118,7 @@ def test_all_settings_are_compared_where_that_is_asked_and_lower_errors_are_bett
 
 
 # --- it survives ---------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_a_folder_that_is_finished_computes_nothing_again(undisturbed, tmp_path, computed):
     folder, seen = Path(shutil.copytree(undisturbed[0], tmp_path / "run")), []
     outcome = rl.resume(folder, looked=lambda *x: seen.append(x))
@@ -175,17 +179,16 @@ def test_a_folder_that_grows_keeps_its_looks(undisturbed, tmp_path, computed):
 
 
 # --- the words ---------------------------------------------------------------------------------------
-def test_the_report_the_table_and_json_tell_it(undisturbed, tmp_path, capsys):
+def test_the_report_the_table_and_json_tell_it(undisturbed, capsys):
     folder, outcome, _ = undisturbed
     verdict = outcome.verdicts[ENV]
     page = (folder / "report.html").read_text()
     assert "Which is better" in page and "are left open" in page
     assert f"{verdict.renamed(plot.title_of).order.replace('>', '&gt;')}; 24 to 32 seeds" in page
-    copy = shutil.copytree(folder, tmp_path / "run")
-    assert main(["resume", str(copy)]) == 0
+    show_outcome(outcome, folder, SimpleNamespace(json=False, quiet=False))
     said = " ".join(capsys.readouterr().out.split())
     assert f"{ENV}: {verdict.sentence}." in said and "up to 12% of all runs may be stuck unseen" in said
-    assert main(["resume", str(copy), "--json"]) == 0
+    show_outcome(outcome, folder, SimpleNamespace(json=True, quiet=False))
     told = json.loads(capsys.readouterr().out)["verdicts"][ENV]
     assert told["verdict"] == verdict.sentence and told["order"] == list(verdict.names)
     assert "open" in [pair["verdict"] for pair in told["pairs"]] and told["seeds"] == verdict.seeds

@@ -1,6 +1,7 @@
 """What the report holds to look around in: numbers compared with those worked out from the results by hand."""
 
 import base64
+import dataclasses
 import json
 import re
 import zlib
@@ -11,6 +12,7 @@ from made_up import make_result
 
 import jaxrl_tab as rl
 from jaxrl_tab import report, stats
+from jaxrl_tab.engine.counted import Counted, Tables
 from jaxrl_tab.show.explorer import chapter, packing, scores
 from jaxrl_tab.show.explorer.measures import STATISTICS
 from jaxrl_tab.show.explorer.over_time import OverTime, block, ranks
@@ -141,6 +143,18 @@ def test_tables_over_time_are_those_of_the_same_runs(page):
     np.testing.assert_allclose(shown[1], np.median(q, 0), atol=half)
     for view, seed in zip(views[2:], data["methods"][1]["runs"][best], strict=True):
         np.testing.assert_allclose(shown[views.index(view)], q[seed], atol=half)
+
+
+@pytest.mark.parametrize("method", ["r-learning", "r-max", "psrl", "ucbvi"])
+def test_methods_with_arrays_or_records_of_their_own_are_recorded(method):
+    """Shapes alone. Broken once: what the method declares, with the state that has the counts, too -> fails."""
+    env = "finite-horizon:5:river-swim" if method == "ucbvi" else "river-swim"
+    (part,) = rl.Experiment(env, method, seeds=1, steps=20, log_every=10).parts().values()
+    budget = dataclasses.replace(part.budget, record=Tables())
+    (needs,) = dataclasses.replace(part, configs=[Counted(part.configs[0])], budget=budget).needs
+    _, log = needs.results
+    table = (2, part.env.num_states, part.env.num_actions)
+    assert {key: x.shape for key, x in log.recorded.items()} == {"table": table, "visits": table}
 
 
 def test_other_settings_have_their_tables_at_the_end(explored, page):

@@ -341,7 +341,7 @@ def resume_command(argv: list[str]) -> int:
         about = {"memory": limit, "command": shlex.join([PROG, "resume", *argv]), "mixed": options.mixed}
         about |= {key: getattr(options, key) for key in ("seeds", "steps", "episodes")}
         about |= {"experiment": Experiment.load(options.file) if options.file else None}
-        with _watched(options, folder) as watch:
+        with _watched(options, folder, argv) as watch:
             outcome = runner.resume(folder, executor=executor, **about, **watch)
         _say_where(outcome, folder, options)
         return 0
@@ -358,11 +358,11 @@ def _show_history(folder: Path, options: Resume) -> int:
 
 
 @contextlib.contextmanager
-def _watched(options: Where, folder: Path | None) -> Iterator[dict[str, Any]]:
+def _watched(options: Where, folder: Path | None, again: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
     """How a run is watched, as arguments of `run`: its progress by a bar, and its results as soon as they are there.
 
-    Where it is interrupted, it says how to go on. That nobody reads the results any more does not interrupt it:
-    the files are written first.
+    Where it is interrupted, it says how to go on: with all that `again` has, for the folder need not know it yet. That
+    nobody reads the results any more does not interrupt it: the files are written first.
     """
     import pandas  # noqa: F401  Now, while there is nothing yet that Ctrl-C could wait for.
 
@@ -385,7 +385,8 @@ def _watched(options: Where, folder: Path | None) -> Iterator[dict[str, Any]]:
         raise
     except BaseException as stop:
         if folder and folder.is_dir():
-            stop.add_note(f"what is finished is kept, `{PROG} resume {shlex.quote(str(folder))}` goes on")
+            command = shlex.join([PROG, "resume", *(again or [str(folder)])])
+            stop.add_note(f"what is finished is kept, `{command}` goes on")
         raise
     for error in unread:
         raise error

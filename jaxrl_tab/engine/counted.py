@@ -5,12 +5,14 @@ last bit, what the method learns alone.
 """
 
 import dataclasses
-from typing import Any, NamedTuple, Self
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core import tables
+from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Available, Task, Transition, init_learner, restricted
 
@@ -35,10 +37,17 @@ class Counted:
     """
 
     method: Any
+    records: ClassVar[tuple[str, ...]] = ()  # what the method records is in the results already
 
     @property
     def gamma(self) -> Any:
         return self.method.gamma
+
+    @property
+    def works_with(self) -> Callable[[CountedState], Any] | None:
+        """As the method declares it; it knows the state of its learner alone."""
+        gives = of_method(self.method).works_with
+        return gives and (lambda state: gives(state.learner))
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "method":  # while it is being made it has no method

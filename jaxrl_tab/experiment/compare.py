@@ -49,6 +49,7 @@ def compare(first: Any, *others: Any, confidence: float = 0.95) -> "Comparison":
     if not 0 < len(others) < len(LETTERS):
         raise InputError(f"compare takes two results or more, at most {len(LETTERS)}, not {1 + len(others)}")
     a, *rest = (side(results) for results in (first, *others))
+    rest = [_called_as_in(a, b) for b in rest]
     own = {name: Settings(ds) for name, ds in a.datasets.items()}
     families, alone, unlike = [], [], []
     for b in rest:
@@ -79,6 +80,18 @@ def compare(first: Any, *others: Any, confidence: float = 0.95) -> "Comparison":
         about = LETTERS[i + 1], b.name, differs(a, b), alone[i], unlike[i]
         found.append(Beside(*about, some, b.notes, b.complete))
     return Comparison(a.name, a.notes, found, confidence)
+
+
+def _called_as_in(a: Side, b: Side) -> Side:
+    """The second, with its only environment called as in the first: a file does not say what its folder calls it."""
+    known = a.experiment and b.experiment
+    one, other = ({ds.attrs.get("environment") for ds in x.datasets.values()} for x in (a, b))
+    labels = {name.partition("/")[0] for name in a.datasets}
+    if known or one != other or len(labels) > 1 or len({name.partition("/")[0] for name in b.datasets}) > 1:
+        return b
+    (label,) = labels
+    called = lambda of: {f"{label}/{name.partition('/')[2]}": ds for name, ds in of.items()}
+    return b._replace(datasets=called(b.datasets), fresh=called(b.fresh))
 
 
 def differs(a: Side, b: Side) -> dict[str, list[str]]:

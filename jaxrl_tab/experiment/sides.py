@@ -108,21 +108,23 @@ def _in_folder(path: Path, name: str) -> Side:
     session, notes = _session(path, manifest)
     labels = [table["label"] for table in experiment["environment"]]
     alone = labels[0] if len(labels) == 1 else None
-    read, found = {}, manifest["files"]
+    # Where it has just grown, the files are still those of what it was.
+    read, found = {}, manifest["files"] if manifest.get(HISTORY, []) == history else {}
     for file in (DATA, FRESH_DATA):
         if file in found and storage.has_checksum(path / file, found[file]):
             read[file] = in_file(path / file, alone)
         elif file in found:
             notes.append(f"{file} is missing or damaged")
+    complete = not experiment.get("select") or FRESH_DATA in read
     if DATA in read:
-        return Side(name, read[DATA], read.get(FRESH_DATA, {}), experiment, session, notes)
+        return Side(name, read[DATA], read.get(FRESH_DATA, {}), experiment, session, notes, complete)
     datasets, missing = _in_shards(path, manifest, experiment, history)
-    notes += missing
+    notes += missing or ([] if complete else ["not finished: the runs on fresh seeds are not all there"])
     if not datasets:
         raise InputError(
             f"nothing is finished in {name} that could be compared: `jaxrl-tab resume {name}` goes on"
         )
-    return Side(name, datasets, {}, experiment, session, notes, complete=not missing)
+    return Side(name, datasets, {}, experiment, session, notes, complete and not missing)
 
 
 def _is_experiment(data: Any) -> bool:
