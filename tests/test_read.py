@@ -93,6 +93,9 @@ def test_settings_environments_and_tables_without_steps(tmp_path):
     assert list(found) == ["one/a", "two-x/a"]
     assert rl.stats.best(found["one/a"]) == {"lr": 0.5} and rl.stats.fixed(found["one/a"]) == {"clip": 0.2}
     assert rl.stats.score(found["two-x/a"]).sel(lr=0.5).values.tolist() == [10.0, 11.0, 12.0]
+    names = ("first_tenth_return", "interim_return", "last_tenth_return")
+    assert [name in rl.stats.summary(found.methods["one"]) for name in names] == [False, False, True]
+    assert list(rl.plot.pictures(found.methods["one"])) == ["sensitivity"]
     refused(
         read, "a in one, seed 0 is there twice", "x.csv, row 1,", "x.csv, row 4", "hyperparameters: lr, clip"
     )
