@@ -91,6 +91,7 @@ from jaxrl_tab.envs import (
 from jaxrl_tab.exact import importance, planning
 from jaxrl_tab.experiment import executors
 from jaxrl_tab.experiment.compare import compare
+from jaxrl_tab.experiment.reading import read
 from jaxrl_tab.experiment.runner import explain, resume, run
 from jaxrl_tab.experiment.spec import Experiment
 
@@ -212,6 +213,7 @@ __all__ = [
     "policies",
     "prediction",
     "pytree",
+    "read",
     "register",
     "replay",
     "resume",

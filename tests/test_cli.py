@@ -452,7 +452,7 @@ REFUSALS = {
     "sweep windy-gridworld cliff-walking sarsa --states 4": "none of windy-gridworld, cliff-walking has --states",
     "sweep windy-gridworld clif-walking sarsa": "'clif-walking' is not a method",
     "swep": "did you mean 'sweep'?",
-    "xyzzy": "explain, seeds, compare, moments, figure, check",
+    "xyzzy": "explain, seeds, compare, read, moments, figure, check",
     "list --jsn": "did you mean '--json'?",
     "list sara": "'sara' is not an environment, a method or a figure; did you mean 'sarsa'?",
     "list mine.py:Mine": "there is no file",

@@ -246,7 +246,7 @@ def test_what_cannot_be_compared_is_one_line(folder, tmp_path):
     refused(lambda: rl.compare(folder, tmp_path / "no"), "there is no folder")
     refused(lambda: rl.compare(folder, tmp_path), "there is no experiment in")
     refused(lambda: rl.compare(folder, 3), "compare takes folders of results", "not 3")
-    foreign = made_up(SCORES).drop_vars("rewards")
+    foreign = made_up(SCORES).drop_vars("returns")
     rl.export.save({NAME: foreign}, tmp_path / "foreign.nc")
     refused(lambda: rl.compare(folder, tmp_path / "foreign.nc"), f"{NAME} is not what a sweep writes")
     shutil.copytree(folder, other := tmp_path / "b")

@@ -32,6 +32,7 @@ MODULES = {
     "explain": "explain",
     "seeds": "seeds",
     "compare": "compare",
+    "read": "read",
     "moments": "moments",
     "figure": "figure",
     "check": "check",
@@ -54,6 +55,7 @@ commands:
   resume    go on with a sweep: one that was interrupted, or that is to have more
   explain   where the methods of a sweep lose what they earn less than the best policy
   compare   results beside others: the same bits, or better, or worse
+  read      results that other tools computed: a table of methods, and a page
   seeds     how many seeds a comparison takes, judged by the runs of a sweep
   moments   exact learning curves of prediction, without a single run
   figure    make published figures again, and check their numbers
@@ -71,6 +73,7 @@ examples:
   {PROG} resume runs/windy
   {PROG} explain runs/windy
   {PROG} compare runs/last-month runs/today
+  {PROG} read 'runs/{{method}}/seed_{{seed}}.csv' --html theirs.html
   {PROG} seeds runs/windy --difference 0.5
   {PROG} moments random-walk td --alpha 0.05 0.1 0.2 --episodes 100
   {PROG} figure cliff-walking --out runs/cliff

@@ -45,6 +45,7 @@ COMMANDS = {
     "explain": ("explain", "Explain", {}),
     "seeds": ("seeds", "Seeds", {}),
     "compare": ("compare", "Compare", {}),
+    "read": ("read", "Read", {}),
     "figure": ("figure", "Figure", {}),
 }
 

@@ -56,7 +56,7 @@ def compare_command(argv: list[str]) -> int:
     options, _ = parse(Compare, argv)
     if len(options.folders) < 2:
         raise InputError("name two or more folders of sweeps: the first is what the others are compared with")
-    page = _new_file(options.html)
+    page = new_file(options.html)
     with busy("comparing"):
         comparison = compare.compare(*options.folders)
         if page:
@@ -72,7 +72,7 @@ def compare_command(argv: list[str]) -> int:
     return 1 if comparison.worse else 0 if comparison.whole else 2
 
 
-def _new_file(file: str | Path | None) -> Path | None:
+def new_file(file: str | Path | None) -> Path | None:
     """The path of a file that can be written. Raises InputError where it cannot."""
     if file is None:
         return None

@@ -191,7 +191,7 @@ def print_summary(environment: str, methods: "Methods") -> None:
     shared = [f"{name} {next(iter(values))}" for name, values in tried.items() if len(values) == 1]
     varied = [name for name, values in tried.items() if len(values) > 1]
     unit = "steps" if "num_steps" in ds.attrs else "episodes"
-    length = f"{ds.attrs[f'num_{unit}']} {unit}"
+    length = f"{ds.attrs[f'num_{unit}']} {unit}" if "lengths" in ds or unit == "steps" else "one score"
     columns, digits, out = _columns(methods), _digits(methods), console()
     optima = {cell(row["optimum"], six_digits) for row in rows}
     if len(optima) == 1 and "optimum" in columns:
@@ -322,7 +322,8 @@ def _notes(methods: "Methods", choice: bool, digits: Any) -> Iterator[str]:
             "over seeds; –: half of them or more may go round for ever."
         )
     speeds = [(name, ds.attrs.get("steps_per_second", np.nan) / 1e6) for name, ds in methods.items()]
-    yield f"Speed in million steps/s: {', '.join(f'{name} {speed:.1f}' for name, speed in speeds)}."
+    if not np.isnan([speed for _, speed in speeds]).any():  # of what others computed it is not known
+        yield f"Speed in million steps/s: {', '.join(f'{name} {speed:.1f}' for name, speed in speeds)}."
 
 
 def _several(rows: "Sequence[Row]") -> bool:

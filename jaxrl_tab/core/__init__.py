@@ -28,6 +28,7 @@ Its modules, from the ground up:
     episode     the memory of the current episode, for methods that learn when it is over
     experience  logged experience, as arrays, checked
     steps       an episode step by step, with what was learned in each step
+    events      the scalars in event files, as TensorBoard shows them
     memory      how many bytes things take, and where large results go
     netcdf      datasets in netCDF files
 """

@@ -77,7 +77,8 @@ def kind(parameter: Parameter) -> type:
         return str
     if takes_schedule(parameter) or takes_policy(parameter):
         return float if takes_schedule(parameter) else str
-    if parameter.default is MISSING or parameter.default is None:  # its annotation says it
+    empty = isinstance(parameter.default, tuple) and not parameter.default
+    if parameter.default is MISSING or parameter.default is None or empty:  # its annotation says it
         named = [x for x in (parameter.type, *typing.get_args(parameter.type)) if x in _KINDS]
         return named[0] if named else float
     entry = parameter.default

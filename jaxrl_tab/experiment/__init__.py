@@ -19,6 +19,7 @@ Its modules, from the ground up:
     again      settings run again, to record what was learned on the way
     painter    a process beside this one that draws pictures
     files      the files of results in the folder
+    reading    results that other tools computed
     sides      results that are to be compared, from wherever they are
     compare    results of experiments side by side
     runner     an experiment in a folder: `run` and `resume`

@@ -26,6 +26,7 @@ from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.files import Outcome
 from jaxrl_tab.experiment.found import HISTORY
+from jaxrl_tab.experiment.reading import TABLES, Readings, read
 from jaxrl_tab.experiment.records import library_versions, mixture, recorded, records_in
 from jaxrl_tab.experiment.shards import Job, runs
 from jaxrl_tab.experiment.spec import Experiment
@@ -33,6 +34,8 @@ from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, PROVENANC
 
 if TYPE_CHECKING:
     import xarray as xr
+
+NEEDED = ("steps", "episodes", "returns")  # of a log, to be compared; what others computed has no more
 
 
 class Side(NamedTuple):
@@ -57,7 +60,7 @@ class Side(NamedTuple):
 
 
 def side(results: Any) -> Side:
-    """What is in a folder of results, in a file of them (`results.nc`), or in what `run`, `resume` or `sweep` returned.
+    """What is in a folder of results, in a file of them, or in what `run`, `resume`, `sweep` or `read` returned.
 
     Raises:
         InputError: it is none of these, or nothing in it can be read; the message says what would help.
@@ -67,17 +70,28 @@ def side(results: Any) -> Side:
     if isinstance(results, SweepResult):
         name = f"{results.environment}/{results.algorithm}"
         return Side(repr(results), {name: results.to_xarray()}, {}, None, None, [])
+    if isinstance(results, Readings):
+        return _of_others(repr(results), results)
     if not isinstance(results, str | os.PathLike):
         raise InputError(
             f"compare takes folders of results, results.nc, or what run and resume return, not {shown(results)}"
         )
     path = Path(os.path.normpath(as_path("the folder", results)))
     name = one_line(str(path))
+    if path.suffix in TABLES and path.is_file():
+        return _of_others(name, read(path))
     if path.is_file():
-        return Side(name, _in_file(path, None), {}, None, None, [])
+        return Side(name, in_file(path, None), {}, None, None, [])
     if not path.is_dir():
         raise InputError(f"there is no folder {name}")
     return _in_folder(path, name)
+
+
+def _of_others(name: str, found: Readings) -> Side:
+    datasets = {
+        f"{label}/{own}": ds for label, methods in found.methods.items() for own, ds in methods.items()
+    }
+    return Side(name, datasets, {}, None, None, found.notes)
 
 
 def _in_folder(path: Path, name: str) -> Side:
@@ -98,7 +112,7 @@ def _in_folder(path: Path, name: str) -> Side:
     read, found = {}, manifest["files"] if manifest.get(HISTORY, []) == history else {}
     for file in (DATA, FRESH_DATA):
         if file in found and storage.has_checksum(path / file, found[file]):
-            read[file] = _in_file(path / file, alone)
+            read[file] = in_file(path / file, alone)
         elif file in found:
             notes.append(f"{file} is missing or damaged")
     complete = not experiment.get("select") or FRESH_DATA in read
@@ -136,7 +150,7 @@ def _session(path: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] | 
     return (computed[0] if computed else None), notes
 
 
-def _in_file(file: Path, environment: str | None) -> "dict[str, xr.Dataset]":
+def in_file(file: Path, environment: str | None) -> "dict[str, xr.Dataset]":
     """The datasets in a netCDF file; in memory, unless there is not enough of it.
 
     Names without an environment get that which is given, or that of the dataset.
@@ -156,8 +170,6 @@ def _in_file(file: Path, environment: str | None) -> "dict[str, xr.Dataset]":
 
 def _is_of_runs(ds: "xr.Dataset") -> bool:
     """Whether a dataset is what `SweepResult.to_xarray` gives, as far as it is looked at here."""
-    from jaxrl_tab.stats.export import LOG
-
     attrs = ds.attrs
     try:
         numbers = [
@@ -167,7 +179,7 @@ def _is_of_runs(ds: "xr.Dataset") -> bool:
         texts = [json.loads(attrs.get(key, "{}")) for key in ("fixed", "environment_parameters")]
     except (KeyError, TypeError, ValueError):
         return False
-    has_log = all(name in ds and {"seed", "row"} <= set(ds[name].dims) for name in LOG)
+    has_log = all(name in ds and {"seed", "row"} <= set(ds[name].dims) for name in NEEDED)
     return has_log and "seed" in ds.coords and min(numbers) > 0 and all(isinstance(x, dict) for x in texts)
 
 

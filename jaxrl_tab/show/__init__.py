@@ -29,5 +29,6 @@ Its modules, from the ground up:
     heat      what the report shows of that
     rows      what a chapter of the report says: its rows, notes and tables
     report    the report of an experiment, one HTML file; `rl.report`
+    others    a page of results that other tools computed
     html      its templates
 """

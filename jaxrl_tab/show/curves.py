@@ -123,6 +123,9 @@ def learning_curves(
         ax.set_ylim(bottom=0)
         legend(ax)
         return
+    known = all(
+        "lengths" in ds for ds in datasets.values()
+    )  # of what others computed a score may be of no episode
     shown, end = [], 0
     for (label, own), style in zip(at_setting(datasets, setting), styles, strict=True):
         points, interval, enough = _readable_curve(own)
@@ -136,7 +139,7 @@ def learning_curves(
     if not np.isfinite(np.concatenate(shown)).any():
         ax.text(0.5, 0.3, "too few episodes for a curve", transform=ax.transAxes, ha="center", color=GREY)
     ax.set_xlim(0, 1.03 * end)
-    tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode")
+    tidy(ax, "time steps" if by_steps else "episodes", "mean return per episode" if known else "mean score")
     _return_axis(ax, shown, common_optimum(datasets), soft)
     legend(ax)
 

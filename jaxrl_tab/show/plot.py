@@ -142,13 +142,13 @@ __all__ = [
 
 
 def overview(
-    datasets: Datasets, env: Environment, *, width: float = WIDTH, labels: Labels | None = None
+    datasets: Datasets, env: Environment | None = None, *, width: float = WIDTH, labels: Labels | None = None
 ) -> Figure:
     """The curves of `save_all` in one figure; on grids with the greedy path of the method with the best mean.
 
     Args:
         datasets: a sweep for each method, at least one.
-        env: the environment of all of them.
+        env: the environment of all of them; None where it is not known, as of what `rl.read` read.
         width: of the figure, inches.
         labels: what methods are called instead of their names; of some of them, or of all.
 
@@ -169,7 +169,7 @@ def overview(
 
 def save_all(
     datasets: Datasets,
-    env: Environment,
+    env: Environment | None,
     folder: Path | str,
     kind: Kind | Sequence[Kind] = "png",
     *,
@@ -186,7 +186,7 @@ def save_all(
 
     Args:
         datasets: a sweep for each method, at least one.
-        env: the environment of all of them.
+        env: the environment of all of them, or None.
         folder: where to write; files of these names are overwritten.
         kind: of the files, or several kinds. "pdf" and "svg" are sharp at any size, as for a paper.
         width: of the widest figure, inches: that of the text of a page, or of one of its columns, such as 3.3.
@@ -224,7 +224,7 @@ def save(figure: Figure, file: Path | str) -> None:
 
 
 def pictures(
-    datasets: Datasets, env: Environment, *, width: float = WIDTH, labels: Labels | None = None
+    datasets: Datasets, env: Environment | None = None, *, width: float = WIDTH, labels: Labels | None = None
 ) -> dict[str, Figure]:
     """The figures of `save_all` by their names, but for the overview, in which they are again."""
     methods, figures = Methods.of(datasets, env).renamed(labels or {}), {}
@@ -235,7 +235,7 @@ def pictures(
         figures[name] = figure
     if isinstance(env, Grid) and not stats.is_prediction(*methods.values()):
         figures["greedy_path"] = _all_paths(methods, env, width)
-    elif tables_of(env) and _with_values(methods):
+    elif env is not None and tables_of(env) and _with_values(methods):
         figures["values"] = value_tables(methods, env, width=width)
     if maps := {name: pair for name, ds in methods.items() if (pair := swept_pair(ds))}:
         figures["score_map"] = figure = _all_maps(methods, maps, width)
@@ -257,10 +257,10 @@ def _all_maps(methods: Methods, maps: Mapping[str, tuple[str, str]], width: floa
     return figure
 
 
-def _curves(methods: Methods, env: Environment) -> dict[str, Callable[[Axes], None]]:
+def _curves(methods: Methods, env: Environment | None) -> dict[str, Callable[[Axes], None]]:
     """What draws each picture of one pair of axes, by its name."""
     curves: dict[str, Callable[[Axes], None]] = {}
-    if not stats.is_prediction(*methods.values()):
+    if not stats.is_prediction(*methods.values()) and all("lengths" in ds for ds in methods.values()):
         curves["episodes"] = lambda ax: episodes_against_steps(ax, methods)
     soft = common_soft_optimum(methods)
     curves["learning_curves"] = lambda ax: learning_curves(ax, methods, soft=soft)
@@ -270,7 +270,7 @@ def _curves(methods: Methods, env: Environment) -> dict[str, Callable[[Axes], No
         key = f"sensitivity_{name}" if i else "sensitivity"
         line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
         curves[key] = lambda ax, name=name, line=line: sensitivity(ax, methods, name, soft=line)
-    if stats.is_prediction(*methods.values()) and not tables_of(env):
+    if stats.is_prediction(*methods.values()) and env is not None and not tables_of(env):
         curves["values"] = lambda ax: state_values(ax, methods, env)
     return curves
 
@@ -385,7 +385,9 @@ def _squares(count: int, width: float) -> tuple[Figure, np.ndarray]:
     return figure, grid[:count]
 
 
-def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, *, intervals: bool = False) -> None:
+def _say_what_ran(
+    figure: Figure, datasets: Datasets, env: Environment | None, *, intervals: bool = False
+) -> None:
     """The title of a whole figure: what was run, and whether means with `intervals` are shown of it.
 
     What was run: the environment, what is not as usual in it, the hyperparameters of all, the seeds.
@@ -393,7 +395,7 @@ def _say_what_ran(figure: Figure, datasets: Datasets, env: Environment, *, inter
     names = dict.fromkeys(shortened(title_of(str(ds.attrs["environment"]))) for ds in datasets.values())
     first, *others = [stats.fixed(ds) for ds in datasets.values()]
     common = {k: v for k, v in first.items() if all(k in other and other[k] == v for other in others)}
-    what = ", ".join([*names, *unusual(env), *in_words(common)])
+    what = ", ".join([*names, *([] if env is None else unusual(env)), *in_words(common)])
     over = f"mean over {seeds_in_words(datasets)}, and its 95% interval at each point" if intervals else ""
     head(figure, f"{what}\n{over}")
 

@@ -114,7 +114,7 @@ class Method(Settings):
     @property
     def episodes_within_steps(self) -> xr.DataArray | None:
         """Episodes of the runs that did not diverge, mean; None where episodes were the budget, the same for all."""
-        within = "num_steps" in self.ds.attrs
+        within = "num_steps" in self.ds.attrs and "lengths" in self.ds
         return sound_runs(self.ds.episodes.sum("row"), self.ds).mean("seed") if within else None
 
     @property
@@ -131,7 +131,11 @@ class Method(Settings):
 
 # In the order in which people see them.
 COLUMNS = [
-    Column("episodes", lambda own: own.ds.episodes.sum("row").mean("seed"), written="tenths"),
+    Column(
+        "episodes",
+        lambda own: own.ds.episodes.sum("row").mean("seed") if "lengths" in own.ds else None,
+        written="tenths",
+    ),
     Column(
         "episodes_within_steps",
         lambda own: own.episodes_within_steps,
@@ -199,11 +203,7 @@ COLUMNS = [
         screen="RMS error\nat the end",
         report="error at the end",
     ),
-    Column(
-        "steps_per_second",
-        lambda own: own.ds.attrs.get("steps_per_second", np.nan),
-        written="tenths",
-    ),
+    Column("steps_per_second", lambda own: own.ds.attrs.get("steps_per_second", np.nan), written="tenths"),
     Column(
         "policy_value",
         lambda own: None if (x := own.at_the_end("policy_value")) is None else x.median("seed"),
@@ -240,7 +240,7 @@ COLUMNS = [
     ),
     Column(
         "optimum",
-        lambda own: optimum(own.ds),
+        lambda own: optimum(own.ds) if {"optimum", "optimal_value"} & {*own.ds, *own.ds.attrs} else None,
         screen=("exact\noptimum", "value of\nthe policy"),
         report=("exact optimum", "exact value"),
         written="exact",

@@ -203,6 +203,11 @@ def _control(own: Any, of: Callable[[xr.Dataset], Any]) -> Any:
     return None if own.prediction else of(own.ds)
 
 
+def _of_episodes(own: Any, of: Callable[[xr.Dataset], Any]) -> Any:
+    """Where the lengths of episodes are not known, as of what others computed, a score may be of no episode at all."""
+    return _control(own, of) if "lengths" in own.ds else None
+
+
 # Of the table of settings, beside the score: see `columns`.
 EARLY = [
     Column(
@@ -217,7 +222,7 @@ EARLY = [
     ),
     Column(
         "first_episode_steps",
-        lambda own: _control(own, lambda ds: first_episode(ds).median("seed")),
+        lambda own: _of_episodes(own, lambda ds: first_episode(ds).median("seed")),
         report="steps until the end of the first episode",
         tables=("early",),
         written="steps",
@@ -225,7 +230,7 @@ EARLY = [
     ),
     Column(
         "early_steps",
-        lambda own: _control(own, lambda ds: steps_of_all(ds, first_tenth(ds))),
+        lambda own: _of_episodes(own, lambda ds: steps_of_all(ds, first_tenth(ds))),
         in_summary="first_tenth_steps",
         screen="steps an\nepisode,\nfirst tenth",
         report="steps an episode, first tenth",
@@ -236,7 +241,7 @@ EARLY = [
     ),
     Column(
         "late_steps",
-        lambda own: _control(own, lambda ds: steps_of_all(ds, last_tenth(ds))),
+        lambda own: _of_episodes(own, lambda ds: steps_of_all(ds, last_tenth(ds))),
         in_summary="last_tenth_steps",
         screen="steps an\nepisode,\nlast tenth",
         report="steps an episode, last tenth",
@@ -247,7 +252,7 @@ EARLY = [
     ),
     Column(
         "early_unfinished",
-        lambda own: _control(own, lambda ds: unfinished(ds, first_tenth(ds)).sum("seed")),
+        lambda own: _of_episodes(own, lambda ds: unfinished(ds, first_tenth(ds)).sum("seed")),
         in_summary="first_tenth_unfinished",
         report="runs without an episode in the first tenth",
         tables=("early",),

@@ -24,13 +24,12 @@ import xarray as xr
 from jaxrl_tab import stats
 from jaxrl_tab.core import netcdf
 from jaxrl_tab.core.errors import InputError, nearest
-from jaxrl_tab.stats.measures import has_errors
+from jaxrl_tab.stats.measures import LOG, has_errors
 
 __all__ = ["load", "save", "to_pandas"]
 
 Datasets = xr.Dataset | Mapping[str, xr.Dataset]
 Per = Literal["row", "seed"]
-LOG = ("steps", "episodes", "returns", "lengths", "rewards")
 
 
 def load(file: Path | str) -> dict[str, xr.Dataset]:
@@ -142,12 +141,12 @@ def _rows(ds: xr.Dataset) -> xr.Dataset:
 def _runs(ds: xr.Dataset) -> xr.Dataset:
     """The log summed over each run, the score, and what was recorded, at the end."""
     log = _rows(ds)
-    sums = {name: log[name].sum("row", skipna=False, dtype=_wide(log[name])) for name in LOG}
+    sums = {name: log[name].sum("row", skipna=False, dtype=_wide(log[name])) for name in LOG if name in ds}
     runs = xr.Dataset(sums | {"diverged": ds.diverged})
     runs["v_error" if has_errors(ds) else "last_tenth_return"] = stats.score(ds)
     if not has_errors(ds):
         runs["unfinished"] = stats.unfinished(ds)
-    ends = log.drop_vars(LOG).isel(row=-1, drop=True)
+    ends = log.drop_vars(LOG, errors="ignore").isel(row=-1, drop=True)
     return runs.merge(ends.rename({name: f"final_{name}" for name in ends.data_vars}))
 
 

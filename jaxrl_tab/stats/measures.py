@@ -15,6 +15,7 @@ from jaxrl_tab.stats.along import Interval, blocks, by_seeds, check_dims
 from jaxrl_tab.stats.intervals import least_of, mean_interval
 
 NOT_SWEPT = ("seed", "row", "state", "action")  # dimensions of a dataset that are no hyperparameters
+LOG = ("steps", "episodes", "returns", "lengths", "rewards")  # of what others computed, some are not known
 SOFT_STATES = 5000  # of an environment whose best epsilon-soft policy is looked for: about a second
 
 
@@ -107,10 +108,10 @@ def mean_error(ds: xr.Dataset, rows: slice = slice(None)) -> xr.DataArray:
 def earned(ds: xr.Dataset, rows: slice) -> xr.DataArray:
     """The mean return of the episodes that ended in `rows`, or the rewards there where none did: see `score`.
 
-    Float64 [*hyperparameters, seed]; NaN where the run diverged.
+    Float64 [*hyperparameters, seed]; NaN where the run diverged, or where rewards are not known.
     """
     returns, without = mean_return(ds, rows), unfinished(ds, rows)
-    if not without.any():
+    if not without.any() or "rewards" not in ds:
         return returns
     there = ds.isel(row=rows)
     return returns.where(~without, (there.rewards.astype(float) * _discounts(there)).sum("row"))
@@ -228,7 +229,7 @@ def merge_rows(ds: xr.Dataset, at_most: int) -> xr.Dataset:
 
 
 def _merged(ds: xr.Dataset, every: int) -> xr.Dataset:
-    sums = ds[["steps", "episodes", "returns", "lengths", "rewards"]]
+    sums = ds[[name for name in LOG if name in ds]]
     starts = np.arange(0, ds.sizes["row"], every)
     # The groups are neighbours, so this needs no `groupby`, which takes several times as long.
     merged = {name: (x.dims, _sums_from(x, starts), x.attrs) for name, x in sums.items()}
