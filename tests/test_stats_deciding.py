@@ -126,6 +126,13 @@ def test_what_diverges_more_often_is_never_called_better():
     assert any("1 run of a diverged" in note for note in verdict.notes())
     x["b"][5:7] = nan  # now b does more often
     assert verdicts(stats.decide(x)) == {("a", "b"): "better"}
+    for names in (
+        "ab",
+        "ba",
+    ):  # broken once: where all runs of the second diverged they score 0 -> b is first
+        lost = dict(zip(names, (x["b"] - 50, np.full(100, nan)), strict=True))
+        verdict = stats.decide(lost, first=100, most=200)
+        assert (verdict.order, verdict.open) == (f"{names[0]} > {names[1]}", ())
     all_lost = {"a": np.full(100, nan), "b": np.full(100, nan)}
     assert verdicts(stats.decide(all_lost, most=100)) == {("a", "b"): "open"}
 

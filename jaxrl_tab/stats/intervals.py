@@ -187,7 +187,8 @@ def unseen(n: int) -> str:
 
 
 def least_of(*numbers: xr.DataArray | float) -> xr.DataArray:
-    return functools.reduce(lambda a, b: xr.where(a < b, a, b), numbers)
+    """The least of the numbers that there are: NaN is none."""
+    return functools.reduce(lambda a, b: xr.where((a < b) | np.isnan(b), a, b), numbers)
 
 
 def one_more(x: xr.DataArray, value: xr.DataArray, dim: str) -> xr.DataArray:
