@@ -93,6 +93,9 @@ def test_settings_environments_and_tables_without_steps(tmp_path):
     assert list(found) == ["one/a", "two-x/a"]
     assert rl.stats.best(found["one/a"]) == {"lr": 0.5} and rl.stats.fixed(found["one/a"]) == {"clip": 0.2}
     assert rl.stats.score(found["two-x/a"]).sel(lr=0.5).values.tolist() == [10.0, 11.0, 12.0]
+    names = ("first_tenth_return", "interim_return", "last_tenth_return")
+    assert [name in rl.stats.summary(found.methods["one"]) for name in names] == [False, False, True]
+    assert list(rl.plot.pictures(found.methods["one"])) == ["sensitivity"]
     refused(
         read, "a in one, seed 0 is there twice", "x.csv, row 1,", "x.csv, row 4", "hyperparameters: lr, clip"
     )
@@ -137,6 +140,16 @@ def test_what_cannot_be_read_is_one_line_that_says_where(file, tmp_path):
     of(frame.assign(step=frame.step**2), "steps are not evenly spaced (10000, 40000", "every=")
     of(frame.assign(step=frame.step + frame.seed), "runs have scores at other steps", "every=")
     of(frame[:0], "x.csv has no rows")
+    of(frame, "'step' cannot be a hyperparameter", settings=["step"])
+    of(frame.assign(step=frame.step * 10**12), "would have 10000000000000 rows", every=100)
+    of(frame.assign(method=frame.method.replace("dqn", "")), "row 81: method is empty; 80 such in all")
+    random = frame.assign(lr=np.arange(len(frame)), eps=np.arange(len(frame)))
+    of(random, "sarsa has 80 scores, fewer than 80 x 80 x 8 values of lr, eps, seed", settings=["lr", "eps"])
+    path.write_text("method,seed,score\na,0,1,7\na,1,2,7\n")
+    refused(lambda: rl.read(path), "x.csv cannot be read", "does not match")
+    damaged = rl.read(file)["dqn"].drop_vars("returns")
+    rl.export.save({"dqn": damaged}, tmp_path / "ours.nc")
+    refused(lambda: rl.read(tmp_path / "ours.nc"), "dqn is not what a sweep writes")
     path.write_bytes(b"")
     refused(lambda: rl.read(path), "x.csv cannot be read")
     for name in ("x.parquet", "x.nc"):
@@ -270,9 +283,8 @@ def test_event_files_are_read_and_a_damaged_tail_is_told_and_not_trusted(tmp_pat
     file = tmp_path / "a_1" / "events.out.tfevents.1.x"
     whole = file.read_bytes()
     more = record(300, "eval/r", simple(7.0))
-    flipped = bytearray(more)
-    flipped[-6] ^= 1
-    for tail in (bytes(flipped), more[:-3], b"\0", b"\xff" * 40):
+    flipped = [bytes(x ^ (i == place) for i, x in enumerate(more)) for place in (8, len(more) - 6)]
+    for tail in (*flipped, more[:-3], b"\0", b"\xff" * 40):
         file.write_bytes(whole + tail)
         found = rl.read(pattern, score="eval/r")
         assert f"damaged or cut off from byte {len(whole)} on" in found.notes[0]

@@ -48,7 +48,7 @@ class Compare:
       jaxrl-tab compare runs/a/results.nc runs/b --json
 
     Attributes:
-        folders: Two or more folders of sweeps: what --out named; or their results.nc.
+        folders: Two or more folders of sweeps: what --out named; their results.nc; or tables as `read` takes them.
         fail_if_worse: End with exit code 1 where anything is worse than in the first folder.
         html: New file for a page that shows all of it.
         json: Print JSON.

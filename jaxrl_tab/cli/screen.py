@@ -237,7 +237,7 @@ def _table(methods: "Methods", varied: Sequence[str], columns: "Mapping[str, Col
     """A row for each setting: what varies, and these columns."""
     from jaxrl_tab.stats.column import text
 
-    view = Table("method", *varied)
+    view = Table("method", *map(escape, varied))
     for name, column in columns.items():
         view.add_column(text(column.screen, methods.prediction))
         if name == "score":
@@ -252,8 +252,8 @@ def _table(methods: "Methods", varied: Sequence[str], columns: "Mapping[str, Col
             cells = {name: _cells(column, row[name], digits) for name, column in columns.items()}
             cells["score"][1] += " !" if row.doubtful else ""
             view.add_row(
-                f"{method}{' *' if star else ' ~' if choice and row['tied'] else ''}",
-                *(cell(_setting_of(row).get(name, np.nan), words) for name in varied),
+                f"{escape(method)}{' *' if star else ' ~' if choice and row['tied'] else ''}",
+                *(escape(cell(_setting_of(row).get(name, np.nan), words)) for name in varied),
                 *(part for parts in cells.values() for part in parts),
                 style="bold" if star else None,
             )

@@ -30,8 +30,8 @@ def compare(first: Any, *others: Any, confidence: float = 0.95) -> "Comparison":
     `stats.score`: the higher the better, of prediction the lower.
 
     Args:
-        first: a folder of results, a file of them (`results.nc`), or what `run`, `resume` or `sweep` returned. Folders
-            are only looked at; of one that is not finished what is there is compared.
+        first: a folder of results, a file of them (`results.nc`), a table as `read` takes it, or what `run`, `resume`,
+            `sweep` or `read` returned. Folders are only looked at; of one that is not finished what is there counts.
         others: the same, one or more, each of which is compared with the first.
         confidence: of all comparisons together.
 

@@ -1,8 +1,10 @@
 """Results that other tools computed: `read`."""
 
 import glob
+import json
 import os
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from jaxrl_tab.stats.columns import Methods
 
 Table: TypeAlias = Any  # a DataFrame; pandas is imported when something is read
+NEEDED = ("steps", "episodes", "returns")  # of a log, to be compared; what others computed has no more
 EVENTS = "tfevents"  # what the names of event files have in them
 TABLES = (".csv", ".tsv", ".parquet")
 KINDS = f"{', '.join(TABLES)}, .nc, or an event file, whose name has {EVENTS} in it"
@@ -230,7 +233,25 @@ def _of_ours(path: Path) -> "dict[str, xr.Dataset]":
         datasets = export.load(path)
     except InputError:  # netCDF of another version, or damaged: that is seen when it is read as a table
         return {}
-    return {name: ds.load() for name, ds in datasets.items() if "environment" in ds.attrs}
+    ours = {name: ds for name, ds in datasets.items() if "environment" in ds.attrs}
+    if damaged := next((name for name, ds in ours.items() if not is_of_runs(ds)), None):
+        raise InputError(f"{one_line(str(path))}: {damaged} is not what a sweep writes")
+    return {name: ds.load() for name, ds in ours.items()}
+
+
+def is_of_runs(ds: "xr.Dataset") -> bool:
+    """Whether a dataset is what `SweepResult.to_xarray` gives, as far as it is looked at here."""
+    attrs = ds.attrs
+    try:
+        numbers = [
+            int(attrs["log_every"]),
+            int(attrs["num_steps" if "num_steps" in attrs else "num_episodes"]),
+        ]
+        texts = [json.loads(attrs.get(key, "{}")) for key in ("fixed", "environment_parameters")]
+    except (KeyError, TypeError, ValueError):
+        return False
+    has_log = all(name in ds and {"seed", "row"} <= set(ds[name].dims) for name in NEEDED)
+    return has_log and "seed" in ds.coords and min(numbers) > 0 and all(isinstance(x, dict) for x in texts)
 
 
 # --- tables ------------------------------------------------------------------------------------------
@@ -255,23 +276,25 @@ def _csv(path: Path) -> Table:
     """The cells as text, so that what is no number can be told as it stands; "#" begins lines before the heading."""
     import pandas as pd
 
+    comments, heading = 0, ""
     with path.open(encoding="utf-8-sig") as lines:
-        comments = 0
-        for line in lines:
-            if not line.startswith("#"):
+        for heading in lines:
+            if not heading.startswith("#"):
                 break
             comments += 1
-    separator = "\t" if path.suffix.lower() == ".tsv" else ","
-    return pd.read_csv(
-        path,
-        sep=separator,
-        dtype=str,
-        keep_default_na=False,
-        skiprows=comments,
-        index_col=False,
-        skipinitialspace=True,
-        encoding="utf-8-sig",
-    )
+    separator = next((sign for sign in ",;\t" if sign in heading), ",")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)  # that a row has more cells than the heading
+        return pd.read_csv(
+            path,
+            sep=separator,
+            dtype=str,
+            keep_default_na=False,
+            skiprows=comments,
+            index_col=False,
+            skipinitialspace=True,
+            encoding="utf-8-sig",
+        )
 
 
 def _parquet(path: Path) -> Table:

@@ -6,7 +6,6 @@ which a sweep is under way.
 
 import dataclasses
 import itertools
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,7 +25,7 @@ from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import sources, storage
 from jaxrl_tab.experiment.files import Outcome
 from jaxrl_tab.experiment.found import HISTORY
-from jaxrl_tab.experiment.reading import TABLES, Readings, read
+from jaxrl_tab.experiment.reading import TABLES, Readings, is_of_runs, read
 from jaxrl_tab.experiment.records import library_versions, mixture, recorded, records_in
 from jaxrl_tab.experiment.shards import Job, runs
 from jaxrl_tab.experiment.spec import Experiment
@@ -34,8 +33,6 @@ from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, PROVENANC
 
 if TYPE_CHECKING:
     import xarray as xr
-
-NEEDED = ("steps", "episodes", "returns")  # of a log, to be compared; what others computed has no more
 
 
 class Side(NamedTuple):
@@ -74,7 +71,8 @@ def side(results: Any) -> Side:
         return _of_others(repr(results), results)
     if not isinstance(results, str | os.PathLike):
         raise InputError(
-            f"compare takes folders of results, results.nc, or what run and resume return, not {shown(results)}"
+            "compare takes folders of results, results.nc, tables, or what run, resume and read return, "
+            f"not {shown(results)}"
         )
     path = Path(os.path.normpath(as_path("the folder", results)))
     name = one_line(str(path))
@@ -159,28 +157,13 @@ def in_file(file: Path, environment: str | None) -> "dict[str, xr.Dataset]":
 
     datasets = {}
     for name, ds in export.load(file).items():
-        if not _is_of_runs(ds):
+        if not is_of_runs(ds):
             raise InputError(f"{one_line(str(file))}: {name} is not what a sweep writes")
         label = environment or ds.attrs.get("environment", "")
         datasets[name if "/" in name else f"{label}/{name}"] = ds.load() if ds.nbytes < free() // 8 else ds
     if not datasets:
         raise InputError(f"{one_line(str(file))} has no results of runs in it")
     return datasets
-
-
-def _is_of_runs(ds: "xr.Dataset") -> bool:
-    """Whether a dataset is what `SweepResult.to_xarray` gives, as far as it is looked at here."""
-    attrs = ds.attrs
-    try:
-        numbers = [
-            int(attrs["log_every"]),
-            int(attrs["num_steps" if "num_steps" in attrs else "num_episodes"]),
-        ]
-        texts = [json.loads(attrs.get(key, "{}")) for key in ("fixed", "environment_parameters")]
-    except (KeyError, TypeError, ValueError):
-        return False
-    has_log = all(name in ds and {"seed", "row"} <= set(ds[name].dims) for name in NEEDED)
-    return has_log and "seed" in ds.coords and min(numbers) > 0 and all(isinstance(x, dict) for x in texts)
 
 
 # --- of a sweep that is not finished -----------------------------------------------------------------

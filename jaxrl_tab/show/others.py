@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from io import BytesIO
 from typing import Any
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
 from jaxrl_tab import stats
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.show import plot, words
@@ -83,5 +85,5 @@ def _picture(methods: Methods) -> str | None:
         return None
     figure, file = plot.overview(methods), BytesIO()
     plot.lay_out(figure)
-    figure.savefig(file, format="png")
+    FigureCanvasAgg(figure).print_png(file)
     return as_data(file.getvalue(), "image/png")

@@ -263,7 +263,8 @@ def _curves(methods: Methods, env: Environment | None) -> dict[str, Callable[[Ax
     if not stats.is_prediction(*methods.values()) and all("lengths" in ds for ds in methods.values()):
         curves["episodes"] = lambda ax: episodes_against_steps(ax, methods)
     soft = common_soft_optimum(methods)
-    curves["learning_curves"] = lambda ax: learning_curves(ax, methods, soft=soft)
+    if env is not None or any(ds.sizes["row"] > 1 for ds in methods.values()):
+        curves["learning_curves"] = lambda ax: learning_curves(ax, methods, soft=soft)
     names = (name for ds in methods.values() for name in stats.hyperparameters(ds) + stats.drawn(ds))
     swept = dict.fromkeys(name for name in names if name != "draw")
     for i, name in enumerate(sorted(swept, key=lambda name: name != "alpha")):

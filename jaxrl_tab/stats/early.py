@@ -208,6 +208,11 @@ def _of_episodes(own: Any, of: Callable[[xr.Dataset], Any]) -> Any:
     return _control(own, of) if "lengths" in own.ds else None
 
 
+def _is_over_time(ds: xr.Dataset) -> bool:
+    """Whether there is anything early: of what others computed there may be one score for each run."""
+    return "lengths" in ds or ds.sizes["row"] > 1
+
+
 # Of the table of settings, beside the score: see `columns`.
 EARLY = [
     Column(
@@ -261,7 +266,7 @@ EARLY = [
     ),
     Column(
         "early_score",
-        lambda own: _interval(own, early_score(own.ds)),
+        lambda own: _interval(own, early_score(own.ds)) if _is_over_time(own.ds) else None,
         in_summary=("first_tenth_return", "first_tenth_v_error"),
         screen=("mean return,\nfirst tenth", "RMS error,\nfirst tenth"),
         report=("mean return, first tenth", "mean error, first tenth"),
@@ -272,7 +277,9 @@ EARLY = [
     ),
     Column(
         "interim",
-        lambda own: _control(own, lambda ds: _interval(own, interim_return(ds))),
+        lambda own: (
+            _control(own, lambda ds: _interval(own, interim_return(ds))) if _is_over_time(own.ds) else None
+        ),
         in_summary="interim_return",
         report="mean return, whole run",
         tables=("early",),

@@ -5,6 +5,7 @@ as the lengths of episodes or an exact optimum, its datasets have not. `rl.read`
 """
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -22,6 +23,7 @@ Column: TypeAlias = Any  # a Series
 ENVIRONMENT = "environment"  # the column of environments, where there is one
 UNNAMED = "results"  # what the environment is called where there is none
 WHERE = "__where__"  # the column that says where a row was read
+MOST = 2**24  # numbers of a variable, if there are not more in the table
 TAKEN = {*NOT_SWEPT, "draw", "steps", "episodes", "returns"}  # names that datasets use for something else
 
 
@@ -50,19 +52,24 @@ class Columns:
 
 def check_columns(frame: Table, columns: Columns, where: str) -> None:
     """Raises InputError unless a table has the columns that it must have."""
+    for name in columns.settings:
+        if name in TAKEN or name in (columns.method, columns.seed, columns.step, columns.score, ENVIRONMENT):
+            raise InputError(
+                f"{shown(name)} cannot be a hyperparameter: the name stands for something else here"
+            )
     there = [str(name) for name in frame.columns if name != WHERE]
     for field in ("method", "seed", "score", *columns.settings):
         name = field if field in columns.settings else getattr(columns, field)
         if name not in there:
             how = "" if field in columns.settings else f"; {field}= (--{field}) says what it is called"
+            how += (
+                f", or {{{field}}} in a pattern where it stands in the path"
+                if field in ("method", "seed")
+                else ""
+            )
             hint = f"{nearest(name, there, ' ')} ".strip() or f"there are {listed(there)}"
             hint = hint if hint.startswith("there") else f"there are {listed(there)}; {hint}"
             raise InputError(f"{where} has no column {shown(name)}: {hint}{how}")
-    for name in columns.settings:
-        if name in TAKEN:
-            raise InputError(
-                f"a hyperparameter cannot be called {shown(name)} here: give its column another name"
-            )
 
 
 def datasets(frame: Table, columns: Columns, notes: list[str]) -> dict[str, xr.Dataset]:
@@ -83,10 +90,10 @@ def datasets(frame: Table, columns: Columns, notes: list[str]) -> dict[str, xr.D
     if has_steps:
         frame = _in_time(frame, columns, notes)
     several = ENVIRONMENT in frame
-    environment = frame[ENVIRONMENT].map(_name) if several else pd.Series(UNNAMED, frame.index)
-    keys = environment, frame[columns.method].map(_name)
+    environment = _names(frame, ENVIRONMENT) if several else [UNNAMED] * len(frame)
+    keys = [np.array(x, object) for x in (environment, _names(frame, columns.method))]
     found: dict[str, xr.Dataset] = {}
-    for (label, method), rows in frame.groupby(list(keys), sort=False):
+    for (label, method), rows in frame.groupby(keys, sort=False):
         who = f"{method} in {label}" if several else str(method)
         ds = _dataset(rows, columns, has_steps, who)
         ds.attrs |= {"environment": str(label), "algorithm": str(method)}
@@ -96,9 +103,13 @@ def datasets(frame: Table, columns: Columns, notes: list[str]) -> dict[str, xr.D
 
 
 # --- columns -----------------------------------------------------------------------------------------
-def _name(value: Any) -> str:
-    """A name as a key has it, in which "/" stands between environment and method."""
-    return str(value).replace("/", "-")
+def _names(frame: Table, column: str) -> list[str]:
+    """Names as keys have them, in which "/" stands between environment and method."""
+    values = frame[column].astype(object)
+    empty = values.isna() | (values.astype(str).str.strip() == "")
+    if empty.any():
+        raise InputError(f"{frame[empty].iloc[0][WHERE]}: {column} is empty; {int(empty.sum())} such in all")
+    return [str(value).strip().replace("/", "-") for value in values]
 
 
 def _to_numbers(values: Column) -> Column:
@@ -153,19 +164,29 @@ def _dataset(rows: Table, columns: Columns, has_steps: bool, who: str) -> xr.Dat
         places.append(place)
         shape.append(len(labels))
     _check_no_doubles(rows.assign(**axes), [*names, *([columns.step] if has_steps else [])], columns, who)
+    missing = math.prod(shape) - len(pd.DataFrame(np.column_stack(places)).drop_duplicates())
+    if missing > len(rows):
+        raise InputError(
+            f"{who} has {len(rows)} scores, fewer than {' x '.join(map(str, shape))} values of {', '.join(names)}: "
+            "each combination of settings needs a run of each seed"
+        )
     runs = np.asarray(np.ravel_multi_index(places, shape))
     run = lambda i: _run(int(i), [*coords], [*coords.values()], shape, who)
-    missing = np.setdiff1d(np.arange(np.prod(shape)), runs)
-    if len(missing):
-        raise InputError(f"there is no run of {run(missing[0])}; {len(missing)} such in all")
+    if missing:
+        first = np.setdiff1d(np.arange(math.prod(shape)), runs)[0]
+        raise InputError(f"there is no run of {run(first)}; {missing} such in all")
     if has_steps:
         row, length, budget = _rows(rows[columns.step].to_numpy(), runs, columns, run)
     else:
         row, length, budget = np.zeros(len(rows), int), 0, {"num_episodes": 1, "log_every": 1}
     count = int(row.max()) + 1
     whole = (*shape, count)
+    if math.prod(whole) > max(MOST, 100 * len(rows)):
+        raise InputError(
+            f"{who} would have {count} rows in each run, nearly all empty: take a larger every= (--every)"
+        )
     at = runs * count + row
-    size = int(np.prod(whole))
+    size = math.prod(whole)
     episodes = np.bincount(at, minlength=size).reshape(whole)
     returns = np.bincount(at, weights=rows[columns.score].to_numpy(), minlength=size).reshape(whole)
     dims = (*axes, "seed", "row")
