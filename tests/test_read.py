@@ -284,6 +284,10 @@ def test_event_files_are_read_and_a_damaged_tail_is_told_and_not_trusted(tmp_pat
     whole = file.read_bytes()
     more = record(300, "eval/r", simple(7.0))
     flipped = [bytes(x ^ (i == place) for i, x in enumerate(more)) for place in (8, len(more) - 6)]
+    tags = events.scalars(file).tags
+    for place in range(len(more)):
+        file.write_bytes(whole + bytes(x ^ 4 * (i == place) for i, x in enumerate(more)))
+        assert events.scalars(file) == (tags, len(whole))
     for tail in (*flipped, more[:-3], b"\0", b"\xff" * 40):
         file.write_bytes(whole + tail)
         found = rl.read(pattern, score="eval/r")

@@ -11,6 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 MOST = 2**31  # bytes of a record; protocol buffers have none that is longer
+CHECKED = (
+    2**16
+)  # bytes of a record without scalars whose checksum is worked out; it takes Python a second for 2**24
 FLOAT, DOUBLE = 1, 2  # numbers of types in a TensorProto
 
 
@@ -42,8 +45,9 @@ def scalars(file: Path) -> Scalars:
         except (ValueError, IndexError, struct.error):
             end = None
             found = []
-        # What has no scalars, such as pictures and graphs, is passed over, and need not be checked.
-        if end is None or (found and _masked(data[at + 12 : end - 4]) != _word(data, end - 4)):
+        # Large records without scalars, such as pictures and graphs, are passed over: nothing of them is used.
+        checked = end is not None and (found or end - at <= CHECKED)
+        if end is None or (checked and _masked(data[at + 12 : end - 4]) != _word(data, end - 4)):
             return Scalars(tags, at)
         for tag, step, value in found:
             tags.setdefault(tag, []).append((step, value))
@@ -92,7 +96,7 @@ def _word(data: bytes, at: int) -> int:
 
 
 # --- protocol buffers --------------------------------------------------------------------------------
-def _scalars_of(event: bytes) -> Iterator[tuple[str, int, float]] | list[tuple[str, int, float]]:
+def _scalars_of(event: bytes) -> list[tuple[str, int, float]]:
     """The (tag, step, value) of an `Event`."""
     step, found = 0, []
     for number, value in _fields(event):
@@ -119,7 +123,7 @@ def _value(message: bytes) -> tuple[str, float | None]:
 def _tensor(message: bytes) -> float | None:
     """The number of a `TensorProto` that is a scalar of floats or doubles."""
     fields = dict(_fields(message))
-    kind = {FLOAT: ("<f", 5), DOUBLE: ("<d", 6)}.get(fields.get(1))  # type: ignore[arg-type]
+    kind = {FLOAT: ("<f", 5), DOUBLE: ("<d", 6)}.get(fields.get(1, 0))
     if kind is None or (isinstance(fields.get(2), bytes) and 2 in dict(_fields(fields[2]))):
         return None  # of another type, or with axes
     packed, own = kind

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Table: TypeAlias = Any  # a DataFrame; pandas is imported when something is read
 NEEDED = ("steps", "episodes", "returns")  # of a log, to be compared; what others computed has no more
+NAMED = r"{[A-Za-z_]\w*}"  # of a pattern: what becomes a column
 EVENTS = "tfevents"  # what the names of event files have in them
 TABLES = (".csv", ".tsv", ".parquet")
 KINDS = f"{', '.join(TABLES)}, .nc, or an event file, whose name has {EVENTS} in it"
@@ -199,13 +200,13 @@ def _of_folder(folder: Path) -> list[Path]:
 
 def _matching(pattern: str, notes: list[str]) -> Iterator[tuple[Path, dict[str, str]]]:
     """The files that a pattern fits, with the texts that stand for its names in braces; seeds are numbers."""
-    names = re.findall(r"{(\w+)}", pattern)
+    names = re.findall(NAMED, pattern)
     if len(set(names)) < len(names):
         raise InputError(f"{one_line(pattern)} has a name in braces twice")
-    parts = re.split(r"({\w+}|\*+)", pattern)
+    parts = re.split(rf"({NAMED}|\*+)", pattern)
     expression, wild = "", ""
     for part in parts:
-        if re.fullmatch(r"{\w+}", part):
+        if re.fullmatch(NAMED, part):
             kind = r"\d+" if part == "{seed}" else "[^/]+"
             expression += f"(?P<{part[1:-1]}>{kind})"
             wild += "*"
