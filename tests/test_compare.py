@@ -8,10 +8,12 @@ import pytest
 import quick
 import xarray as xr
 from refusals import refused
+from rich.console import Console
 from scipy import stats as oracle
 
 import jaxrl_tab as rl
 from jaxrl_tab import plot, report, stats
+from jaxrl_tab.cli import compare as compare_module
 from jaxrl_tab.cli import main
 from jaxrl_tab.experiment import shards
 from jaxrl_tab.experiment.files import Outcome
@@ -293,6 +295,18 @@ def test_a_file_is_compared_whatever_the_environment_is_called_elsewhere(in_file
     assert [(row.name, row.verdict) for row in rows] == [("my wind/sarsa", "same")] * 2
     elsewhere = outcome(made_up(SCORES, environment="taxi"), "taxi/sarsa")
     refused(lambda: rl.compare(labelled, elsewhere), "has my wind/sarsa", "has taxi/sarsa")
+
+
+def test_in_a_narrow_window_the_table_leaves_columns_out_and_says_so(in_files, monkeypatch, capsys):
+    """Broken once: all columns in 44 characters -> the difference is cut off."""
+    monkeypatch.setattr(compare_module, "console", lambda: Console(width=44))
+    assert main(["compare", *in_files]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert (
+        "│ −2.00 │" in out
+        and "…" not in out
+        and "In a wider window the table has: same runs; p (Holm)" in out
+    )
 
 
 def test_what_is_missing_ends_with_2_if_asked(in_files, tmp_path, capsys):

@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -18,6 +19,13 @@ from jaxrl_tab.show.words import title_of
 from jaxrl_tab.stats.versus import Compared
 
 STYLES = {"worse": "bold red", "better": "green", "same": "dim"}
+NARROW = (
+    2,
+    7,
+    3,
+    4,
+    6,
+)  # the columns that a narrow window leaves out, in this order: the sentences below tell, too
 ROWS = 60  # of a table for people, at most: those that are the same go first
 
 
@@ -98,7 +106,7 @@ def _print(comparison: Comparison) -> None:
             out.print(line, markup=False, soft_wrap=True)
         for environment, rows in other.by_environment.items():
             out.print(f"[bold]{escape(title_of(environment))}[/]")
-            out.print(_table(head(other), rows))
+            _print_table(out, head(other), rows)
         for line in _first_places(other):
             out.print(line, markup=False, soft_wrap=True)
         for line in other.sentences():
@@ -115,17 +123,33 @@ def _differs(other: Beside) -> Iterator[str]:
             yield f"{what}: {'; '.join(lines)}"
 
 
-def _table(names: list[str], every: list[Compared]) -> Table:
+def _print_table(out: Console, names: list[str], rows: list[Compared]) -> None:
+    """The table, with as many columns as the window has room for."""
+    shown, left_out = list(range(len(names))), []
+    for column in NARROW:
+        if _table(names, rows, shown).__rich_measure__(out, out.options).maximum <= out.width:
+            break
+        shown.remove(column)
+        left_out.append(names[column])
+    out.print(_table(names, rows, shown))
+    if left_out:
+        out.print(f"In a wider window the table has: {'; '.join(left_out)}.", markup=False)
+
+
+def _table(names: list[str], every: list[Compared], shown: list[int]) -> Table:
     rows = every
     if len(every) > ROWS:
         rows = sorted(every, key=lambda row: row.verdict == "same")[:ROWS]
-    table, digits = Table(*names), decimals(rows)
+    table, digits = Table(*(names[i] for i in shown)), decimals(rows)
+    for column in table.columns:
+        column.overflow = "fold"
     for column in table.columns[2:-1]:
         column.justify = "right"
     for row in rows:
         *texts, verdict = map(escape, cells(row, digits))
         style = STYLES.get(row.verdict)
-        table.add_row(*texts, f"[{style}]{verdict}[/]" if style else verdict)
+        texts.append(f"[{style}]{verdict}[/]" if style else verdict)
+        table.add_row(*(texts[i] for i in shown))
     if more := len(every) - len(rows):
         table.caption = f"and {more} more: --json prints them all"
     return table
