@@ -9,7 +9,8 @@ from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.stats.along import check_dims
 from jaxrl_tab.stats.comparisons import paired_difference
 
-EXPERIMENTS, CHUNK = 4000, 2**20  # drawn from the pilot for each number of seeds; numbers at a time
+EXPERIMENTS, FEWEST = 4000, 500  # drawn from the pilot for each number of seeds
+NUMBERS, CHUNK = 2**23, 2**20  # drawn for it in all, before there are fewer experiments; and at a time
 LARGEST = 100_000  # seeds
 NEAR = (
     1.5  # of the answer: numbers of seeds that much apart have powers on a line, as quantiles over their root
@@ -84,13 +85,14 @@ class _Power:
     def __call__(self, n: int) -> float:
         if n not in self._known:
             rng, found = np.random.default_rng(n), 0
+            experiments = min(EXPERIMENTS, max(FEWEST, NUMBERS // n))
             chunk = max(1, CHUNK // n)
-            for begun in range(0, EXPERIMENTS, chunk):
-                seeds = rng.integers(len(self._x), size=(min(chunk, EXPERIMENTS - begun), n))
+            for begun in range(0, experiments, chunk):
+                seeds = rng.integers(len(self._x), size=(min(chunk, experiments - begun), n))
                 x, y = (xr.DataArray(one[seeds], dims=("experiment", "seed")) for one in (self._x, self._y))
                 interval = paired_difference(x, y, confidence=self._confidence, worst=self._worst).interval
                 found += int((interval.low > 0).sum())
-            self._known[n] = found / EXPERIMENTS
+            self._known[n] = found / experiments
         return self._known[n]
 
     def where(self, power: float, low: int, high: int) -> int:
