@@ -64,6 +64,11 @@ LONG = (
     "exact",
     "contract",
     "provenance",
+    "extend",
+    "course",
+    "site",
+    "optimism",
+    "comparing",
 )
 
 

@@ -10,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, Key, UInt32
 
 from jaxrl_tab.core import rng
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.envs.bandit import NormalBandit
 
@@ -42,6 +43,16 @@ class DriftingTestbed(NormalBandit):
         default=None, help="The random word of the walks; `instance` draws it."
     )
     now: Int[Array, ""] | None = field(default=None, help="The step of the run that `at` was asked for.")
+
+    def __post_init__(self):
+        for name, kind, maker in (("walk", jnp.uint32, "instance"), ("now", jnp.integer, "at")):
+            x = getattr(self, name)
+            if x is not None and not (
+                getattr(x, "shape", None) == () and jnp.issubdtype(getattr(x, "dtype", object), kind)
+            ):
+                raise InputError(
+                    f"{name} is not given: `{maker}` makes it", who=type(self).__name__, field=name
+                )
 
     def instance(self, key: Key[Array, ""]) -> Self:
         """The environment with walks drawn from `key`."""

@@ -441,7 +441,7 @@ def comparison(written: Any, methods: int, fresh_seeds: int) -> dict[str, Any]:
     if isinstance(written, UntilDecided):
         written = dataclasses.asdict(written)
     if written is True or isinstance(written, int | float):
-        written = {} if written is True else {"difference": float(written)}
+        written = {} if written is True else {"difference": written}
     if not isinstance(written, Mapping):
         wanted = f"true, the difference that matters, or a table of {', '.join(keys(UntilDecided))}"
         raise InputError(f"until_decided must be {wanted}, not {shown(written)}")
@@ -459,7 +459,7 @@ def comparison(written: Any, methods: int, fresh_seeds: int) -> dict[str, Any]:
             "until_decided: name two methods or more to compare, or set all_settings, which compares all of their "
             "settings"
         )
-    return dataclasses.asdict(one)
+    return dataclasses.asdict(one) | {"difference": float(one.difference)}
 
 
 def keys(cls: type) -> list[str]:
