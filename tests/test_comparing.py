@@ -127,6 +127,7 @@ def test_a_folder_that_is_finished_computes_nothing_again(undisturbed, tmp_path,
     same(folder, undisturbed)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("at", slow_but([3], [0, 3]))
 def test_what_is_interrupted_at_a_look_decides_as_if_nothing_had_happened(
     undisturbed, tmp_path, computed, at

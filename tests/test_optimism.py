@@ -128,6 +128,7 @@ def test_every_step_agrees_with_the_plain_loop(name):
         assert log.returns[i, 0] == pytest.approx(sum(g for g, _ in finished), rel=1e-4)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", slow_but([], METHODS))
 def test_no_entry_is_below_the_best_value(name):
     """With the factors of the theory, and with far smaller ones. Broken once: no bonus -> fails."""
