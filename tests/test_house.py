@@ -19,7 +19,7 @@ FLOORS = [
     ["core"],
     ["lanes"],
     ["exact", "envs", "stats"],
-    ["algorithms", "interop", "show"],
+    ["algorithms", "approx", "interop", "show"],
     ["engine"],
     ["experiment", "figures", "course"],
     ["api"],

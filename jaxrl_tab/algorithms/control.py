@@ -89,23 +89,32 @@ class ValueControl(Shown):
             available: which actions there are in each state, bool [S, A].
             more: other fields that a subclass has to restrict, as they then are.
         """
-        return dataclasses.replace(
-            self,
-            q0=policies.among(self.q0, available),
-            epsilon=type(self).epsilon,  # which is part of the behaviour policy now
-            behaviour=restricted(self.selection, available),
-            **more,
-        )
+        own: dict[str, Any] = {
+            "q0": policies.among(self.q0, available),
+            "epsilon": type(self).epsilon,  # which is part of the behaviour policy now
+            "behaviour": restricted(self.selection, available),
+        }
+        return dataclasses.replace(self, **own | more)
 
     def init(self, num_states: int, num_actions: int) -> Any:
         """A TDState; a method that remembers more makes its own state of it."""
         for policy in self.all_policies:
             policy.check(num_states, num_actions)
-        q = jnp.full((num_states, num_actions), self.q0, dtype=float)
-        if isinstance(acting := self.selection, EpsilonGreedy) and acting.available is not None:
-            q = policies.among(q, acting.available)
+        q = self.initial(num_states, num_actions)
         by_visit = any(map(clock.goes_by_visit, self.rates)) or any(p.by_visit for p in self.all_policies)
         return TDState(q, clock.start(num_states, num_actions, by_visit))
+
+    def initial(self, num_states: int, num_actions: int) -> Float[Array, "_ A"]:
+        """What is learned, before the first step."""
+        q = jnp.full((num_states, num_actions), self.q0, dtype=float)
+        available = self.available
+        return q if available is None else policies.among(q, available)
+
+    @property
+    def available(self) -> Any:
+        """The actions to which an epsilon-greedy policy is restricted, bool [S, A]; None where it is to none."""
+        acting = self.selection
+        return acting.available if isinstance(acting, EpsilonGreedy) else None
 
     def probs(self, state: Learner, s: State) -> Float[Array, " A"]:
         """The behaviour policy pi(. | s), float [A]."""

@@ -30,7 +30,7 @@ from jaxrl_tab.algorithms.prediction import TD, MonteCarloPrediction, NStepTD, O
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError, shown, whole
-from jaxrl_tab.core.types import Environment, available_actions, restricted
+from jaxrl_tab.core.types import Environment, fitted
 from jaxrl_tab.exact import planning
 from jaxrl_tab.exact.affine import NEGLIGIBLE, Arrow, Recursion
 
@@ -276,7 +276,7 @@ def _task(env: Environment, method: Any) -> _Task:
     if differs := of_environment(env).differs:
         raise InputError(f"{differs} there, so that no curve is that of all")
     model = planning.exact_model(env)
-    pi = restricted(method, available_actions(env)).probabilities(env)
+    pi = fitted(method, env).probabilities(env)
     gamma = float(method.gamma)
     reached = planning.entered(model, pi) & ~planning.terminal_states(model)
     states = np.flatnonzero(reached)

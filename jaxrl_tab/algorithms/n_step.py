@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import linear, tables
-from jaxrl_tab.core.clock import Clock, end_step, step_size
+from jaxrl_tab.core.clock import Clock, end_step
 from jaxrl_tab.core.policies import Policy
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
@@ -61,7 +61,7 @@ class NStepControl(TDControl):
 
     def remember(self, state: NStepState, t: Transition, **numbers: Any) -> Any:
         """The memory with this step in it: S, A, alpha, and these numbers."""
-        alpha = step_size(self.alpha, state.clock, t.s, t.a)
+        alpha = self.step_size(state, t)
         step = self.remembers(self.x(t.s), t.a, alpha, **numbers)
         put = lambda x, value: tables.put_at(x, jnp.asarray(value, x.dtype), state.slot)
         return jax.tree.map(put, state.memory, step)

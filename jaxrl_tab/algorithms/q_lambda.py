@@ -5,7 +5,6 @@ from typing import ClassVar, Literal
 from jaxrl_tab.algorithms.traces import TraceControl, TraceState
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.backups import Backup, lambda_return
-from jaxrl_tab.core.clock import step_size
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
 
@@ -53,7 +52,7 @@ class QLambda(TraceControl):
         if self.version == "peng":
             # The others are told of another error; what that is less for this pair, it is told alone.
             less = policies.largest(self.row(state, t.s)) - self.value(state, t.s, t.a)
-            alpha = step_size(self.alpha, state.clock, t.s, t.a)
+            alpha = self.step_size(state, t)
             state, delta = (
                 state._replace(values=state.values.added(self.x(t.s), t.a, alpha * less)),
                 delta - less,

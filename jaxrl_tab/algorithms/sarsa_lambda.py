@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.traces import TraceControl
-from jaxrl_tab.core import clock, linear, tables
+from jaxrl_tab.core import linear, tables
 from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.clock import Clock
 from jaxrl_tab.core.credited import Credited
@@ -100,7 +100,7 @@ class SarsaLambda(TraceControl):
         if state.q_old is not None:  # dutch
             # Q(S, A) is no longer what the last error counted on: all pairs but this step's own are told. In the
             # first step of an episode there are no others, so q_old may be anything.
-            alpha, told = clock.step_size(self.alpha, state.clock, t.s, t.a), q - state.q_old
+            alpha, told = self.step_size(state, t), q - state.q_old
             values = state.values.added(self.x(t.s), t.a, -alpha * told)
             state, delta = state._replace(values=values, q_old=q_next), delta + told
         state = self.learn(state, t, delta)

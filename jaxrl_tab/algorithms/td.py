@@ -2,7 +2,7 @@
 
 from jaxtyping import Array, Float
 
-from jaxrl_tab.algorithms.control import L, ValueControl
+from jaxrl_tab.algorithms.control import L, Learner, ValueControl
 from jaxrl_tab.core import clock, linear
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.pytree import field, pytree
@@ -24,9 +24,13 @@ class TDControl(ValueControl, StepSize):
     def rates(self) -> tuple[Rate, ...]:
         return (self.alpha,)
 
+    def step_size(self, state: Learner, t: Transition) -> Float[Array, ""] | float:
+        """alpha for the update of (S, A)."""
+        return clock.step_size(self.alpha, state.clock, t.s, t.a)
+
     def learn(self, state: L, t: Transition, delta: Float[Array, ""]) -> L:
         """Q(S, A) <- Q(S, A) + alpha delta; and counts the episode where it is over."""
-        return self.change(state, t, clock.step_size(self.alpha, state.clock, t.s, t.a) * delta)
+        return self.change(state, t, self.step_size(state, t) * delta)
 
     def change(self, state: L, t: Transition, step: Float[Array, ""]) -> L:
         """Q(S, A) <- Q(S, A) + step; and counts the episode where it is over."""

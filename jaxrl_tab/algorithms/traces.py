@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import credited
-from jaxrl_tab.core.clock import Clock, end_step, step_size
+from jaxrl_tab.core.clock import Clock, end_step
 from jaxrl_tab.core.credited import Credited
 from jaxrl_tab.core.linear import X
 from jaxrl_tab.core.pytree import field, pytree, static
@@ -82,7 +82,7 @@ class TraceControl(TDControl):
         self, state: Any, t: Transition, delta: Float[Array, ""], cut: Bool[Array, ""] | bool = False
     ) -> Any:
         """Marks (S, A), and Q <- Q + alpha delta z; then z <- gamma lambda z, or 0 where they are `cut`."""
-        alpha, x = step_size(self.alpha, state.clock, t.s, t.a), self.x(t.s)
+        alpha, x = self.step_size(state, t), self.x(t.s)
         values = marked(state.values, self.trace, alpha, x, t.a, alpha * delta)
         values = values.faded(jnp.where(t.last | cut, 0, t.discount * self.lam))
         return state._replace(values=values, clock=end_step(state.clock, t.last))

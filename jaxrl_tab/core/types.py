@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import Protocol, runtime_checkable  # quick ones, as since Python 3.12
 
 from jaxrl_tab.core.checks import concrete, first
-from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.declared import of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown
 
 T = TypeVar("T")
@@ -182,11 +182,37 @@ def available_actions(env: Any) -> Bool[Array, "S A"] | None:
     Raises:
         InputError: what `available` gives has the wrong shape, or a state has no action.
     """
-    if (available := of_environment(env).available) is None:
+    if (available := of_environment(env).available) is None or not env.num_states:
         return None
     is_available = jax.vmap(available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
     check_available(f"{type(env).__name__}: available", is_available, env.num_states, env.num_actions)
     return is_available
+
+
+def fitted(method: T, env: Any) -> T:
+    """A method as it acts in an environment.
+
+    It takes available actions only; and where its values are functions of features, these are features of what is
+    observed there: it then has a method `fitted_to(env)`.
+
+    Raises:
+        InputError: method and environment do not fit.
+    """
+    if (fit := getattr(method, "fitted_to", None)) is not None:
+        return restricted(fit(env), available_actions(env))
+    if not env.num_states:
+        raise InputError(
+            f"{type(method).__name__} keeps a table, and the states of {type(env).__name__} cannot be counted: take a "
+            "method whose values are functions of features, such as semi-gradient-sarsa"
+        )
+    return restricted(method, available_actions(env))
+
+
+def table_of(method: Any, env: Any, learner: Any) -> Float[Array, "_ _"]:
+    """What was learned, as a table: Q [S, A], or V [S, 1]; weights [n, A] where states cannot be counted."""
+    if of_method(method).features is None or not env.num_states:
+        return learner.q
+    return jax.vmap(method.row, (None, 0))(learner, jnp.arange(env.num_states, dtype=jnp.int32))
 
 
 def stand_ins(available: Available) -> Int[Array, "S A"]:

@@ -1,0 +1,496 @@
+"""Features of a state: the numbers of which approximate values are a linear function (book, section 9.5).
+
+Each is a frozen object, given as it is or as text: `TileCoding(8, 8)`, "tile-coding(8, 8)". Called with what is observed of a state,
+it gives what `linear` reads and changes values by: the few features that are 1 where all others are 0, or all n.
+
+What is observed of a state are the numbers that it is; of a task whose states are counted, the number of the state, or
+its row and column in a grid (`declared.OfEnvironment`). They lie in a range, which the environment knows, and from
+which features are made: `fitted` fills it in. Where states are counted, `fitted` also works out the features of all of
+them, once, in float64.
+"""
+
+import dataclasses
+import hashlib
+import itertools
+import math
+from numbers import Real
+from typing import Any, Literal, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrl_tab.core import tables
+from jaxrl_tab.core.checks import as_array, assign, is_list
+from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.errors import InputError, is_whole, nearest, reason, shown, unfit
+from jaxrl_tab.core.linear import Active, X
+from jaxrl_tab.core.optax import read_call
+from jaxrl_tab.core.pytree import checked_dataclass, static
+
+MOST = 2**24  # features, and weights of each action: more are surely a mistake
+RANGE = "of each number that is observed; by default those of the environment."
+Outside = Literal["error", "clip"]
+
+
+class Features:
+    """What all features share.
+
+    A class says how many there are (`size`), what they are (`__call__`), and how many are 1 at once where the others
+    are 0 (`active`).
+    """
+
+    active: int | None = None  # of features that are all numbers there is no such count
+    needs_range: bool = True
+
+    @property
+    def size(self) -> int:
+        """n, how many features there are."""
+        raise NotImplementedError
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        """x(s), from what is observed of s."""
+        raise NotImplementedError
+
+    @property
+    def unit(self) -> Float[np.ndarray, " n"] | None:
+        """Weights with which the value of every state is 1; None where none are known."""
+        return np.full(self.size, 1 / self.active) if self.active else None
+
+    @property
+    def nowhere(self) -> X:
+        """x(s) of no state in particular."""
+        return self(jnp.zeros(len(getattr(self, "low", None) or (0,)), float))
+
+    def fitted(self, env: Any) -> "Features":
+        """These features, of the states of an environment.
+
+        Raises:
+            InputError: they are not features of what is observed there.
+        """
+        own = self.ranged(*observed_range(env)) if self.needs_range else self
+        return Rows.of(own, env) if env.num_states else own
+
+    def ranged(self, low: tuple[float, ...], high: tuple[float, ...]) -> Self:
+        """The same, with the range of what is observed where none was given.
+
+        Raises:
+            InputError: a range was given that does not fit this one.
+        """
+        own: Any = self
+        who = type(self).__name__
+        given = {"low": own.low or low, "high": own.high or high}
+        for name, least in given.items():
+            if len(least) != len(low):
+                problem = f"{name} are {len(least)} numbers, and {len(low)} are observed of a state"
+                raise InputError(problem, who=who, field=name)
+            if (i := next((i for i, x in enumerate(least) if not math.isfinite(x)), None)) is not None:
+                problem = f"number {i} of what is observed of a state has no bounds: give {name}, and outside='clip'"
+                raise InputError(problem, who=who, field=name)
+        if own.outside == "error":
+            for i, (a, b, least, most) in enumerate(zip(given["low"], given["high"], low, high, strict=True)):
+                if least < a or most > b:
+                    raise InputError(
+                        f"number {i} of what is observed of a state is between {least:g} and {most:g}, and the range "
+                        f"that was given is {a:g} to {b:g}: give a larger one, or outside='clip'",
+                        who=who,
+                        field="low" if least < a else "high",
+                    )
+        return dataclasses.replace(own, **given)
+
+    def __str__(self) -> str:
+        given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.init}  # pyright: ignore[reportArgumentType]
+        defaults = {f.name: f.default for f in dataclasses.fields(self)}  # pyright: ignore[reportArgumentType]
+        given = {name: x[0] if isinstance(x, tuple) and len(x) == 1 else x for name, x in given.items()}
+        words = [f"{name}={x}".replace(", ", ",") for name, x in given.items() if x != defaults[name]]
+        name = next((name for name, cls in FEATURES.items() if cls is type(self)), type(self).__name__)
+        return f"{name}({', '.join(words)})" if words else name
+
+
+def observed_range(env: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The least and the largest that each observed number may be."""
+    declared = of_environment(env)
+    if declared.low is not None and declared.high is not None:
+        return tuple(map(float, declared.low)), tuple(map(float, declared.high))
+    return (0.0,), (float(env.num_states - 1),)
+
+
+def observations(env: Any) -> Float[np.ndarray, "S d"]:
+    """What is observed of each state of a task whose states are counted, float64 [S, d]."""
+    states = np.arange(env.num_states)
+    if (observe := of_environment(env).observation) is None:
+        return states[:, None].astype(float)
+    with jax.ensure_compile_time_eval(), jax.enable_x64():
+        return np.asarray(jax.vmap(observe)(jnp.asarray(states, jnp.int32)), float)
+
+
+def _check_tuple(obj: Any, name: str, wanted: str, least: int | None = None) -> None:
+    """Keeps a field as a tuple of floats; or of whole numbers, where they must be at least `least`."""
+    if (value := getattr(obj, name)) is None:
+        return
+    items = list(value) if is_list(value) or isinstance(value, np.ndarray) else [value]
+
+    def fits(x: Any) -> bool:
+        return is_whole(x, least) if least is not None else isinstance(x, Real) and math.isfinite(x)
+
+    if not items or not all(map(fits, items)):
+        raise unfit(type(obj).__name__, name, wanted, value)
+    assign(obj, **{name: tuple(map(float if least is None else int, items))})
+
+
+class Ranged(Features):
+    """Features of numbers in a range."""
+
+    low: tuple[float, ...] | None
+    high: tuple[float, ...] | None
+    outside: Outside
+
+    def __post_init__(self):
+        for name in ("low", "high"):
+            _check_tuple(self, name, "finite numbers")
+        if self.low and self.high:
+            who = type(self).__name__
+            if len(self.low) != len(self.high):
+                problem = f"low are {len(self.low)} numbers, and high are {len(self.high)}"
+                raise InputError(problem, who=who, field="high")
+            if (
+                i := next(
+                    (i for i, (a, b) in enumerate(zip(self.low, self.high, strict=True)) if a >= b), None
+                )
+            ) is not None:
+                problem = (
+                    f"high must be above low, and number {i} is {self.high[i]:g}, not above {self.low[i]:g}"
+                )
+                raise InputError(problem, who=who, field="high")
+
+    @property
+    def dimensions(self) -> int:
+        """d, how many numbers are observed."""
+        if self.low is None or self.high is None:
+            raise InputError(
+                "which numbers are observed is not known: give low and high", who=type(self).__name__
+            )
+        return len(self.low)
+
+    def scaled(self, observed: Any) -> list[Any]:
+        """Each number, moved so that its range is [0, 1]; one outside is moved to the end of it."""
+        if self.low is None or self.high is None:
+            raise InputError(
+                "which numbers are observed is not known: give low and high", who=type(self).__name__
+            )
+        # The loop gives what was stepped to, which rounding may carry over an end, so all are clipped.
+        ranges = enumerate(zip(self.low, self.high, strict=True))
+        return [jnp.clip((observed[i] - a) * (1 / (b - a)), 0, 1) for i, (a, b) in ranges]
+
+
+@checked_dataclass
+class OneHot(Features):
+    """The table itself: a feature for each state, which is 1 there and 0 elsewhere."""
+
+    active = 1
+    needs_range = False
+
+    def fitted(self, env: Any) -> Features:
+        if not env.num_states:
+            raise InputError(
+                f"the states of {type(env).__name__} cannot be counted: take other features, such as tile-coding",
+                who=type(self).__name__,
+            )
+        return self
+
+    def __call__(self, observed: Any) -> X:
+        """The number of a state stands for its features."""
+        return observed
+
+    @property
+    def unit(self) -> Float[np.ndarray, " 1"]:
+        return np.ones(1)  # as many as there are states, which the method is told
+
+    @property
+    def nowhere(self) -> X:
+        return jnp.int32(0)
+
+
+@checked_dataclass
+class Aggregation(Ranged):
+    """Groups of neighbouring states with one value each: the range of each number in equal parts (section 9.3)."""
+
+    groups: tuple[int, ...] | int = static(default=10, help="How many groups; or how many along each number.")
+    low: tuple[float, ...] | None = static(default=None, help=f"The least {RANGE}")
+    high: tuple[float, ...] | None = static(default=None, help=f"The largest {RANGE}")
+    outside: Outside = static(default="error", help="What is done with a state outside of low and high.")
+
+    active = 1
+
+    def __post_init__(self):
+        super().__post_init__()
+        _check_tuple(self, "groups", "whole numbers of at least 1", 1)
+
+    @property
+    def size(self) -> int:
+        return math.prod(_along(self, "groups"))
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        index = jnp.int32(0)
+        for u, n in zip(self.scaled(observed), _along(self, "groups"), strict=True):
+            index = index * n + jnp.minimum(jnp.floor(u * n).astype(jnp.int32), n - 1)
+        return index
+
+
+def _along(features: Any, name: str) -> tuple[int, ...]:
+    """Whole numbers along each number that is observed: one goes for all of them."""
+    counts = getattr(features, name)
+    if len(counts) not in (1, features.dimensions):
+        problem = f"{name} are {len(counts)} numbers, and {features.dimensions} are observed of a state"
+        raise InputError(problem, who=type(features).__name__, field=name)
+    return counts if len(counts) == features.dimensions else counts * features.dimensions
+
+
+@checked_dataclass
+class TileCoding(Ranged):
+    """Grids of tiles, each moved a little against the others: in each of them one tile is 1 (section 9.5.4).
+
+    A tile of a tiling is as wide as the range of a number divided by `tiles`. Tiling t = 0, 1, ... is moved by t times
+    the odd numbers 1, 3, 5, ... along the first, second, third number, in units of a tile's width divided by the number
+    of tilings, which is asymmetric as in the book. So that a moved tiling still covers the range, it has a tile more
+    along each number. Each tile has an index of its own; nothing is hashed.
+    """
+
+    tilings: int = static(default=8, at_least=1, help="How many tilings.")
+    tiles: tuple[int, ...] | int = static(
+        default=8, help="How many tiles there are along the range of a number; or for each of them."
+    )
+    low: tuple[float, ...] | None = static(default=None, help=f"The least {RANGE}")
+    high: tuple[float, ...] | None = static(default=None, help=f"The largest {RANGE}")
+    outside: Outside = static(default="error", help="What is done with a state outside of low and high.")
+
+    def __post_init__(self):
+        super().__post_init__()
+        _check_tuple(self, "tiles", "whole numbers of at least 1", 1)
+
+    @property
+    def active(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.tilings
+
+    @property
+    def size(self) -> int:
+        return self.tilings * math.prod(n + 1 for n in _along(self, "tiles"))
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        # In units of a tile's width divided by the number of tilings, so that a shift is a whole number.
+        fine = [
+            jnp.floor(u * (n * self.tilings)).astype(jnp.int32)
+            for u, n in zip(self.scaled(observed), _along(self, "tiles"), strict=True)
+        ]
+        ones = []
+        for tiling in range(self.tilings):
+            index = jnp.int32(tiling)
+            for i, (x, n) in enumerate(zip(fine, _along(self, "tiles"), strict=True)):
+                shift = tiling * (2 * i + 1) % self.tilings
+                index = index * (n + 1) + (x + shift) // self.tilings
+            ones.append(index)
+        return Active(jnp.stack(ones))
+
+
+@checked_dataclass
+class Polynomial(Ranged):
+    """Products of powers of the numbers, each scaled to [0, 1]: (n + 1)^d of them (equation 9.17)."""
+
+    order: int = static(default=5, at_least=0, help="n, the largest power of a number.")
+    low: tuple[float, ...] | None = static(default=None, help=f"The least {RANGE}")
+    high: tuple[float, ...] | None = static(default=None, help=f"The largest {RANGE}")
+    outside: Outside = static(default="error", help="What is done with a state outside of low and high.")
+
+    @property
+    def size(self) -> int:
+        return (self.order + 1) ** self.dimensions
+
+    @property
+    def unit(self) -> Float[np.ndarray, " n"]:
+        return _first(self.size)
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        u = self.scaled(observed)
+        powers = itertools.product(range(self.order + 1), repeat=self.dimensions)
+        one = jnp.ones_like(u[0])
+        return jnp.stack([math.prod((u[i] ** k for i, k in enumerate(ks) if k), start=one) for ks in powers])
+
+
+@checked_dataclass
+class Fourier(Ranged):
+    """Cosines of the numbers, each scaled to [0, 1]: cos(pi s . c), (n + 1)^d of them (equation 9.18)."""
+
+    order: int = static(default=5, at_least=0, help="n, the highest frequency along a number, in half waves.")
+    low: tuple[float, ...] | None = static(default=None, help=f"The least {RANGE}")
+    high: tuple[float, ...] | None = static(default=None, help=f"The largest {RANGE}")
+    outside: Outside = static(default="error", help="What is done with a state outside of low and high.")
+
+    @property
+    def size(self) -> int:
+        return (self.order + 1) ** self.dimensions
+
+    @property
+    def unit(self) -> Float[np.ndarray, " n"]:
+        return _first(self.size)
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        u = self.scaled(observed)
+        waves = itertools.product(range(self.order + 1), repeat=self.dimensions)
+        return jnp.stack(
+            [jnp.cos(np.pi * sum((c * u[i] for i, c in enumerate(cs)), 0 * u[0])) for cs in waves]
+        )
+
+
+@checked_dataclass
+class RadialBasis(Ranged):
+    """Bells around the points of a grid: exp(-|s - c|^2 / (2 width^2)), numbers scaled to [0, 1] (section 9.5.5)."""
+
+    centres: tuple[int, ...] | int = static(
+        default=5, help="How many points along each number, its ends among them."
+    )
+    width: float = static(default=0.25, greater_than=0, help="sigma, in units of the range.")
+    low: tuple[float, ...] | None = static(default=None, help=f"The least {RANGE}")
+    high: tuple[float, ...] | None = static(default=None, help=f"The largest {RANGE}")
+    outside: Outside = static(default="error", help="What is done with a state outside of low and high.")
+
+    def __post_init__(self):
+        super().__post_init__()
+        _check_tuple(self, "centres", "whole numbers of at least 2", 2)
+
+    @property
+    def size(self) -> int:
+        return math.prod(_along(self, "centres"))
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        u = self.scaled(observed)
+        points = itertools.product(*(np.linspace(0, 1, n) for n in _along(self, "centres")))
+        distances = [
+            sum((u[i] - float(c)) * (u[i] - float(c)) for i, c in enumerate(point)) for point in points
+        ]
+        return jnp.exp(jnp.stack(distances) * (-0.5 / self.width**2))
+
+
+def _first(size: int) -> Float[np.ndarray, " n"]:
+    """Weights that are 0 but for that of the first feature, which is 1 everywhere."""
+    return np.eye(1, size)[0]
+
+
+class Rows(Features):
+    """The features of every state of a task whose states are counted, worked out beforehand.
+
+    Attributes:
+        numbers: all features of all states, float64 [S, n]; or, where a few are 1 and the others 0, which these are,
+            int32 [S, k].
+        size: n, how many features there are.
+        active: k; None where all features are given.
+    """
+
+    needs_range = False
+
+    def __init__(self, numbers: Any, size: int | None = None, made_of: Features | None = None):
+        given = as_array(numbers)
+        if given is None or given.ndim != 2 or given.dtype.kind not in "biuf" or not given.size:
+            raise unfit("Rows", "numbers", "features of all states, numbers in rows of equal length", numbers)
+        if not np.isfinite(given).all():
+            raise unfit("Rows", "numbers", "finite features", numbers)
+        self.numbers = np.array(given, float if size is None else np.int32)
+        self.numbers.flags.writeable = False
+        self.active = None if size is None else given.shape[1]
+        self._size = given.shape[1] if size is None else size
+        self._made_of = made_of
+        # All of them, for a program that is kept has this name: other features are another program.
+        self._digest = hashlib.sha256(f"{given.shape} {size}".encode() + self.numbers.tobytes()).hexdigest()
+
+    @classmethod
+    def of(cls, features: Features, env: Any) -> "Rows":
+        """The features of the states of a task."""
+        with jax.ensure_compile_time_eval(), jax.enable_x64():
+            rows = jax.vmap(features)(jnp.asarray(observations(env)))
+            if isinstance(rows, Active):
+                return cls(np.asarray(rows.ones), features.size, features)
+            rows = np.asarray(rows)
+            return (
+                cls(rows[:, None], features.size, features) if rows.ndim == 1 else cls(rows, None, features)
+            )
+
+    @property
+    def size(self) -> int:
+        return self._size
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "S n"]:
+        """All features of all states, float64 [S, n]."""
+        if self.active is None:
+            return self.numbers
+        matrix = np.zeros((len(self.numbers), self.size))
+        np.put_along_axis(matrix, self.numbers, 1.0, 1)
+        return matrix
+
+    @property
+    def unit(self) -> Float[np.ndarray, " n"] | None:
+        return super().unit if self.active or self._made_of is None else self._made_of.unit
+
+    def fitted(self, env: Any) -> Features:
+        if len(self.numbers) != env.num_states:
+            problem = f"features of {len(self.numbers)} states were given, and the task has {env.num_states}"
+            raise InputError(problem, who="Rows", field="numbers")
+        return self
+
+    @property
+    def nowhere(self) -> X:
+        return self(jnp.int32(0))
+
+    def __call__(self, observed: Any) -> X:
+        """x(s) from the number of a state."""
+        if self.active is None:
+            return tables.row(jnp.asarray(self.numbers, float), observed)
+        ones = tables.row(jnp.asarray(self.numbers), observed)
+        return ones[0] if self.active == 1 else Active(ones)
+
+    def __eq__(self, other: Any) -> bool:
+        return isinstance(other, Rows) and self._digest == other._digest
+
+    def __hash__(self) -> int:
+        return hash(self._digest)
+
+    def __str__(self) -> str:
+        shape = "x".join(map(str, self.numbers.shape))
+        return f"rows {shape}:{self._digest[:8]}" if self._made_of is None else str(self._made_of)
+
+    def __repr__(self) -> str:
+        return f"Rows({self}, {self._digest})"
+
+
+FEATURES: dict[str, type[Features]] = {
+    "one-hot": OneHot,
+    "aggregation": Aggregation,
+    "tile-coding": TileCoding,
+    "polynomial": Polynomial,
+    "fourier": Fourier,
+    "radial-basis": RadialBasis,
+}
+
+
+def read(written: Any) -> Features:
+    """Features from what is written: themselves; their name with their numbers, "tile-coding(8, tiles=8)"; or a matrix.
+
+    Raises:
+        InputError: they are none; the message says what would be right.
+    """
+    if isinstance(written, Features):
+        return written
+    if not isinstance(written, str):
+        return Rows(written)
+    text = written if written.endswith(")") else f"{written}()"
+    what = "features with their numbers in parentheses, such as tile-coding(8, tiles=8)"
+    plain = text.replace("-", "_", text.partition("(")[0].count("-"))
+    name, numbers, keywords = read_call(plain, what, takes_more=True)
+    name = name.replace("_", "-")
+    if name not in FEATURES:
+        raise InputError(f"there are no features {shown(name)}; {nearest(name, FEATURES)}")
+    try:
+        return FEATURES[name](*numbers, **keywords)
+    except TypeError as error:
+        takes = ", ".join(f.name for f in dataclasses.fields(FEATURES[name]))  # pyright: ignore[reportArgumentType]
+        raise InputError(f"{shown(written)}: {reason(error)}; {name} takes {takes}") from None
