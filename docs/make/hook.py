@@ -1,6 +1,5 @@
 """Hands the pages that are made to MkDocs, and puts them, and whatever else lies in docs/, into the navigation."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +46,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links to files of the repository as links to the pages that show them."""
-    if page.file.generated_by:
-        return markdown
-    to_page = lambda link: f"]({pages.page_of_file(link[1])})"
-    return re.sub(r"\]\(\.\./([\w./-]+\.(?:py|ipynb|toml))\)", to_page, markdown)
+    return markdown if page.file.generated_by else pages.in_the_site(markdown)
 
 
 def on_post_page(output: str, **_: Any) -> str:

@@ -257,8 +257,16 @@ def _shown_files() -> dict[str, str]:
     return made
 
 
+def in_the_site(text: str) -> str:
+    """A page of docs/, whose links to files elsewhere in the repository lead to the pages that show them."""
+    to_page = lambda link: f"]({page_of_file(link[1])}"
+    return re.sub(r"\]\(\.\./([\w./-]+\.(?:py|ipynb|toml|md))(?=[)#])", to_page, text)
+
+
 def page_of_file(name: str) -> str:
     """Where a file of the repository is shown, by its path."""
+    if name in AT_THE_ROOT:
+        return AT_THE_ROOT[name]
     stem = name.rpartition(".")[0]
     return f"{stem}.md" if name.startswith("examples/") else f"files/{stem}.md"
 
