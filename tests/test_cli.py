@@ -32,6 +32,7 @@ from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import runner, shards
 from jaxrl_tab.figures import FIGURES, figure
+from jaxrl_tab.lanes import versions
 from jaxrl_tab.show import rows as of_report
 from jaxrl_tab.stats.columns import Methods
 
@@ -924,6 +925,12 @@ def test_a_defect_is_said_in_one_line_with_the_way_to_its_traceback(monkeypatch,
     said = capsys.readouterr().err
     assert "this is a defect of jaxrl-tab: ZeroDivisionError: by nothing at all; please report it" in said
     assert said.count("\n") == 1
+    monkeypatch.setattr(versions, "JAX", (99, 0))  # where it may well be none
+    assert call("sweep windy-gridworld sarsa") == 1
+    assert re.search(
+        r"nothing at all; JAX [\d.]+ is newer than [\d.]+, the newest known here; please",
+        capsys.readouterr().err,
+    )
 
 
 @pytest.mark.parametrize("words", ["--alpha", "--out x --seeds", "--memory", "--log-every"])
