@@ -1,7 +1,8 @@
 """Features of a state: the numbers of which approximate values are a linear function (book, section 9.5).
 
-Each is a frozen object, given as it is or as text: `TileCoding(8, 8)`, "tile-coding(8, 8)". Called with what is observed of a state,
-it gives what `linear` reads and changes values by: the few features that are 1 where all others are 0, or all n.
+Each is a frozen object, given as it is or as text: `TileCoding(8, 8)`, "tile-coding(8, 8)". Called with what is
+observed of a state, it gives what `linear` reads and changes values by: the few features that are 1 where all others
+are 0, or all n of them.
 
 What is observed of a state are the numbers that it is; of a task whose states are counted, the number of the state, or
 its row and column in a grid (`declared.OfEnvironment`). They lie in a range, which the environment knows, and from
@@ -31,6 +32,7 @@ from jaxrl_tab.core.pytree import checked_dataclass, static
 
 MOST = 2**24  # features, and weights of each action: more are surely a mistake
 RANGE = "of each number that is observed; by default those of the environment."
+OF_RANGE = ("low", "high", "outside")
 Outside = Literal["error", "clip"]
 
 
@@ -100,12 +102,18 @@ class Features:
         return dataclasses.replace(own, **given)
 
     def __str__(self) -> str:
-        given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.init}  # pyright: ignore[reportArgumentType]
-        defaults = {f.name: f.default for f in dataclasses.fields(self)}  # pyright: ignore[reportArgumentType]
-        given = {name: x[0] if isinstance(x, tuple) and len(x) == 1 else x for name, x in given.items()}
-        words = [f"{name}={x}".replace(", ", ",") for name, x in given.items() if x != defaults[name]]
+        """As it is typed: its own numbers, and of its range what was given."""
         name = next((name for name, cls in FEATURES.items() if cls is type(self)), type(self).__name__)
+        fields: Any = dataclasses.fields(self)  # pyright: ignore[reportArgumentType]
+        own = [_plain(getattr(self, f.name)) for f in fields if f.name not in OF_RANGE]
+        given = [(f.name, getattr(self, f.name)) for f in fields if f.name in OF_RANGE]
+        words = own + [f"{name}={_plain(x)}" for name, x in given if x not in (None, "error")]
         return f"{name}({', '.join(words)})" if words else name
+
+
+def _plain(x: Any) -> str:
+    """A number, or a tuple of them, as it is typed."""
+    return repr(x[0] if isinstance(x, tuple) and len(x) == 1 else x).replace(", ", ",")
 
 
 def observed_range(env: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
