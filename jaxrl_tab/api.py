@@ -5,6 +5,7 @@ from typing import Any
 
 from jaxrl_tab import algorithms, approx, envs, interop
 from jaxrl_tab.algorithms import (
+    ALGORITHMS,
     PSRL,
     UCBVI,
     ActorCritic,
@@ -50,6 +51,7 @@ from jaxrl_tab.algorithms import (
     moments,
     prediction,
 )
+from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core import backups, policies, schedules, tables
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.experience import Experience
@@ -92,7 +94,6 @@ from jaxrl_tab.experiment.compare import compare
 from jaxrl_tab.experiment.reading import read
 from jaxrl_tab.experiment.runner import explain, resume, run
 from jaxrl_tab.experiment.spec import Experiment
-from jaxrl_tab.methods import ALGORITHMS, PREDICTION
 
 # Imported when they are first used, because they take a second: name -> where it is.
 _LATER = {

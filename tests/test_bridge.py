@@ -9,15 +9,15 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import bridge, planning, policies
+from jaxrl_tab.algorithms import ALGORITHMS
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
-from jaxrl_tab.algorithms.prediction import TD
+from jaxrl_tab.algorithms.prediction import PREDICTION, TD
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.cli import main
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.policies import EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
-from jaxrl_tab.methods import ALGORITHMS, PREDICTION
 
 GAMMA, EPSILON = 0.9, 0.3
 ENVS = {

@@ -8,10 +8,10 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab import plot, stats
 from jaxrl_tab.algorithms import PolicyGradient
+from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.core.declared import Learns, LearnsFrom, OfMethod, of_environment, of_method
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
-from jaxrl_tab.methods import METHODS, PREDICTION
 from jaxrl_tab.stats.measures import has_errors
 
 
@@ -106,9 +106,6 @@ def test_an_environment_without_a_base_class_declares_nothing_and_runs():
         None,
         None,
         False,
-        None,
-        None,
-        None,
         None,
     )
     ds = rl.sweep(Door(), Mean, num_seeds=2, num_steps=20).to_xarray()

@@ -19,7 +19,7 @@ FLOORS = [
     ["core"],
     ["lanes"],
     ["exact", "envs", "stats"],
-    ["algorithms", "approx", "interop", "methods", "show"],
+    ["algorithms", "approx", "interop", "show"],
     ["engine"],
     ["experiment", "figures", "course"],
     ["api"],

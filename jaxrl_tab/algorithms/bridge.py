@@ -22,7 +22,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.every_draw import no_words, over_draws
-from jaxrl_tab.algorithms.prediction import Prediction, ValueState
+from jaxrl_tab.algorithms.prediction import METHODS, Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.backups import Backup
@@ -55,14 +55,9 @@ class Row(NamedTuple):
     methods: tuple[str, ...]
 
     @property
-    def classes(self) -> tuple[type, ...]:
-        """The classes of its methods, whose values are tables."""
-        return tuple((CONTROL | OF_STATES)[name] for name in self.methods)
-
-    @property
     def sample_diagram(self) -> Backup:
         """What the update of the method of temporal differences looks ahead to, as that declares it."""
-        diagram = of_method(self.classes[0]).backup
+        diagram = of_method(METHODS[self.methods[0]]).backup
         assert diagram
         return diagram._replace(words="")
 
@@ -126,7 +121,7 @@ def row_of(method: TDControl | Prediction) -> Row:
         InputError: it is on none of them.
     """
     for row in TABLE:
-        if isinstance(method, row.classes) and of_method(method).features is None:
+        if isinstance(method, tuple(METHODS[name] for name in row.methods)):
             return row
     names = ", ".join(name for row in TABLE for name in row.methods)
     raise InputError(f"{type(method).__name__} is on no row of the table, whose methods are {names}")

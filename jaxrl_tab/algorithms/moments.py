@@ -236,8 +236,7 @@ def best_alpha(env: Environment, method: Any, *, num_episodes: int, whole_run: b
 
 def _checked(method: Any, values: Mapping[str, Any]) -> Any:
     """The method with these values. Raises InputError where its table has no such recursion."""
-    known = isinstance(method, METHODS) and not isinstance(method, OffPolicyPrediction)
-    if not known or of_method(method).features is not None:
+    if not isinstance(method, METHODS) or isinstance(method, OffPolicyPrediction):
         raise InputError(
             "there are exact learning curves of TD, NStepTD, TDLambda(offline=True) and MonteCarloPrediction, "
             f"as instances, not of {shown(method)}"

@@ -1,6 +1,5 @@
 """Beyond the table: values that are functions of features of a state (book, chapters 9 to 12).
 
-    observed        what all features have in common: their range, and how they become those of a task
     features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis
     semi_gradient   what the semi-gradient methods share
     control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
@@ -9,17 +8,20 @@
 To add a method: write its class, and add its line here.
 """
 
+from jaxrl_tab.algorithms import ALGORITHMS
+from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.approx import control, prediction
 from jaxrl_tab.approx.features import (
     FEATURES,
     Aggregation,
+    Features,
     Fourier,
     OneHot,
     Polynomial,
     RadialBasis,
+    Rows,
     TileCoding,
 )
-from jaxrl_tab.approx.observed import Features, Rows
 
 CONTROL: dict[str, type] = {
     "semi-gradient-sarsa": control.SemiGradientSarsa,
@@ -35,6 +37,8 @@ OF_STATES: dict[str, type] = {
     "semi-gradient-td-lambda": prediction.SemiGradientTDLambda,
     "semi-gradient-true-online-td-lambda": prediction.SemiGradientTrueOnlineTDLambda,
 }
+ALGORITHMS |= CONTROL
+PREDICTION |= OF_STATES
 
 __all__ = [
     "CONTROL",

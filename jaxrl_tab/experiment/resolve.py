@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import clock, describe, names, policies, schedules
 from jaxrl_tab.core.checks import build, repeated
 from jaxrl_tab.core.declared import Learns, of_method
@@ -25,7 +26,6 @@ from jaxrl_tab.engine.sweep import configurations
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment.instances import is_array, made, table_of
 from jaxrl_tab.experiment.places import DEEPEST, Source, at, blame
-from jaxrl_tab.methods import METHOD
 
 LONGEST_LABEL = 200  # characters
 ABOUT = ("name", "label", "sha256")  # in a table, beside parameters; the last is the checksum of its file
