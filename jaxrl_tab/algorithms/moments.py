@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from jaxrl_tab.algorithms.distribution import Distribution, control_distribution
 from jaxrl_tab.algorithms.prediction import TD, MonteCarloPrediction, NStepTD, OffPolicyPrediction, TDLambda
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.declared import of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown, whole
 from jaxrl_tab.core.types import Environment, fitted
 from jaxrl_tab.exact import planning
@@ -236,7 +236,8 @@ def best_alpha(env: Environment, method: Any, *, num_episodes: int, whole_run: b
 
 def _checked(method: Any, values: Mapping[str, Any]) -> Any:
     """The method with these values. Raises InputError where its table has no such recursion."""
-    if not isinstance(method, METHODS) or isinstance(method, OffPolicyPrediction):
+    known = isinstance(method, METHODS) and not isinstance(method, OffPolicyPrediction)
+    if not known or of_method(method).features is not None:
         raise InputError(
             "there are exact learning curves of TD, NStepTD, TDLambda(offline=True) and MonteCarloPrediction, "
             f"as instances, not of {shown(method)}"

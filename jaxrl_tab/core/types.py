@@ -203,7 +203,7 @@ def fitted(method: T, env: Any) -> T:
     if not env.num_states:
         raise InputError(
             f"{type(method).__name__} keeps a table, and the states of {type(env).__name__} cannot be counted: take a "
-            "method whose values are functions of features, such as semi-gradient-sarsa"
+            "method whose values are functions of features, such as those of rl.approx"
         )
     return restricted(method, available_actions(env))
 
