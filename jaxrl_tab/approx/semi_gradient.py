@@ -17,7 +17,8 @@ from jaxtyping import Array, Float
 from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.approx.features import Features, OneHot, read
+from jaxrl_tab.approx.features import OneHot, read
+from jaxrl_tab.approx.observed import Features
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import goes_by_visit
