@@ -145,14 +145,13 @@ class OnWorkers(NamedTuple):
 
     def text(self) -> str:
         """For people: a line, and one where there are more workers than work, or more work than one can write."""
-        each = f"{self.cores} core{'s' if self.cores > 1 else ''} each"
-        head = f"on {self.workers:,} workers of {each}: {self.shards:,} shards"
+        head = f"{_count(self.shards, 'shard')} on {_count(self.workers, 'worker')} of {_count(self.cores, 'core')}"
         if self.seconds is None:
-            return f"{head}; nobody knows how long such a worker takes"
+            return f"{head}: nobody knows how long such a worker takes"
         share = f"{100 * self.computing / self.seconds:.0f} % of it is computing"
-        lines = [f"{head}, about {_duration(self.seconds)}; {share}"]
+        lines = [f"{head}: about {_duration(self.seconds)}; {share}"]
         if self.busy < self.workers:
-            lines.append(f"there are shards for {self.busy:,} workers only: more have nothing to do")
+            lines.append(f"there are shards for {_count(self.busy, 'worker')} only: more have nothing to do")
         elif self.writing >= self.seconds:
             lines.append(
                 f"the workers wait for the process that writes: {_duration(self.writing)} for all shards"
@@ -180,6 +179,10 @@ def on_workers(job: Job, workers: int, cores: int) -> OnWorkers:
     writing = HANDING * len(job.shards)
     busy = len({worker for worker, _ in made})
     return OnWorkers(workers, cores, len(job.shards), max(end, writing), computing / busy, writing, busy)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
 def _duration(seconds: float) -> str:

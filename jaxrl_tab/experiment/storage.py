@@ -35,6 +35,7 @@ from jaxrl_tab.core.errors import InputError, RunError, is_whole, one_line, reas
 MANIFEST, SHARDS, PICTURES, ASIDE, LOCK = "manifest.json", "shards", "pictures", "set-aside", ".lock"
 UNFINISHED = ".unfinished"  # while NAME is being written, it is called .NAME.unfinished
 ABOUT = "about"  # the array in a shard that tells its number, its experiment, and its `Facts`
+SMALL = 2**20  # bytes of a shard that is written and read at once
 SYNC_SECONDS = 1.0  # for which shards may be lost where the power fails: they are computed again
 RESERVED = r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)"  # names that are devices to Windows
 
@@ -81,8 +82,9 @@ def writing(path: Path, sync: bool = True) -> Iterator[Path]:
             unfinished.replace(path)
             if sync:
                 _sync(path.parent)
-        finally:
+        except BaseException:
             unfinished.unlink(missing_ok=True)
+            raise
 
 
 def write(path: Path, data: Any) -> None:
@@ -282,8 +284,7 @@ class Store:
         about = np.array(json.dumps(self._about(number) | facts))
         sync = time.monotonic() >= self._synced + SYNC_SECONDS
         with writing(self.path / SHARDS / _name(number), sync) as unfinished:
-            _save(unfinished, {**arrays, ABOUT: about})
-            sha256 = _sha256(unfinished)
+            sha256 = _save(unfinished, {**arrays, ABOUT: about})
         if sync:
             self._synced = time.monotonic()
         self.shards[number] = Facts(sha256, **facts)
@@ -537,15 +538,22 @@ def _number(name: str) -> int | None:
     return None
 
 
-def _save(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """As `np.savez`, in half of its time for small arrays."""
-    with zipfile.ZipFile(file, "w") as whole:
-        for name, x in arrays.items():
-            header, member = _header_of(x.dtype, x.shape), zipfile.ZipInfo(f"{name}.npy")
-            member.file_size = len(header) + x.nbytes
-            with whole.open(member, "w") as array:
-                array.write(header)
-                array.write(np.ascontiguousarray(x).data)
+def _save(file: Path, arrays: Mapping[str, np.ndarray]) -> str:
+    """As `np.savez`, in a fraction of its time for small arrays; gives the checksum of the file."""
+    with file.open("wb+") as opened:
+        is_small = sum(x.nbytes for x in arrays.values()) < SMALL
+        goal = io.BytesIO() if is_small else opened  # a zip file is written in very many pieces
+        with zipfile.ZipFile(goal, "w") as whole:
+            for name, x in arrays.items():
+                header, member = _header_of(x.dtype, x.shape), zipfile.ZipInfo(f"{name}.npy")
+                member.file_size = len(header) + x.nbytes
+                with whole.open(member, "w") as array:
+                    array.write(header)
+                    array.write(np.ascontiguousarray(x).data)
+        if isinstance(goal, io.BytesIO):
+            opened.write(goal.getbuffer())
+        opened.seek(0)
+        return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
 def _load(file: Path, of: Any = None) -> dict[str, Any] | None:
@@ -555,7 +563,8 @@ def _load(file: Path, of: Any = None) -> dict[str, Any] | None:
     """
     with file.open("rb") as opened:
         try:
-            with zipfile.ZipFile(opened) as whole:
+            is_small = os.fstat(opened.fileno()).st_size < SMALL  # it is read in very many pieces, too
+            with zipfile.ZipFile(io.BytesIO(opened.read()) if is_small else opened) as whole:
                 members = whole.infolist()
                 if any(x.compress_type or x.file_size != x.compress_size for x in members):
                     return None  # we pack nothing, and what is packed could unpack to any size
