@@ -117,7 +117,8 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
     assert main([*argv, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["folder"] is None
-    frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second").replace({None: np.nan})
+    numbers = [{name: np.nan if x is None else x for name, x in row.items()} for row in found["summary"]]
+    frame = pd.DataFrame(numbers).drop(columns="steps_per_second")
     expected = summary.drop(columns="steps_per_second").replace({np.inf: np.nan})  # JSON has no infinity
     pd.testing.assert_frame_equal(frame, expected, check_dtype=False)
 
