@@ -103,10 +103,10 @@ def pytest_collection_modifyitems(items, config):
 
 
 def left_out(items, landing):
-    """By default those that are slow, and further cases; and of the others of a test that is marked with `one_in(n)`
+    """By default those that are slow, and further cases; and of a test that is marked with `one_in(n)` all cases but
 
-    all but the first, the one n after it, and so on. Before anything lands only the latter, and of further cases all but
-    the first, the one `FURTHER` after it, and so on.
+    the first, the one n after it, and so on. Before anything lands only the latter, and of further cases all but the
+    first, the one `FURTHER` after it, and so on.
     """
     seen = Counter()
     for item in items:

@@ -1,4 +1,4 @@
-"""Of many values of a parameter, which are tested at once; of the others some before anything lands, all with --slow."""
+"""Of many values of a parameter, which are tested at once: of the others some before anything lands."""
 
 from collections.abc import Collection, Iterable
 from typing import Any
