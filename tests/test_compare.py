@@ -219,7 +219,9 @@ def test_of_an_unfinished_folder_what_is_there_is_compared(folder, tmp_path):
     assert "not finished: 1 of 2 shards are there" in beside.notes
     assert [(row.verdict, row.common) for row in beside.rows] == [("same", 24)] * 2
     assert not beside.whole
-    turned = rl.compare(other, folder)  # broken once: only the others are asked whether they are whole -> fails
+    turned = rl.compare(
+        other, folder
+    )  # broken once: only the others are asked whether they are whole -> fails
     assert not (turned.whole or turned.complete) and turned.others[0].whole
     assert main(["compare", str(other), str(folder), "--fail-if-worse"]) == 2
     (other / "shards" / "000000.npz").write_bytes(b"damaged")
