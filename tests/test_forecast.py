@@ -64,6 +64,18 @@ def test_what_is_usual_grows_with_what_is_done():
     assert typical.typical(part_of(steps=8000, exact=True)).compiling > typical.typical(part_of()).compiling
 
 
+def test_psrl_takes_as_long_as_its_models():
+    """It took 2.7 times as long as was said where they are many. Broken once: episodes do not count -> fails."""
+    of = lambda env, **more: typical.typical(part_of({"name": "psrl", **more}, env=env)).running
+    one = of("river-swim")
+    assert of("river-swim", sweeps=200, every=200.0) == pytest.approx(one, rel=0.05)
+    many, few = of("frozen-lake", samples=5), of("frozen-lake", sweeps=50)
+    assert many == pytest.approx(5 * of("frozen-lake"), rel=0.05) == pytest.approx(10 * few, rel=0.1)
+    assert (
+        of("finite-horizon:20:river-swim") > 100 * one
+    )  # 20 times as many states, and five times as many models
+
+
 @pytest.mark.parametrize(
     ("env", "method"),
     [
