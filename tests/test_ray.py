@@ -76,7 +76,7 @@ def test_settings_go_along_and_few_tasks_are_ahead(connection, tmp_path):
 
 @pytest.mark.slow
 def test_workers_compile_by_lanes_and_one_finds_what_the_other_compiled(connection, tmp_path, monkeypatch):
-    """Broken once: not kept in workers, where this process keeps -> the second makes it again."""
+    """Broken once: not kept in workers, where this process keeps -> the first keeps nothing."""
     monkeypatch.setattr(programs, "_folder", tmp_path)
     given = dict(connection.run(functools.partial(shards.compiles, folder=tmp_path), [0, 1]))
     assert given[0]["made"] > 0 and given[1]["made"] == 0

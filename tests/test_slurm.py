@@ -88,7 +88,7 @@ def test_what_is_under_way_is_given_up(tmp_path):
 
 @pytest.mark.slow
 def test_what_was_begun_here_grows_and_is_decided_by_arrays_to_the_last_bit(tmp_path, monkeypatch):
-    """Broken once: fresh seeds from the root of the others -> fails."""
+    """Broken once: a job does the shards of another -> fails."""
     programs = tmp_path / "bin"
     programs.mkdir()
     for name, text in {"sbatch": SBATCH, "srun": SRUN, "sacct": "#!/bin/sh\n"}.items():
