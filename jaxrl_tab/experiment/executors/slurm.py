@@ -65,9 +65,8 @@ class Slurm:
         try:
             while under_way:
                 ended = {submitted for submitted in under_way if submitted.done()}
-                there = set(
-                    os.listdir(folder)
-                )  # a name that was not there when it was asked for may stay unseen
+                # Not asked for by name: on shared disks a name that was not there then may stay unseen for a while.
+                there = set(os.listdir(folder))
                 for submitted, (share, deaths) in list(under_way.items()):
                     left = len(share)
                     while share and (submitted in ended or _name(share[0]) in there):
