@@ -7,6 +7,7 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab.cli import main
+from jaxrl_tab.core import memory
 from jaxrl_tab.engine import backend, programs, speeds, typical
 from jaxrl_tab.engine.part import compute
 from jaxrl_tab.engine.speeds import Known, Speed
@@ -237,6 +238,8 @@ def test_workers_take_one_shard_after_another(monkeypatch):
         .text()
         .endswith("there are shards for 10 workers only: more have nothing to do")
     )
+    needs = job.parts["windy-gridworld/sarsa"].needs[0]
+    assert found.writing == pytest.approx(10 * 0.002 + 1280 * memory.size(needs.results) / 3e8)
     monkeypatch.setattr(plan, "HANDING", 100.0)
     assert (
         plan.on_workers(job, 4, 1)

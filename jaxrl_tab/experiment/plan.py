@@ -119,7 +119,8 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
 
 
 STARTING = 4.0  # seconds until a worker has imported all
-HANDING = 2e-3  # seconds in which the process that hands out shards fetches, checks and writes one, about
+# The process that hands out shards fetches, checks and writes them, about so fast (docs/scaling.md).
+HANDING, WRITING = 2e-3, 3e8  # seconds of each, and bytes in a second
 
 
 class OnWorkers(NamedTuple):
@@ -166,7 +167,7 @@ def on_workers(job: Job, workers: int, cores: int) -> OnWorkers:
     if any(pace is None for pace in paces.values()):
         return OnWorkers(workers, cores, len(job.shards), None, 0.0, 0.0, min(workers, len(job.shards)))
     free = [(STARTING, i) for i in range(workers)]  # when each worker has nothing to do
-    made, computing, end = set(), 0.0, 0.0
+    made, computing, writing, end = set(), 0.0, 0.0, 0.0
     for shard in job.shards.values():
         begin, worker = heapq.heappop(free)
         pace, program = paces[shard.part], (shard.part, shard.program)
@@ -176,7 +177,9 @@ def on_workers(job: Job, workers: int, cores: int) -> OnWorkers:
         made.add((worker, program))
         heapq.heappush(free, (begin + ready + running, worker))
         computing, end = computing + running, max(end, begin + ready + running)
-    writing = HANDING * len(job.shards)
+        writing += (
+            HANDING + memory.size(parts[shard.part].needs[shard.program].results) * shard.runs / WRITING
+        )
     busy = len({worker for worker, _ in made})
     return OnWorkers(workers, cores, len(job.shards), max(end, writing), computing / busy, writing, busy)
 
