@@ -151,8 +151,8 @@ def test_the_cells_of_a_notebook_run(name, capsys, monkeypatch):
 def test_a_notebook_shows_what_it_gives(name, monkeypatch):
     """It is kept with its outputs, for it is read where it cannot run; `python tests/notebooks.py` makes them anew.
 
-    Words are the same; numbers may differ a little on another processor, and one in ten by more, such as a step size that
-    is hardly better than the next.
+    Words are the same; numbers may differ a little on another processor, and one in ten by more, such as a step size
+    that is hardly better than the next.
     """
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
     kept = notebooks.kept(name)
