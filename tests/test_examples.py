@@ -155,6 +155,7 @@ def test_a_notebook_shows_what_it_gives(name, monkeypatch):
     that is hardly better than the next.
     """
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
+    monkeypatch.delenv("JAX_DISABLE_MOST_OPTIMIZATIONS")  # as a user has them
     kept = notebooks.kept(name)
     nbformat.validate(kept)
     assert (file := notebooks.FOLDER / f"{name}.ipynb").stat().st_size < 400_000
