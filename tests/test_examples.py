@@ -151,9 +151,11 @@ def test_the_cells_of_a_notebook_run(name, capsys, monkeypatch):
 def test_a_notebook_shows_what_it_gives(name, monkeypatch):
     """It is kept with its outputs, for it is read where it cannot run; `python tests/notebooks.py` makes them anew.
 
-    Words are the same; numbers may differ a little on another processor.
+    Words are the same; numbers may differ a little on another processor, and one in ten by more, such as a step size
+    that is hardly better than the next.
     """
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
+    monkeypatch.delenv("JAX_DISABLE_MOST_OPTIMIZATIONS")  # as a user has them
     kept = notebooks.kept(name)
     nbformat.validate(kept)
     assert (file := notebooks.FOLDER / f"{name}.ipynb").stat().st_size < 400_000
@@ -161,7 +163,7 @@ def test_a_notebook_shows_what_it_gives(name, monkeypatch):
     number = re.compile(r"-?\d+(?:\.\d+)?")
     assert number.sub("N", shown) == number.sub("N", again)
     values, new_values = ([float(x) for x in number.findall(text)] for text in (shown, again))
-    assert new_values == pytest.approx(values, rel=0.1)
+    assert np.isclose(new_values, values, rtol=0.1).mean() >= 0.9
     assert str(Path.home()) not in file.read_text()
 
 
