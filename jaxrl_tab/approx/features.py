@@ -4,7 +4,7 @@ Each is a frozen object, given as it is or as text: `TileCoding(8, 8)`, "tile-co
 have the text.
 """
 
-import dataclasses
+import inspect
 import itertools
 import math
 from typing import Any
@@ -234,5 +234,5 @@ def read(written: Any) -> Features:
     try:
         return FEATURES[name](*numbers, **keywords)
     except TypeError as error:
-        takes = ", ".join(f.name for f in dataclasses.fields(FEATURES[name]))  # pyright: ignore[reportArgumentType]
+        takes = ", ".join(inspect.signature(FEATURES[name]).parameters)
         raise InputError(f"{shown(written)}: {reason(error)}; {name} takes {takes}") from None
