@@ -118,8 +118,8 @@ def steps(count, states=70, actions=4, gamma=0.9, seed=3):
 def test_methods_learn_what_a_plain_loop_learns(name, features):
     """After each of 300 transitions, in float64.
 
-    Broken once: the trace of all tilings kept by the first one's; a step that is not divided by the tilings; dutch
-    traces by the trace of one feature -> each fails.
+    Broken once: a step that changes the first tiling alone, or all twice; dutch traces without their alpha -> each
+    fails.
     """
     cls, more = METHODS[name]
     if (features, name) == ("polynomial(3)", "replacing"):

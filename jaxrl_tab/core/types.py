@@ -208,7 +208,7 @@ def fitted(method: T, env: Any) -> T:
     return restricted(method, available_actions(env))
 
 
-def table_of(method: Any, env: Any, learner: Any) -> Float[Array, "_ _"]:
+def table_of(method: Any, env: Any, learner: Any) -> Float[Array, "*tables _ _"]:
     """What was learned, as a table: Q [S, A], or V [S, 1]; weights [n, A] where states cannot be counted."""
     if of_method(method).features is None or not env.num_states:
         return learner.q
