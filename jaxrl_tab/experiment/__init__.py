@@ -16,6 +16,7 @@ Its modules, from the ground up:
     found      the experiment that is found in a folder, and what it was before it grew
     progress   how far an experiment is, and how long it will go on
     executors  where shards are computed: in this process, or in others, here or on other machines
+    computing  the shards that are missing are computed, and results collected
     again      settings run again, to record what was learned on the way
     painter    a process beside this one that draws pictures
     files      the files of results in the folder

@@ -8,32 +8,26 @@ its seed and hyperparameters alone: so the results are the same to the last bit,
 however it grew. Where they would not be, as with another version of JAX, nothing is computed: see `Origin`.
 """
 
-import contextlib
 import json
 import os
 import shlex
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import jax
-import numpy as np
-
 from jaxrl_tab.core import names
 from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
-from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import backend, batch, speeds
-from jaxrl_tab.engine.log import LATER, Log
-from jaxrl_tab.engine.part import Computed, Part
-from jaxrl_tab.engine.results import is_diverged
+from jaxrl_tab.core.memory import free, size, words
+from jaxrl_tab.engine import backend
+from jaxrl_tab.engine.part import Part
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.engine.sweep import result
-from jaxrl_tab.experiment import comparing, growth, shards, sources, storage
+from jaxrl_tab.experiment import comparing, growth, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.comparing import Look, Looked
+from jaxrl_tab.experiment.computing import collect, compute, missing, warn_of_damage
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, write_files
 from jaxrl_tab.experiment.found import Found, find, grow, wished
@@ -47,7 +41,7 @@ from jaxrl_tab.experiment.records import (
     session,
     settings_of,
 )
-from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
+from jaxrl_tab.experiment.shards import FRESH, Job, shard_runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report
@@ -171,11 +165,11 @@ def explain(folder: str | Path) -> "Explanation":
         found = find(path)
         experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
         job = Job.of(experiment, None, library_versions(experiment.data()), found.experiments[:-1])
-        if missing := _missing(store, job):
+        if lacking := missing(store, job):
             raise InputError(
-                f"{len(missing)} of {len(job.shards)} shards are missing in {path}: resume it first"
+                f"{len(lacking)} of {len(job.shards)} shards are missing in {path}: resume it first"
             )
-        datasets, _ = _collect(store, job, list(job.parts), free() // 2)
+        datasets, _ = collect(store, job, list(job.parts), free() // 2)
         envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
         with backend.using(experiment.backend), settings_of(store, records_of(store)):
             return Outcome(datasets, {}, envs, job.parts).explain()
@@ -228,14 +222,14 @@ def _go_on(
 ) -> Outcome:
     """All that is still to be done in a folder."""
     experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
-    _warn_of_damage(store)
+    warn_of_damage(store)
     records = records_of(store)
     libraries = library_versions(experiment.data())
     job, meter = Job.of(experiment, limit, libraries, found.experiments[:-1]), Meter()
     with backend.using(experiment.backend), settings_of(store, records):
         with meter.reporting(progress):
             origin = Origin.of(store, records, mixed, libraries)
-            if _missing(store, job):
+            if missing(store, job):
                 origin.check(path)
             with session(store, records, command, libraries):
                 outcome, new = _results(store, job, experiment, executor or Local(), meter, origin, looked)
@@ -262,7 +256,7 @@ def _grown(path: Path, found: Found, new: Experiment, limit: int | None, command
     """
     old, libraries = found.experiment, library_versions(new.data())
     store = Store(path, old.fingerprint, found.entries)
-    _warn_of_damage(store)
+    warn_of_damage(store)
     records = records_of(store)
     with backend.using(new.backend), settings_of(store, records):
         Origin.of(store, records, mixed, libraries).check(path)
@@ -292,16 +286,16 @@ def _results(
     """What the experiment gives, of which the missing shards are computed; and whether there were any."""
     fresh_seeds = experiment.select["fresh_seeds"] if experiment.select else 0
     later = {FRESH + name: fresh_seeds for name in job.parts if fresh_seeds}
-    new = _compute(store, job, executor, meter, later, origin)
-    datasets, room = _collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
+    new = compute(store, job, executor, meter, later, origin)
+    datasets, room = collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
     envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
     outcome = Outcome(datasets, {}, envs, job.parts)
     if experiment.until_decided:
         own = comparing.open_store(store.path, experiment, outcome.chosen)
 
         def computed(look: Look) -> "tuple[dict[str, xr.Dataset], bool]":
-            new = _compute(own, look, executor, meter, {}, origin)
-            return _collect(own, look, list(look.parts), room)[0], new
+            new = compute(own, look, executor, meter, {}, origin)
+            return collect(own, look, list(look.parts), room)[0], new
 
         verdicts, fresh, more = comparing.compare(job, experiment, outcome.chosen, computed, looked)
         outcome.verdicts.update(verdicts)
@@ -309,114 +303,10 @@ def _results(
         new |= more
     elif fresh_seeds:
         job = job._replace(chosen=json.dumps(outcome.chosen))
-        new |= _compute(store, job, executor, meter, {}, origin)
-        fresh, _ = _collect(store, job, list(later), room)
+        new |= compute(store, job, executor, meter, {}, origin)
+        fresh, _ = collect(store, job, list(later), room)
         outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
     return outcome, new
-
-
-def _compute(
-    store: Store,
-    job: Job | Look,
-    executor: Executor,
-    meter: "Meter",
-    later: Mapping[str, int],
-    origin: Origin,
-) -> bool:
-    """Computes the shards that are not there; whether there were any. `later`: see `Meter.begin`."""
-    missing = _missing(store, job)
-    if missing:
-        origin.check(store.path)
-    for number in missing:
-        if number in store.shards and _is_of_setting(store, job, number):
-            store.leave_out(number)
-    _warn_of_damage(store)
-    clock = speeds.Clock()
-    meter.begin(store, job, missing, later, clock.known)
-    # Where it stops, the workers do.
-    with _heard(meter.underway), contextlib.closing(executor.run(job, missing)) as finished:
-        for number, arrays in finished:
-            part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
-            largest = part.largest_values[runs(part, job.shards[number]) // part.num_seeds]
-            diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
-            setting = job.setting(job.shards[number])
-            store.write(number, arrays, diverged, setting, origin.name)
-            let_go()
-            meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
-            if isinstance(executor, Local):  # others may have other machines
-                shard = job.shards[number]
-                clock.finished(part, shard.program, shard.runs, *map(float, arrays["seconds"]))
-    clock.keep()
-    return bool(missing)
-
-
-@contextlib.contextmanager
-def _heard(underway: Callable[[int, int], None]) -> Iterator[None]:
-    """Within the block `underway` hears how far the shard is that is computed in this process."""
-    token = shards.progress.set(underway)
-    try:
-        yield
-    finally:
-        shards.progress.reset(token)
-
-
-def _missing(store: Store, job: Job | Look) -> list[int]:
-    """The numbers of the shards that are to be computed."""
-    return [number for number, shard in job.shards.items() if not _has_shard(store, job, number, shard)]
-
-
-def _has_shard(store: Store, job: Job | Look, number: int, shard: Shard) -> bool:
-    """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give.
-
-    It may lack what an earlier version did not record.
-    """
-    if number not in store.shards or not _is_of_setting(store, job, number):
-        return False
-    expected, found = _shapes(job.parts[shard.part], shard), store.shapes(number)
-    return {**{name: expected[name] for name in LATER & expected.keys()}, **found} == expected
-
-
-def _is_of_setting(store: Store, job: Job | Look, number: int) -> bool:
-    """Whether a shard that is there is of the setting that is chosen now, if it is one of fresh seeds."""
-    return store.shards[number].setting == job.setting(job.shards[number])
-
-
-def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
-    """(shape, dtype) of each array of a shard."""
-    q, log = part.needs[shard.program].results
-    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in {"q": q, **log.named()}.items()}
-    return shapes | {"seconds": ((2,), np.dtype(float))}
-
-
-def _collect(
-    store: Store, job: Job | Look, names: Sequence[str], room: int
-) -> "tuple[dict[str, xr.Dataset], int]":
-    """The results of some parts from their shards, which are all there; and how much of `room` is left.
-
-    What some shards of a part lack, which an earlier version wrote, the results lack.
-    What does not fit in `room`, in bytes, is in temporary files; see `memory.Results`.
-    """
-    datasets = {}
-    for name in names:
-        part, results, seconds = job.parts[name], None, np.zeros(2)
-        own = {number: shard for number, shard in job.shards.items() if shard.part == name}
-        # Only these may be lacking: for others no shard is opened twice.
-        later = LATER & _shapes(part, next(iter(own.values()))).keys()
-        lacking = {key for key in later if any(key not in store.shapes(number) for number in own)}
-        for number, shard in own.items():
-            arrays = {key: x for key, x in store.read(number).items() if key not in lacking}
-            seconds += arrays.pop("seconds")
-            if results is None:
-                like = {key: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for key, x in arrays.items()}
-                needed = size(like) * part.runs
-                results = Results(like, part.runs, on_disk=needed > room)
-                room -= needed if needed <= room else 0
-            results.write(runs(part, shard), arrays)
-        assert results is not None
-        log = Log.of(results.arrays)
-        computed = Computed(results.arrays["q"], log, batch.Seconds(*seconds.tolist()))
-        datasets[name] = result(part, computed).to_xarray()
-    return datasets, room
 
 
 def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> Found:
@@ -455,9 +345,3 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path, ther
             f"the results need {words(more)} on the disk, and there is room for {words(room)} in "
             f"{folder.parent}: take fewer seeds, or a larger log_every"
         )
-
-
-def _warn_of_damage(store: Store) -> None:
-    """Warns of what was damaged or missing, once."""
-    while store.problems:
-        warn(store.problems.pop(0))
