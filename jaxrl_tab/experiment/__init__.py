@@ -7,9 +7,12 @@ Its modules, from the ground up:
     sources    the copies of the files that somebody's own classes and tables are in
     resolve    from what a person wrote to environments, methods and values
     spec       an experiment as data: environments x methods x hyperparameters x seeds
+    search     a search as data: an experiment of which only the best settings are run to the end
+    samplers   who proposes the settings of a search
     growth     which runs an experiment has that those before it in its folder had not
     shards     an experiment in pieces that are computed and kept one by one
     plan       what an experiment will take: runs, shards, memory
+    searching  a search, rung after rung
     comparing  methods compared on as many fresh seeds as it takes
     storage    shards on disk and their manifest
     records    what a folder says about the sessions that computed it

@@ -8,6 +8,7 @@ its seed and hyperparameters alone: so the results are the same to the last bit,
 however it grew. Where they would not be, as with another version of JAX, nothing is computed: see `Origin`.
 """
 
+import contextlib
 import json
 import os
 import shlex
@@ -22,12 +23,12 @@ from jaxrl_tab.core import names
 from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
 from jaxrl_tab.core.memory import free, size, words
 from jaxrl_tab.engine import backend
-from jaxrl_tab.engine.part import Part
+from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.experiment import comparing, growth, sources, storage
+from jaxrl_tab.experiment import comparing, growth, searching, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.comparing import Look, Looked
-from jaxrl_tab.experiment.computing import collect, compute, missing, warn_of_damage
+from jaxrl_tab.experiment.computing import collect, collected, compute, missing, warn_of_damage
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, write_files
 from jaxrl_tab.experiment.found import Found, find, grow, wished
@@ -41,6 +42,8 @@ from jaxrl_tab.experiment.records import (
     session,
     settings_of,
 )
+from jaxrl_tab.experiment.samplers import check_installed, versions
+from jaxrl_tab.experiment.search import Search
 from jaxrl_tab.experiment.shards import FRESH, Job, shard_runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
@@ -141,6 +144,12 @@ def resume(
     """
     path = _folder(folder)
     command, formats = _typed(command), check_formats(formats)
+    if searching.is_unfinished(path):
+        if experiment or seeds or steps or episodes:
+            raise InputError(f"the search in {path} is not finished: resume it first, and then ask for more")
+        with storage.lock(path):
+            found = _found(path, memory, progress, command, mixed)
+            return _go_on(path, found, executor, memory, progress, ready, formats, command, mixed=mixed)
     given = {"seeds": seeds, "steps": steps, "episodes": episodes}
     more = {key: x for key, x in given.items() if x is not None}
     with storage.lock(path):
@@ -150,6 +159,52 @@ def resume(
             found = _grown(path, found, new, memory, command, mixed)
         how = {"mixed": mixed, "looked": looked}
         return _go_on(path, found, executor, memory, progress, ready, formats, command, **how)
+
+
+def search(
+    search: Search,
+    folder: str | Path | None = None,
+    *,
+    memory: int | None = None,
+    progress: Report | Literal[False] | None = None,
+    ready: Callable[[Outcome], None] | None = None,
+    formats: Sequence[Format] = FORMATS[:1],
+    command: str | None = None,
+) -> Outcome:
+    """Searches for the best setting of each method, and runs what it found on fresh seeds.
+
+    In the folder is then the experiment of these settings, as `run` leaves it, and in `search/` what the search
+    computed. Where it is interrupted, `resume` goes on with the same bits. The search itself is computed in this
+    process.
+
+    Args:
+        search: what to search, and how.
+        folder, memory, progress, ready, formats, command: as in `run`.
+
+    Raises:
+        InputError, RunError: as in `run`.
+    """
+    if not isinstance(search, Search):
+        raise InputError(f"search takes a Search, not {shown(search)}")
+    if search.halving.is_optuna:
+        check_installed()
+    command, formats = _typed(command), check_formats(formats)
+    with contextlib.ExitStack() as stack:
+        keep = folder is not None
+        if folder is None:
+            path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "experiment"
+        else:
+            path = _path(folder)
+        with storage.new_folder(path) as new:
+            own = new / searching.FOLDER
+            own.mkdir()
+            _write(own, search.experiment, keep)
+            searching.begin(own, search)
+            if source := search.experiment.source:
+                storage.write(own / searching.AS_WRITTEN, source.text)
+        stack.enter_context(storage.lock(path))
+        found = _found(path, memory, progress, command)
+        return _go_on(path, found, None, memory, progress, ready, formats, command, keep)
 
 
 def explain(folder: str | Path) -> "Explanation":
@@ -202,7 +257,11 @@ def _folder(folder: Any) -> Path:
     if not os.path.isdir(path):
         name = one_line(str(path))
         raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
-    if not os.path.lexists(path / AS_WRITTEN) and not os.path.lexists(path / RESOLVED):
+    is_there = [
+        os.path.lexists(path / name)
+        for name in (AS_WRITTEN, RESOLVED, f"{searching.FOLDER}/{searching.PLAN}")
+    ]
+    if not any(is_there):
         raise InputError(f"there is no experiment in {path}: neither {AS_WRITTEN} nor {RESOLVED}")
     return path
 
@@ -289,7 +348,7 @@ def _results(
     new = compute(store, job, executor, meter, later, origin)
     datasets, room = collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
     envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-    outcome = Outcome(datasets, {}, envs, job.parts)
+    outcome = Outcome(datasets, {}, envs, job.parts, tried=searching.history(store.path))
     if experiment.until_decided:
         own = comparing.open_store(store.path, experiment, outcome.chosen)
 
@@ -316,20 +375,62 @@ def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = T
     """
     source = experiment.source
     with storage.new_folder(path) as new:
-        if keep:
-            sources.write(new, experiment.references)
-        # The classes are taken from the copies now, as `resume` will take them.
-        if keep and experiment.files:
-            names.forget(experiment.files)
-            experiment = Experiment(**experiment.data(), source=source)
         _check_room(experiment.parts(), limit, new)
-        text = source.text if source else experiment.to_toml()
-        storage.write(new / AS_WRITTEN, text)
-        storage.write_json(new / RESOLVED, experiment.data())
-        records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
-        storage.write_json(new / PROVENANCE, records)
-        Store.begin(new, experiment.fingerprint)
+        experiment, text = _write(new, experiment, keep, source)
     return Found(experiment, Source(path / AS_WRITTEN, text))
+
+
+def _write(
+    folder: Path, experiment: Experiment, keep: bool = True, source: Source | None = None
+) -> tuple[Experiment, str]:
+    """Writes into a folder what its experiment is, and a manifest without shards.
+
+    Gives the experiment, where the folder is kept with the classes that are in the copies there, and its text.
+    """
+    if keep:
+        sources.write(folder, experiment.references)
+    # The classes are taken from the copies now, as `resume` will take them.
+    if keep and experiment.files:
+        names.forget(experiment.files)
+        experiment = Experiment(**experiment.data(), source=source)
+    text = source.text if source else experiment.to_toml()
+    records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
+    storage.write_json(folder / PROVENANCE, records)
+    Store.begin(folder, experiment.fingerprint)
+    storage.write_json(folder / RESOLVED, experiment.data())
+    storage.write(folder / AS_WRITTEN, text)
+    return experiment, text
+
+
+def _found(
+    path: Path,
+    limit: int | None,
+    progress: Report | Literal[False] | None,
+    command: str,
+    mixed: bool = False,
+) -> Found:
+    """Goes on with the search in a folder, to its end; the experiment of what it found, which is then in the folder."""
+    folder = path / searching.FOLDER
+    storage.check_no_link(folder)
+    searched = find(folder, other_source=True).experiment
+    search, store = searching.read(folder, searched), Store(folder, searched.fingerprint)
+    warn_of_damage(store)
+    records, libraries = records_of(store), library_versions(searched.data()) | versions(search.halving)
+    room = free() // 2 if limit is None else limit
+    meter = Meter()
+    with backend.using(searched.backend), settings_of(store, records), meter.reporting(progress):
+        origin = Origin.of(store, records, mixed, libraries)
+
+        def computed(stage: searching.Stage) -> Computed:
+            compute(store, stage, Local(), meter, {}, origin)
+            return collected(store, stage, stage.name, room)[0]
+
+        under_way = searching.Searching(search, folder, limit, computed)
+        with session(store, records, command, libraries):
+            under_way.run()
+    searching.keep(folder, under_way.tried)
+    found, text = _write(path, search.found({x.label: x.config for x in under_way.winners}))
+    return Found(found, Source(path / AS_WRITTEN, text))
 
 
 def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path, there: int = 0) -> None:

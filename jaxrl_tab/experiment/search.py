@@ -21,7 +21,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self, TypeAlias
 
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.errors import InputError, nearest, shown
@@ -32,8 +32,11 @@ from jaxrl_tab.experiment.places import Source, at, blame, located
 from jaxrl_tab.experiment.resolve import ABOUT, as_plain, axis, keys
 from jaxrl_tab.experiment.spec import Experiment, as_toml, read_source, source_of
 
-RANDOM, OPTUNA = "random", ("optuna", "optuna:tpe")
 ROUNDS = 4  # of Optuna, which learns from one to the next
+
+
+Growing: TypeAlias = Literal["steps", "seeds"]
+Sampling: TypeAlias = Literal["random", "optuna"]
 
 
 @checked_dataclass
@@ -59,8 +62,8 @@ class Halving:
     budget: int | None = field(default=None, at_least=1)
     eta: int = field(default=3, at_least=2)
     rungs: int = field(default=3, at_least=1)
-    grow: Literal["steps", "seeds"] = static("steps")
-    sampler: Literal["random", "optuna", "optuna:tpe"] = static("random")
+    grow: Growing = static("steps")
+    sampler: Sampling = static("random")
     rounds: int | None = field(default=None, at_least=1)
     fresh_seeds: int = field(default=100, at_least=2)
 
@@ -72,7 +75,7 @@ class Halving:
 
     @property
     def is_optuna(self) -> bool:
-        return self.sampler in OPTUNA
+        return self.sampler == "optuna"
 
     @property
     def number_of_rounds(self) -> int:
@@ -138,8 +141,8 @@ class Search:
                 if more.get(key) not in (None, False):
                     with at(key):
                         raise InputError(
-                            f"{key} cannot be given to a search, which runs what it finds on fresh seeds; to decide which "
-                            "method is better, write until_decided into the folder's experiment.toml, and resume"
+                            f"{key} cannot be given to a search, which runs what it finds on fresh seeds; to decide "
+                            "which method is better, write until_decided into the folder's experiment.toml, and resume"
                         )
         several = isinstance(method, list | tuple)
         tables = [
@@ -195,8 +198,8 @@ class Search:
         for name, part in self.experiment.parts().items():
             if len(part.configs) < 2:
                 raise InputError(
-                    f"there is nothing to search: {name.partition('/')[2]} has one setting; give a hyperparameter several "
-                    "values, or a range"
+                    f"there is nothing to search: {name.partition('/')[2]} has one setting; give a hyperparameter "
+                    "several values, or a range"
                 )
 
     @property
