@@ -294,7 +294,8 @@ def _notes(methods: "Methods", choice: bool, digits: Any) -> Iterator[str]:
         )
     elif methods.by_length:
         yield "Steps an episode: all steps that the runs took there, over all episodes that ended there."
-    if choice and _several(rows):
+    of_methods = [[row for row in rows if row.method == method] for method in methods]
+    if choice and any(map(_several, of_methods)):
         yield (
             "* This setting is the best of its method on these seeds. It was chosen for its mean, which flatters it."
         )

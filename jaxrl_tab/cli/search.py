@@ -55,7 +55,7 @@ class Search(Where):
         methods: Names of one or more methods; see `jaxrl-tab list`. An option goes to all that have it.
         draws: How many settings of each method are drawn from the ranges. (default: 27)
         budget: Instead: as many as so many steps in all (episodes, with --episodes) allow, for each method.
-        eta: Of the settings of a rung one in so many goes on, to runs so many times as long.
+        one_in: Of the settings of a rung one in so many goes on, to runs so many times as long.
         rungs: How many rungs there are; the runs of the last one have full length.
         grow: What is more from rung to rung: steps, or seeds. With seeds, all runs have full length.
         sampler: What proposes settings: random, or optuna (pip install 'jaxrl-tab[optuna]'), which learns from those
@@ -78,7 +78,7 @@ class Search(Where):
     methods: tuple[str, ...] = word("METHOD ...", many=True)
     draws: int | None = field(default=None, at_least=1)
     budget: int | None = field(default=None, at_least=1)
-    eta: int = field(default=3, at_least=2)
+    one_in: int = field(default=3, at_least=2)
     rungs: int = field(default=3, at_least=1)
     grow: search.Growing = field(default="steps", static=True)
     sampler: search.Sampling = field(default="random", static=True)
@@ -98,7 +98,7 @@ class Search(Where):
 OF_SEARCH = (
     "--draws",
     "--budget",
-    "--eta",
+    "--one-in",
     "--rungs",
     "--grow",
     "--sampler",
@@ -127,16 +127,22 @@ def search_command(argv: list[str]) -> int:
         if options.json:
             print_json({"rungs": [rung._asdict() for rung in wanted.ladder], "methods": work})
         else:
-            print(*map(wanted.in_words, labels), sep="\n")
+            _say(wanted)
         return 0
     if not options.quiet and not options.json:
-        print(*map(wanted.in_words, labels), sep="\n")
+        _say(wanted)
     about = {"memory": options.bytes, "command": shlex.join([PROG, "search", *argv])}
     with watched(options, options.out) as watch:
         del watch["looked"]  # nothing is compared until all is decided
         outcome = runner.search(wanted, options.out, **about, **watch)
     say_where_of(outcome, options.out, options)
     return 0
+
+
+def _say(wanted: search.Search) -> None:
+    """What is to be searched, for people."""
+    print(*(wanted.in_words(method["label"]) for method in wanted.experiment.method), sep="\n")
+    print(f"then what is found of each runs on {wanted.halving.fresh_seeds} fresh seeds")
 
 
 def _wanted(
@@ -157,7 +163,7 @@ def _wanted(
         **length_typed(options, typed["options"]),
         draws=DRAWS if unsaid else options.draws,
         budget=options.budget,
-        eta=options.eta,
+        one_in=options.one_in,
         rungs=options.rungs,
         grow=options.grow,
         sampler=options.sampler,

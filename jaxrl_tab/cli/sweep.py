@@ -19,6 +19,14 @@ from jaxrl_tab.cli.common import (
     start_jax,
 )
 from jaxrl_tab.cli.options import Typed, checked_name, environments_first
+from jaxrl_tab.cli.running import (
+    Where,
+    is_typed_as_file,
+    length_typed,
+    methods_typed,
+    say_where_of,
+    watched,
+)
 from jaxrl_tab.cli.screen import busy
 from jaxrl_tab.cli.streams import PROG, print_json
 from jaxrl_tab.cli.typed import OPTIONAL, Classes, parse, several_of, values_of, word

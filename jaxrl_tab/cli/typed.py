@@ -219,8 +219,7 @@ def _range(flag: str, texts: Sequence[str], parameter: describe.Parameter) -> ax
         raise InputError(
             f"{flag}: {texts[0]} is no range; it is typed 0.01:0.3, 0.01:1:log, or 1:8"
         ) from None
-    for end in ends:
-        describe.value(flag, end, parameter)  # which may be refused
+    options.check_words(flag, option_of(parameter, parameter.name, parameter.default), [low, high])
     try:
         return cls(*ends)
     except InputError as error:

@@ -43,14 +43,14 @@ Sampling: TypeAlias = Literal["random", "optuna"]
 class Halving:
     """How the best setting of each method is searched for: by successive halving (Jamieson and Talwalkar 2016).
 
-    All settings run with a small budget, and of those one in `eta` goes on, with a budget that is `eta` times as
+    All settings run with a small budget, and of those one in `one_in` goes on, with a budget that is `one_in` times as
     large, and so on.
 
     Attributes:
         draws: how many settings are drawn of what is random, of each method.
         budget: instead of `draws`: as many as so many steps (or episodes, where runs are so long) allow in all, for
             each method.
-        eta: of the settings of a rung one in so many goes on.
+        one_in: of the settings of a rung one in so many goes on, and two at least.
         rungs: how many rungs there are; in the last one a run is as long as the experiment says, on all seeds.
         grow: what is more from rung to rung: "steps" (or episodes), where runs go on from where they are, or "seeds".
         sampler: what proposes settings: "random", or "optuna" (TPE), which learns from those before.
@@ -60,7 +60,7 @@ class Halving:
 
     draws: int | None = field(default=None, at_least=1)
     budget: int | None = field(default=None, at_least=1)
-    eta: int = field(default=3, at_least=2)
+    one_in: int = field(default=3, at_least=2)
     rungs: int = field(default=3, at_least=1)
     grow: Growing = static("steps")
     sampler: Sampling = static("random")
@@ -82,10 +82,10 @@ class Halving:
         return (self.rounds or ROUNDS) if self.is_optuna else 1
 
     def sizes(self, settings: int) -> list[int]:
-        """How many settings are in each rung, of so many in the first."""
+        """How many settings are in each rung, of so many in the first: two at least, so that the last one decides."""
         sizes = [settings]
         while len(sizes) < self.rungs:
-            sizes.append(-(-sizes[-1] // self.eta))
+            sizes.append(max(min(2, settings), -(-sizes[-1] // self.one_in)))
         return sizes
 
     def of_rounds(self, settings: int) -> list[int]:
@@ -152,6 +152,10 @@ class Search:
         make = lambda draws: Experiment(**given, method=[_drawn(x, draws) for x in tables], source=source)
         with located(source), at("search"):
             experiment = _of_budget(make, halving) if halving.budget else make(halving.draws)
+            if halving.draws and not any(map(_random, tables)):
+                raise InputError(
+                    "draws says how many settings are drawn, and nothing is random: give ranges, or no draws"
+                )
         ranges = {
             own["label"]: {key: _written(key, x) for key, x in table.items() if _is_searched(key, x)}
             for own, table in zip(experiment.method, tables, strict=True)
@@ -281,7 +285,7 @@ def _written(key: str, written: Any) -> Any:
 
 def _drawn(table: Mapping[str, Any], draws: int | None) -> dict[str, Any]:
     """The table of a method, with so many draws where it has something random and does not say how many."""
-    random = [key for key, x in table.items() if key not in ABOUT and isinstance(axis(key, x), Random)]
+    random = _random(table)
     if random and draws is None and "draws" not in table:
         raise InputError(
             f"{random[0]} is drawn at random: say how many settings are tried, by draws or budget"
@@ -289,11 +293,16 @@ def _drawn(table: Mapping[str, Any], draws: int | None) -> dict[str, Any]:
     return {**({"draws": draws} if random and draws else {}), **table}
 
 
+def _random(table: Mapping[str, Any]) -> list[str]:
+    """What of a method is drawn at random."""
+    return [key for key, x in table.items() if key not in (*ABOUT, DRAW) and isinstance(axis(key, x), Random)]
+
+
 def _ladder(experiment: Experiment, halving: Halving) -> list[Rung]:
     length, row = experiment.steps or experiment.episodes or 0, experiment.log_every or 1
     rungs = []
     for below in range(halving.rungs - 1, -1, -1):
-        times = halving.eta**below
+        times = halving.one_in**below
         rows = math.ceil(length / (times * row))  # so that a rung ends where a row does
         if halving.grow == "steps":
             rungs.append(Rung(min(length, rows * row), experiment.seeds))
@@ -302,7 +311,7 @@ def _ladder(experiment: Experiment, halving: Halving) -> list[Rung]:
     if len(set(rungs)) < len(rungs):
         what = f"rows of {row:,} of {length:,}" if halving.grow == "steps" else f"{experiment.seeds:,} seeds"
         raise InputError(
-            f"{halving.rungs} rungs, each {halving.eta} times the one before, are too many for {what}"
+            f"{halving.rungs} rungs, each {halving.one_in} times the one before, are too many for {what}"
         )
     return rungs
 

@@ -47,8 +47,8 @@ class Tried(NamedTuple):
         round, rung: in which round it was proposed, and which rung this is, from 0.
         length: how many steps, or episodes, its runs had by then.
         seeds: on how many seeds it ran.
-        by: by what settings were compared: "score", or its "error" in prediction; or "episodes" (or "steps") of the second half of the runs, or its
-            "return": see `stats.early.promise`.
+        by: by what settings were compared: "score", or "error" in prediction; or, of the second half of the runs, its
+            "episodes", "steps" or "return": see `stats.early.promise`.
         score: the mean of that; None where no run has one.
         lost: how many of its runs diverged.
         goes_on: whether it went on to the next rung; in the last one, whether it is the one that was found.

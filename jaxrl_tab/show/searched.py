@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from jaxrl_tab.show.words import six_digits, symbol
+from jaxrl_tab.show.words import symbol
 
 BY = {"score": "score", "return": "return", "episodes": "episodes", "steps": "minus steps", "error": "error"}
 
@@ -21,7 +21,7 @@ def rows(tried: Sequence[Any]) -> Iterator[list[str]]:
     for (method, number, _), group in groupby(tried, lambda x: (x.method, x.round, x.rung)):
         own = list(group)
         best = min(own, key=_rank)
-        score = "–" if best.score is None else six_digits(best.score)
+        score = "–" if best.score is None else f"{best.score:.4g}"
         where = "" if best.by in ("score", "error") else ", second half"
         yield [
             method,
