@@ -69,7 +69,7 @@ def methods_typed(names: Sequence[str], typed: Typed, classes: Classes) -> list[
     ]
 
 
-def length_typed(options: Any, typed: Typed) -> dict[str, int | None]:
+def length_typed(options: Any, typed: Typed) -> dict[str, Any]:
     """How long runs are, as in a file."""
     if options.episodes is not None and "--steps" in typed:
         raise InputError("give --steps or --episodes, not both")

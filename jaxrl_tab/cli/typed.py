@@ -211,7 +211,7 @@ def _range(flag: str, texts: Sequence[str], parameter: describe.Parameter) -> ax
         raise InputError(f"{flag} takes no range of numbers, such as {texts[0]}")
     if kind is int and log:
         raise InputError(f"{flag} takes a range of whole numbers, such as 1:8, not {texts[0]}")
-    cls = axes.Integers if kind is int else axes.LogUniform if log else axes.Uniform
+    cls: Any = axes.Integers if kind is int else axes.LogUniform if log else axes.Uniform
     read = whole_number if kind is int else float
     try:
         ends = [read(text) for text in (low, high)]

@@ -14,7 +14,7 @@ from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.onward import split
+from jaxrl_tab.engine.onward import Onward, split
 from jaxrl_tab.engine.traced import gives, in_full, unchecked
 from jaxrl_tab.exact import planning
 
@@ -210,7 +210,7 @@ class Needs(NamedTuple):
     program: str
 
 
-def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Needs:
+def needs_of(env: Environment, algorithm: Algorithm | Onward, root: jax.Array, budget: Budget) -> Needs:
     """What one run of this method needs of memory. Its hyperparameters are arrays, whose values do not matter."""
     needs = needs_of_program(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
     return needs._replace(call=needs.call._replace(shared=needs.call.shared + _tables(env)))

@@ -62,8 +62,8 @@ class Halving:
     budget: int | None = field(default=None, at_least=1)
     one_in: int = field(default=3, at_least=2)
     rungs: int = field(default=3, at_least=1)
-    grow: Growing = static("steps")
-    sampler: Sampling = static("random")
+    grow: Growing = static(default="steps")
+    sampler: Sampling = static(default="random")
     rounds: int | None = field(default=None, at_least=1)
     fresh_seeds: int = field(default=100, at_least=2)
 
@@ -154,7 +154,7 @@ class Search:
             experiment = _of_budget(make, halving) if halving.budget else make(halving.draws)
             if halving.draws and not any(map(_random, tables)):
                 raise InputError(
-                    "draws says how many settings are drawn, and nothing is random: give ranges, or no draws"
+                    "draws says how many settings are drawn, and nothing is random: give a range"
                 )
         ranges = {
             own["label"]: {key: _written(key, x) for key, x in table.items() if _is_searched(key, x)}

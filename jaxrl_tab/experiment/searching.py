@@ -19,6 +19,7 @@ from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine.axes import DRAW, swept_names
 from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.loop import Run
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import parameters
 from jaxrl_tab.engine.sweep import result
@@ -140,6 +141,22 @@ class _Place(NamedTuple):
     config: Any
 
 
+class _Judged(NamedTuple):
+    """How good the settings of a rung are.
+
+    Attributes:
+        by, scores, lost: as `Tried` has them, of each.
+        order: their numbers, from the best to the worst.
+        merits: their means, so that higher is better; None where a run diverged.
+    """
+
+    by: str
+    order: np.ndarray
+    scores: list[float | None]
+    merits: list[float | None]
+    lost: list[int]
+
+
 class Searching:
     """A search that is under way.
 
@@ -196,77 +213,105 @@ class Searching:
 
     def _halve(self, one: _Round) -> tuple[list[Told], _Place]:
         """Halves the settings of a round: how good each was, and the best that reached the last rung."""
+        sizes = [*self.search.halving.sizes(len(one.part.configs)), 1]  # in the end one is left
+        left = np.arange(sizes[0])
+        runs: list[Computed] = []
+        scores: list[dict[int, float | None]] = [{} for _ in left]
+        k, before = 0, Rung(0, 0)
+        while True:
+            rung, last = self._ladder[k], k == len(self._ladder) - 1
+            part = _subset(one.part, left)
+            runs = self._run(one, part, before, rung, runs)
+            judged = self._judge(part, rung, runs, last)
+            best = np.sort(judged.order[: sizes[k + 1]])
+            for i, place in enumerate(left):
+                scores[place][rung.length * rung.seeds] = judged.merits[i]
+                tried = Tried(
+                    one.label,
+                    one.first + int(place),
+                    _plain(part, i),
+                    one.number,
+                    k,
+                    rung.length,
+                    rung.seeds,
+                    judged.by,
+                    judged.scores[i],
+                    judged.lost[i],
+                    goes_on=bool(i in best and not last),
+                )
+                self.tried.append(tried)
+            if last:
+                told = [Told(x, place in left) for place, x in enumerate(scores)]
+                return told, self._place(part, judged, int(best[0]))
+            left, runs, before, k = left[best], [runs[i] for i in best], rung, k + 1
+
+    def _place(self, part: Part, judged: _Judged, i: int) -> _Place:
+        """Where one of the settings is that were judged last."""
+        tried, merit = self.tried[len(self.tried) - len(judged.order) + i], judged.merits[i]
+        return _Place(
+            (judged.lost[i], np.inf if merit is None else -merit, tried.trial), tried, part.configs[i]
+        )
+
+    def _judge(self, part: Part, rung: Rung, runs: Sequence[Computed], last: bool) -> _Judged:
+        """How good settings are, by all of their runs until the end of a rung."""
         from jaxrl_tab.stats.early import by_length, promise  # here, for they take a second
         from jaxrl_tab.stats.measures import score
         from jaxrl_tab.stats.settings import Settings
 
-        sizes = self.search.halving.sizes(len(one.part.configs))
-        left, so_far, before = np.arange(sizes[0]), None, Rung(0, 0)
-        scores: list[dict[int, float | None]] = [{} for _ in left]
-        best = left
-        for k, rung in enumerate(self._ladder):
-            last = k == len(self._ladder) - 1
-            part = _subset(one.part, left)
-            stage = self._stage(one, part, before, rung, so_far)
-            now = self._compute(stage)
-            self._number += len(stage.shards)
-            so_far = now if so_far is None else self._together(so_far, now, len(left))
-            budget = _budget(part, rung.length)
-            whole = dataclasses.replace(part, budget=budget, num_seeds=rung.seeds, first_seed=FIRST_SEED)
-            ds = result(whole, so_far).to_xarray()
-            in_the_end = last or not self._in_steps
-            settings = Settings(ds, score if in_the_end else promise)
-            by = "error" if settings.prediction else "score" if in_the_end else "return"
-            if by == "return" and settings.once(by_length):
-                by = "episodes" if "num_steps" in ds.attrs else "steps"
-            best = np.sort(settings.order[: 1 if last else sizes[k + 1]])
-            means = settings.score.mean("seed").values.ravel()
-            merits = settings.merit.mean("seed").values.ravel()
-            lost = settings.lost.values.ravel()
-            for i, place in enumerate(left):
-                scores[place][rung.length * rung.seeds] = (
-                    None if lost[i] or np.isnan(merits[i]) else float(merits[i])
-                )
-                self.tried.append(
-                    Tried(
-                        one.label,
-                        one.first + int(place),
-                        _plain(part, i),
-                        one.number,
-                        k,
-                        *rung,
-                        by,
-                        float(means[i]) if np.isfinite(means[i]) else None,
-                        int(lost[i]),
-                        bool(not last and i in best),
-                    )
-                )
-            if last:
-                i = int(best[0])
-                rank = int(lost[i]), float(-np.nan_to_num(merits[i], nan=-np.inf)), one.first + int(left[i])
-                tried = self.tried[len(self.tried) - len(left) + i]
-                told = [Told(x, place in left) for place, x in enumerate(scores)]
-                return told, _Place(rank, tried, part.configs[i])
-            left, before, so_far = left[best], rung, _of_settings(so_far, best, rung.seeds)
-        raise AssertionError("there is a last rung")
+        budget = _budget(part, rung.length)
+        whole = dataclasses.replace(part, budget=budget, num_seeds=rung.seeds, first_seed=FIRST_SEED)
+        q, log = jax.tree.map(lambda *x: np.concatenate(x), *[(one.q, one.log) for one in runs])
+        ds = result(whole, Computed(q, log, runs[0].seconds)).to_xarray()
+        in_the_end = last or not self._in_steps
+        settings = Settings(ds, score if in_the_end else promise)
+        by = "error" if settings.prediction else "score" if in_the_end else "return"
+        if by == "return" and settings.once(by_length):
+            by = "episodes" if "num_steps" in ds.attrs else "steps"
+        finite = lambda x: [float(one) if np.isfinite(one) else None for one in x.mean("seed").values.ravel()]
+        lost = settings.lost.values.ravel().tolist()
+        merits = [None if n else merit for n, merit in zip(lost, finite(settings.merit), strict=True)]
+        return _Judged(by, settings.order, finite(settings.score), merits, lost)
 
-    def _stage(self, one: _Round, part: Part, before: Rung, now: Rung, so_far: Computed | None) -> Stage:
+    def _run(
+        self, one: _Round, part: Part, before: Rung, now: Rung, runs: Sequence[Computed]
+    ) -> list[Computed]:
+        """What the runs of each setting gave until the end of a rung, of which those before are there.
+
+        The settings of each program are a stage of their own, for where a run is has another shape in each.
+        """
+        found: list[Computed] = [*runs] or [None] * len(part.configs)  # pyright: ignore[reportAssignmentType]
+        for members in part.programs:
+            begun = (
+                jax.tree.map(lambda *x: np.concatenate(x), *[runs[i].ends for i in members]) if runs else None
+            )
+            stage = self._stage(one, _subset(part, members), before, now, begun)
+            computed = self._compute(stage)
+            self._number += len(stage.shards)
+            for k, i in enumerate(members):
+                own = slice(k * stage.part.num_seeds, (k + 1) * stage.part.num_seeds)
+                q, log, ends = jax.tree.map(
+                    lambda x, own=own: x[own], (computed.q, computed.log, computed.ends)
+                )
+                more = Computed(q, log, computed.seconds, ends)
+                found[i] = self._together(runs[i], more) if runs else more
+        return found
+
+    def _stage(self, one: _Round, part: Part, before: Rung, now: Rung, begun: Run | None) -> Stage:
         """What is still to be computed of some settings until the end of a rung."""
         what = [one.label, [_plain(part, i) for i in range(len(part.configs))], one.number, *before, *now]
-        identity = int(hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:8], 16)
+        identity = int(hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:7], 16)
         if self._in_steps:
-            part = dataclasses.replace(
-                part,
-                budget=_budget(part, now.length - before.length),
-                first_seed=FIRST_SEED,
-                goes_on=True,
-                begun=so_far and so_far.ends,
-            )
+            budget, seeds = _budget(part, now.length - before.length), range(now.seeds)
         else:
-            seeds, first = now.seeds - before.seeds, FIRST_SEED + before.seeds
-            part = dataclasses.replace(
-                part, budget=_budget(part, now.length), num_seeds=seeds, first_seed=first
-            )
+            budget, seeds = _budget(part, now.length), range(before.seeds, now.seeds)
+        part = dataclasses.replace(
+            part,
+            budget=budget,
+            num_seeds=len(seeds),
+            first_seed=FIRST_SEED + seeds.start,
+            goes_on=self._in_steps,
+            begun=begun if self._in_steps else None,
+        )
         count = len(part.configs)
         name = f"{self.search.part_name(one.label)}, {count} settings until {now.length:,} on {now.seeds:,} seeds"
         return Stage(name, part, self._number, identity, self._memory)
@@ -275,17 +320,11 @@ class Searching:
     def _in_steps(self) -> bool:
         return self.search.halving.grow == "steps"
 
-    def _together(self, before: Computed, now: Computed, settings: int) -> Computed:
-        """What the runs gave until now: longer runs, or more seeds."""
-        if self._in_steps:
-            log = jax.tree.map(lambda x, y: np.concatenate([x, y], axis=1), before.log, now.log)
-            return now._replace(log=log)
-        by_setting = lambda x: x.reshape(settings, -1, *x.shape[1:])
-
-        def more(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-            return np.concatenate([by_setting(x), by_setting(y)], axis=1).reshape(-1, *x.shape[1:])
-
-        return now._replace(q=more(before.q, now.q), log=jax.tree.map(more, before.log, now.log))
+    def _together(self, before: Computed, now: Computed) -> Computed:
+        """What the runs of a setting gave until now: longer runs, or more seeds."""
+        axis = 1 if self._in_steps else 0
+        log = jax.tree.map(lambda x, y: np.concatenate([x, y], axis=axis), before.log, now.log)
+        return now._replace(q=now.q if self._in_steps else np.concatenate([before.q, now.q]), log=log)
 
 
 def _budget(part: Part, length: int) -> Budget:
@@ -306,13 +345,6 @@ def _subset(part: Part, places: np.ndarray) -> Part:
 def _plain(part: Part, i: int) -> dict[str, Any]:
     """What a setting of such a part has, as it is written in a file."""
     return {key: as_plain(key, x) for key, x in part.axes[DRAW][i].items()}
-
-
-def _of_settings(computed: Computed, places: np.ndarray, seeds: int) -> Computed:
-    """The runs of some of the settings."""
-    some = lambda x: x.reshape(-1, seeds, *x.shape[1:])[places].reshape(-1, *x.shape[1:])
-    q, log, ends = jax.tree.map(some, (computed.q, computed.log, computed.ends))
-    return Computed(q, log, computed.seconds, ends)
 
 
 # --- the folder -----------------------------------------------------------------------------------------
