@@ -2,7 +2,7 @@
 
     python -m benchmarks.searching [REPEATS]
 
-Each way of searching is repeated with other draws and other seeds. What was found runs on many fresh seeds. The table has
+Each way of searching is repeated with other draws and seeds. What was found runs on many fresh seeds. The table has
 how much worse it is than the best setting that any search found, in median and at the worst of ten.
 """
 
