@@ -10,6 +10,7 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 import jaxrl_tab as rl
+from jaxrl_tab.lanes import versions
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -30,14 +31,28 @@ def test_the_same_versions_of_python_are_promised_and_tested():
     assert {file.name for file in ours} == set(re.findall(r"bash \.ci/(\w+)", workflow))
 
 
+def requirements(*extras):
+    """What is wanted, also by these extras, but for the package itself."""
+    lines = PROJECT["dependencies"] + [x for name in extras for x in PROJECT["optional-dependencies"][name]]
+    return [x for x in map(Requirement, lines) if x.name != "jaxrl-tab"]
+
+
 def test_the_lock_file_has_all_that_is_wanted():
     lines = (ROOT / "requirements-dev.txt").read_text().splitlines()
     locked = dict(line.split("==") for line in lines if not line.startswith("#"))
-    extras = PROJECT["optional-dependencies"]
-    wanted = PROJECT["dependencies"] + [line for name in extras if name != "bench" for line in extras[name]]
-    for requirement in map(Requirement, wanted):
-        if requirement.name != "jaxrl-tab":
-            assert requirement.specifier.contains(locked[requirement.name]), requirement
+    for requirement in requirements("dev", "docs", "parquet", "ray", "slurm"):
+        assert requirement.specifier.contains(locked[requirement.name]), requirement
+
+
+def test_all_that_is_wanted_has_a_lowest_version():
+    """Which `.ci/lowest` installs: without one it takes the first that there ever was."""
+    for requirement in requirements(*PROJECT["optional-dependencies"]):
+        assert any(x.operator == ">=" for x in requirement.specifier), requirement
+
+
+def test_the_newest_jax_that_is_known_is_no_older_than_that_of_the_lock_file():
+    (locked,) = re.findall(r"^jax==(\d+)\.(\d+)", (ROOT / "requirements-dev.txt").read_text(), re.MULTILINE)
+    assert tuple(map(int, locked)) <= versions.NEWEST
 
 
 @pytest.mark.parametrize(

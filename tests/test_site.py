@@ -67,15 +67,19 @@ def _thing(name):
     return thing
 
 
-def test_links_between_made_pages_lead_somewhere(pages):
-    """Anything else is for `mkdocs build --strict`. Broken once: a wrong folder in `_place` -> fails."""
-    written = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.*")}
-    for path, text in pages.items():
-        for link in re.findall(
-            r"\]\(([\w./-]+)\)", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
-        ):
+def test_links_between_pages_lead_somewhere(pages):
+    """Anything else is for `mkdocs build --strict`.
+
+    Broken once: a wrong folder in `_place` -> fails; Markdown not among the files of `in_the_site` -> fails.
+    """
+    docs = ROOT / "docs"
+    written = {path.relative_to(docs).as_posix(): path for path in docs.rglob("*.*")}
+    texts = {name: path.read_text("utf-8") for name, path in written.items() if name.endswith(".md")}
+    for path, text in (pages | {name: site.in_the_site(text) for name, text in texts.items()}).items():
+        prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+        for link in re.findall(r"\]\(([\w./-]+)[)#]", prose):
             target = (Path("/") / path).parent / link
-            assert target.resolve().relative_to("/").as_posix() in written | set(pages), (path, link)
+            assert target.resolve().relative_to("/").as_posix() in {*written, *pages}, (path, link)
 
 
 # --- methods, environments, figures --------------------------------------------------------------------

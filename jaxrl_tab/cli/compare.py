@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.screen import busy
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import FILE, parse, word
@@ -131,7 +132,7 @@ def _print_table(out: Console, names: list[str], rows: list[Compared]) -> None:
             break
         shown.remove(column)
         left_out.append(names[column])
-    out.print(_table(names, rows, shown))
+    print_table(out, _table(names, rows, shown))
     if left_out:
         out.print(f"In a wider window the table has: {'; '.join(left_out)}.", markup=False)
 
@@ -141,8 +142,6 @@ def _table(names: list[str], every: list[Compared], shown: list[int]) -> Table:
     if len(every) > ROWS:
         rows = sorted(every, key=lambda row: row.verdict == "same")[:ROWS]
     table, digits = Table(*(names[i] for i in shown)), decimals(rows)
-    for column in table.columns:
-        column.overflow = "fold"
     for column in table.columns[2:-1]:
         column.justify = "right"
     for row in rows:

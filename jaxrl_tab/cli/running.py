@@ -96,7 +96,7 @@ def watched(options: Where, folder: Path | None, again: Sequence[str] = ()) -> I
 
     try:
         with interruptible():
-            formats = options.formats if options.pictures else ()
+            formats = (options.formats or None) if options.pictures else ()
             looked = None if options.quiet else show_look
             shown = {"progress": False if options.quiet else None, "ready": show, "looked": looked}
             yield {**shown, "formats": formats}

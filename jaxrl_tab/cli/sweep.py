@@ -285,6 +285,7 @@ class Resume(Anywhere):
         seeds: How many seeds there are to be.
         steps: How many steps each run is to take. Longer runs are all computed from their beginning.
         episodes: How many episodes each run is to finish, in the same way.
+        formats: Of the pictures: png, svg, pdf, or several of them; by default those that there were, if any.
         history: Show what the sweep was begun with, and what was added when; and stop.
         mixed: Go on nevertheless; the report tells what was not the same for all numbers.
     """
@@ -294,6 +295,7 @@ class Resume(Anywhere):
     seeds: int | None = field(default=None, at_least=1)
     steps: int | None = field(default=None, at_least=1)
     episodes: int | None = field(default=None, at_least=1)
+    formats: tuple[str, ...] = ()
     history: bool = False
     mixed: bool = False
 

@@ -79,7 +79,7 @@ def compare(first: Any, *others: Any, confidence: float = 0.95) -> "Comparison":
         some, rows = rows[: len(family)], rows[len(family) :]
         about = LETTERS[i + 1], b.name, differs(a, b), alone[i], unlike[i]
         found.append(Beside(*about, some, b.notes, b.complete))
-    return Comparison(a.name, a.notes, found, confidence)
+    return Comparison(a.name, a.notes, found, confidence, a.complete)
 
 
 def _called_as_in(a: Side, b: Side) -> Side:

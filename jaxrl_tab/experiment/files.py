@@ -226,6 +226,12 @@ def check_formats(formats: Any) -> tuple[Format, ...]:
     return tuple(dict.fromkeys(formats))
 
 
+def drawn_as(records: Mapping[str, Any]) -> tuple[Format, ...]:
+    """The formats of the pictures that the last session was to draw, by the records of a folder."""
+    said = records["sessions"][-1].get("formats") if records["sessions"] else None
+    return tuple(x for x in FORMATS if x in said) if isinstance(said, list) else FORMATS[:1]
+
+
 class Pictures(NamedTuple):
     """Pictures that are being drawn.
 

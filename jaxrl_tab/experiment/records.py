@@ -121,11 +121,12 @@ def records_of(store: Store) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def session(
-    store: Store, records: dict[str, Any], command: str, libraries: Mapping[str, str]
+    store: Store, records: dict[str, Any], command: str, libraries: Mapping[str, str], formats: Sequence[str]
 ) -> Iterator[None]:
-    """Records this process as a session: when it began to compute, and when it ended."""
+    """Records this process as a session: when it began to compute and ended, and the formats of its pictures."""
     file = store.path / PROVENANCE
-    session = {"command": command, "started": timestamp(), "ended": None, **_machine(libraries)}
+    session = {"command": command, "started": timestamp(), "ended": None, "formats": [*formats]}
+    session |= _machine(libraries)
     records["sessions"].append(session)
     storage.write_json(file, records)
     try:

@@ -30,7 +30,7 @@ from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.comparing import Look, Looked
 from jaxrl_tab.experiment.computing import collect, collected, compute, missing, warn_of_damage
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, write_files
+from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, drawn_as, write_files
 from jaxrl_tab.experiment.found import Found, find, grow, wished
 from jaxrl_tab.experiment.places import Source
 from jaxrl_tab.experiment.progress import Meter
@@ -107,7 +107,7 @@ def resume(
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
     ready: Callable[[Outcome], None] | None = None,
-    formats: Sequence[Format] = FORMATS[:1],
+    formats: Sequence[Format] | None = None,
     command: str | None = None,
     mixed: bool = False,
     looked: Looked | None = None,
@@ -129,7 +129,8 @@ def resume(
 
     Args:
         folder: the folder.
-        executor, memory, progress, ready, formats, command, looked: as in `run`.
+        executor, memory, progress, ready, command, looked: as in `run`.
+        formats: of the pictures, as in `run`; by default those that there were.
         mixed: go on also with other versions, or on another kind of processor, which may give numbers that
             differ in the last bits. The folder's provenance and report tell of it.
         experiment: what it is to be: all that it was, and more. By default it is what `experiment.toml` in the
@@ -143,7 +144,7 @@ def resume(
         RunError: as in `run`.
     """
     path = _folder(folder)
-    command, formats = _typed(command), check_formats(formats)
+    command, formats = _typed(command), formats if formats is None else check_formats(formats)
     if searching.is_unfinished(path):
         if experiment or seeds or steps or episodes:
             raise InputError(f"the search in {path} is not finished: resume it first, and then ask for more")
@@ -273,7 +274,7 @@ def _go_on(
     limit: int | None,
     progress: Report | Literal[False] | None,
     ready: Callable[[Outcome], None] | None,
-    formats: Sequence[Format],
+    formats: Sequence[Format] | None,
     command: str,
     keep: bool = True,
     mixed: bool = False,
@@ -283,6 +284,7 @@ def _go_on(
     experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
     warn_of_damage(store)
     records = records_of(store)
+    formats = drawn_as(records) if formats is None else formats
     libraries = library_versions(experiment.data())
     job, meter = Job.of(experiment, limit, libraries, found.experiments[:-1]), Meter()
     with backend.using(experiment.backend), settings_of(store, records):
@@ -290,7 +292,7 @@ def _go_on(
             origin = Origin.of(store, records, mixed, libraries)
             if missing(store, job):
                 origin.check(path)
-            with session(store, records, command, libraries):
+            with session(store, records, command, libraries, formats):
                 outcome, new = _results(store, job, experiment, executor or Local(), meter, origin, looked)
         writes = keep and (new or not store.files)
         with drawing(store, outcome, formats if writes else ()) as pictures:
