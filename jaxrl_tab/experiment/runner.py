@@ -428,7 +428,7 @@ def _found(
             return collected(store, stage, stage.name, room)[0]
 
         under_way = searching.Searching(search, folder, limit, computed)
-        with session(store, records, command, libraries):
+        with session(store, records, command, libraries, ()):
             under_way.run()
     searching.keep(folder, under_way.tried)
     found, text = _write(path, search.found({x.label: x.config for x in under_way.winners}))
