@@ -66,6 +66,12 @@ def modules():
         yield name, used - {name}
 
 
+def test_no_private_name_of_jax_is_used():
+    """Those that are public, and may change nevertheless, are in docs/design.md, with what guards them."""
+    for file in ROOT.rglob("*.py"):
+        assert not re.search(r"\bjax(lib)?\.(\w+\.)*_[a-z]", file.read_text()), file
+
+
 def test_no_modules_import_each_other_in_a_circle():
     """Broken once: `core.schedules` imports `core.policies`, which imports it -> fails."""
     graph = dict(modules())

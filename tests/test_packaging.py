@@ -1,6 +1,8 @@
 """What is said of the package in several files is the same in all of them."""
 
+import importlib
 import re
+import sys
 import tomllib
 from importlib.metadata import version
 from pathlib import Path
@@ -13,6 +15,8 @@ import jaxrl_tab as rl
 from jaxrl_tab.lanes import versions
 
 ROOT = Path(__file__).parent.parent
+sys.path.append(str(ROOT))
+readme = importlib.import_module("hatch_build").readme
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 CLASSIFIED = re.findall(r"Python :: (3\.\d+)", "\n".join(PROJECT["classifiers"]))
 
@@ -62,3 +66,17 @@ def test_the_archive_holds_what_people_look_for(name):
     with (ROOT / "pyproject.toml").open("rb") as file:
         included = tomllib.load(file)["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
     assert name in included and all((ROOT / path).exists() for path in included)
+
+
+def test_links_of_the_readme_lead_to_the_repository_once_it_has_an_address():
+    """Broken once, each: pictures as pages; links within it as well -> fails."""
+    text = "![A x](docs/a.png) [b](docs/b.md#c) [d](https://e.org/f) [g](#g)"
+    assert readme(text, None) == text
+    assert readme(text, "https://e.org/us/it/") == (
+        "![A x](https://e.org/us/it/raw/HEAD/docs/a.png) [b](https://e.org/us/it/blob/HEAD/docs/b.md#c) "
+        "[d](https://e.org/f) [g](#g)"
+    )
+    whole = readme((ROOT / "README.md").read_text(), "https://e.org/us/it")
+    assert not re.findall(
+        r"\]\((?!https:|#)[^)]*\)", re.sub(r"```.*?```|`[^`]*`", "", whole, flags=re.DOTALL)
+    )

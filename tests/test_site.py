@@ -82,6 +82,12 @@ def test_links_between_pages_lead_somewhere(pages):
             assert target.resolve().relative_to("/").as_posix() in {*written, *pages}, (path, link)
 
 
+def test_lists_in_lists_are_told_apart():
+    """By four blanks, for Markdown as the site reads it. Broken once: by two -> one list, and fails."""
+    for file in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")):
+        assert not re.search(r"^ {1,3}[-*] ", file.read_text(encoding="utf-8"), re.MULTILINE), file
+
+
 # --- methods, environments, figures --------------------------------------------------------------------
 def test_every_method_has_its_equation_its_diagram_and_its_parameters(pages):
     """Broken once: `FORMULA` without "=" -> fails."""
@@ -126,10 +132,26 @@ def test_every_environment_and_every_figure_has_a_page(pages):
     assert {path.stem for path in (ROOT / "docs/figures").glob("*.png")} == set(kept)
 
 
+def test_what_a_sweep_of_a_page_gave_is_shown(pages):
+    """`python docs/make/given.py` makes it where it is not there. Broken once: of what there is not -> fails."""
+    there = {
+        path.relative_to(ROOT / "docs")
+        for kind in ("methods", "environments")
+        for path in (ROOT / "docs" / kind).glob("*.png")
+    }
+    assert {f"{path.with_suffix('.md')}" for path in there} <= set(pages)
+    assert {f"methods/{name}.png" for name in METHODS} <= {*map(str, there)}
+    assert {f"environments/{name}.png" for name in rl.ENVS} <= {*map(str, there)}
+    for path in there:
+        assert f"]({path.name})" in pages[f"{path.with_suffix('.md')}"]
+
+
 def test_the_notebook_is_shown_with_what_it_gave(pages):
     notebook = pages["examples/quick_start.md"]
     assert notebook.count("data:image/png") == 2
-    assert "```text\n" in notebook
+    assert "```text\n" in notebook and "HTML object" not in notebook
+    cells = [{"cell_type": "code", "source": "x", "outputs": [{"data": {"text/html": "<p>\n\n<b>1</b>"}}]}]
+    assert site.notebook({"cells": cells}) == "```python\nx\n```\n\n<p> <b>1</b>\n"
 
 
 # --- what is typed ------------------------------------------------------------------------------------

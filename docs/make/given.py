@@ -17,6 +17,7 @@ import jaxrl_tab as rl
 from jaxrl_tab.cli import main
 
 DOCS = Path(__file__).resolve().parents[1]
+WIDTH, COLOURS = 720, 32  # of which there are many
 
 
 def keep(name: str) -> None:
@@ -30,7 +31,7 @@ def keep(name: str) -> None:
         os.chdir(folder)
         if main([*shlex.split(of(name)[-1])[1:], "--quiet"]) == 0:
             (DOCS / kind).mkdir(exist_ok=True)
-            shrink(Path(f"runs/{name}/overview.png"), DOCS / f"{kind}/{name}.png")
+            shrink(Path(f"runs/{name}/overview.png"), DOCS / f"{kind}/{name}.png", WIDTH, COLOURS)
         os.chdir(DOCS)
 
 

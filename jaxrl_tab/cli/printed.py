@@ -44,4 +44,4 @@ def _print_rows(out: Console, table: Table, headings: list[str]) -> None:
 
 
 def _plain(text: Any) -> str:
-    return Text.from_markup(str(text)).plain
+    return Text.from_markup(str(text), emoji=False).plain  # `harmonic:100:visit` holds none

@@ -55,6 +55,9 @@ def sweep(
     Seed i has the key `fold_in(key(seed), i)` in every configuration: common random numbers, which pair the
     configurations. What a run gives depends on that key and on its hyperparameters alone, bitwise.
 
+    It is one method, with as many seeds as it is told. To compare methods on as many seeds as it takes until all is
+    decided, an experiment knows them all: `run(Experiment(env, methods, until_decided=True)).verdicts`, with no folder.
+
     Args:
         env: the environment.
         algorithm: a class such as `Sarsa`, or its name: "sarsa", "mine.py:Mine" (see `core.names`). It may also

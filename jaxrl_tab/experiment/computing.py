@@ -1,6 +1,7 @@
 """The shards of an experiment that are missing are computed, and results collected from all of them."""
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -33,11 +34,11 @@ def compute(
     origin: Origin,
 ) -> bool:
     """Computes the shards that are not there; whether there were any. `later`: see `Meter.begin`."""
-    lacking = missing(store, job)
+    lacking, all_shards, parts = missing(store, job), job.shards, job.parts
     if lacking:
         origin.check(store.path)
     for number in lacking:
-        if number in store.shards and _is_of_setting(store, job, number):
+        if number in store.shards and store.shards[number].setting == job.setting(all_shards[number]):
             store.leave_out(number)
     warn_of_damage(store)
     clock = speeds.Clock()
@@ -45,16 +46,17 @@ def compute(
     # Where it stops, the workers do.
     with _heard(meter.underway), contextlib.closing(executor.run(job, lacking)) as finished:
         for number, arrays in finished:
-            part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
-            largest = part.largest_values[runs(part, job.shards[number]) // part.num_seeds]
+            shard, sums = all_shards[number], (arrays["returns"], arrays["rewards"])
+            part = parts[shard.part]
+            largest = part.largest_values[runs(part, shard) // part.num_seeds]
             diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
-            setting = job.setting(job.shards[number])
-            store.write(number, arrays, diverged, setting, origin.name)
+            store.write(number, arrays, diverged, job.setting(shard), origin.name)
             let_go()
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
             if isinstance(executor, Local):  # others may have other machines
-                shard = job.shards[number]
                 clock.finished(part, shard.program, shard.runs, *map(float, arrays["seconds"]))
+    if lacking:
+        store.write_manifest()
     clock.keep()
     return bool(lacking)
 
@@ -70,30 +72,27 @@ def _heard(underway: Callable[[int, int], None]) -> Iterator[None]:
 
 
 def missing(store: Store, job: Sharded) -> list[int]:
-    """The numbers of the shards that are to be computed."""
-    return [number for number, shard in job.shards.items() if not _has_shard(store, job, number, shard)]
+    """The numbers of the shards that are to be computed.
 
-
-def _has_shard(store: Store, job: Sharded, number: int, shard: Shard) -> bool:
-    """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give.
-
-    It may lack what an earlier version did not record.
+    Those that are there are of the setting that is chosen now, and of the shapes that their runs give. They may lack
+    what an earlier version did not record.
     """
-    if number not in store.shards or not _is_of_setting(store, job, number):
-        return False
-    expected, found = _shapes(job.parts[shard.part], shard), store.shapes(number)
-    return {**{name: expected[name] for name in LATER & expected.keys()}, **found} == expected
+    parts, lacking = job.parts, []
+    shapes = functools.cache(lambda part, program, runs: _shapes(parts[part], program, runs))
+    for number, shard in job.shards.items():
+        if number not in store.shards or store.shards[number].setting != job.setting(shard):
+            lacking.append(number)
+            continue
+        expected, found = shapes(shard.part, shard.program, shard.runs), store.shapes(number)
+        if found != expected and {**{x: expected[x] for x in LATER & expected.keys()}, **found} != expected:
+            lacking.append(number)
+    return lacking
 
 
-def _is_of_setting(store: Store, job: Sharded, number: int) -> bool:
-    """Whether a shard that is there is of the setting that is chosen now, if it is one of fresh seeds."""
-    return store.shards[number].setting == job.setting(job.shards[number])
-
-
-def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
-    """(shape, dtype) of each array of a shard."""
-    arrays = named(*part.needs[shard.program].results)
-    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in arrays.items()}
+def _shapes(part: Part, program: int, runs: int) -> dict[str, tuple[Any, Any]]:
+    """(shape, dtype) of each array of a shard with so many runs of a program."""
+    arrays = named(*part.needs[program].results)
+    shapes = {name: ((runs, *x.shape), x.dtype) for name, x in arrays.items()}
     return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
@@ -105,19 +104,22 @@ def collect(
     What some shards of a part lack, which an earlier version wrote, the results lack.
     What does not fit in `room`, in bytes, is in temporary files; see `memory.Results`.
     """
-    datasets = {}
-    for name in names:
-        computed, room = collected(store, job, name, room)
+    datasets, shards_of = {}, {name: {} for name in names}
+    for number, shard in job.shards.items():
+        if shard.part in shards_of:
+            shards_of[shard.part][number] = shard
+    for name, own in shards_of.items():
+        computed, room = collected(store, job.parts[name], own, room)
         datasets[name] = result(job.parts[name], computed).to_xarray()
     return datasets, room
 
 
-def collected(store: Store, job: Sharded, name: str, room: int) -> tuple[Computed, int]:
+def collected(store: Store, part: Part, own: Mapping[int, Shard], room: int) -> tuple[Computed, int]:
     """What all runs of a part gave, from its shards, which are all there; and how much of `room` is left."""
-    part, results, seconds = job.parts[name], None, np.zeros(2)
-    own = {number: shard for number, shard in job.shards.items() if shard.part == name}
+    results, seconds = None, np.zeros(2)
+    some = next(iter(own.values()))
     # Only these may be lacking: for others no shard is opened twice.
-    later = LATER & _shapes(part, next(iter(own.values()))).keys()
+    later = LATER & _shapes(part, some.program, some.runs).keys()
     lacking = {key for key in later if any(key not in store.shapes(number) for number in own)}
     for number, shard in own.items():
         arrays = {key: x for key, x in store.read(number).items() if key not in lacking}

@@ -351,7 +351,7 @@ def _about(
         "finished": timestamp(),
         **({"interrupted": f"{sessions - grown} times"} if sessions > grown else {}),
         **({"history": added} if grown > 1 else {}),
-        **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
+        **({"mixed": mixed} if len(origins) > 1 and (mixed := mixture(computed)) else {}),
         "versions": {x: surroundings[x] for x in packages if x in surroundings}
         | {"python": session.get("python")},
         "XLA flags": surroundings["XLA_FLAGS"],

@@ -425,7 +425,7 @@ def _found(
 
         def computed(stage: searching.Stage) -> Computed:
             compute(store, stage, Local(), meter, {}, origin)
-            return collected(store, stage, stage.name, room)[0]
+            return collected(store, stage.part, stage.shards, room)[0]
 
         under_way = searching.Searching(search, folder, limit, computed)
         with session(store, records, command, libraries, ()):
