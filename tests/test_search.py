@@ -66,7 +66,6 @@ def assert_goes_on(method, unit, stages, by="auto"):
 
 
 def test_a_run_that_goes_on_is_the_run_that_is_made_at_once():
-    """Broken once: it goes on at step 0; with the return so far forgotten -> fails."""
     assert_goes_on("n-step-sarsa", "num_steps", (40, 80, 160))
 
 
@@ -103,7 +102,6 @@ def test_what_a_search_takes_is_known_before():
 
 
 def test_a_budget_says_how_many_settings_are_drawn():
-    """Broken once: one draw more than it allows -> fails."""
     search = wanted(draws=None, budget=10_000)
     assert search.work("sarsa") <= 10_000 < wanted(draws=search.settings("sarsa") // 2 + 1).work("sarsa")
 
@@ -145,7 +143,6 @@ def until(whole, length, places):
 
 
 def test_rungs_choose_as_a_plain_loop_over_whole_runs_does(whole):
-    """Broken once: the worst go on; settings in another order than their runs -> fails."""
     found = searched(wanted())
     left, by_hand = list(range(6)), []
     for k, (length, keep) in enumerate([(40, 2), (120, 2), (360, 1)]):
@@ -162,7 +159,7 @@ def test_rungs_choose_as_a_plain_loop_over_whole_runs_does(whole):
 
 
 def test_more_seeds_are_the_seeds_that_follow(whole):
-    """All runs have full length; the last rung has all seeds. Broken once: the same seeds twice -> fails."""
+    """All runs have full length; the last rung has all seeds."""
     found = searched(wanted(grow="seeds", rungs=2, one_in=2))
     first, last = ([x for x in found.tried if x.rung == k] for k in (0, 1))
     ds = until(whole, 360, list(range(6)))
@@ -214,7 +211,6 @@ def folder(tmp_path_factory):
 
 
 def test_what_was_found_is_run_on_seeds_that_had_no_part_in_the_choice(folder):
-    """Broken once: the search on seeds from 0 on -> fails."""
     found = rl.Experiment.load(folder / "experiment.toml")
     assert found.seeds == 3 and found.first_seed == 0
     ds = xr.open_datatree(folder / "results.nc")["sarsa"]
@@ -225,7 +221,7 @@ def test_what_was_found_is_run_on_seeds_that_had_no_part_in_the_choice(folder):
 
 
 def test_an_interrupted_search_goes_on_with_the_same_bits(folder, tmp_path, monkeypatch):
-    """Killed at each stage. Broken once: where runs are in the end not kept -> fails."""
+    """Killed at each stage."""
     call, calls = searching.Stage.__call__, []
 
     def stop(stage, number):
@@ -290,7 +286,6 @@ def asked(rounds, file=None):
 
 
 def test_optuna_proposes_what_it_proposed_before_and_learns(tmp_path):
-    """Broken once: random numbers that go on from round to round, or are other ones in each process -> fails."""
     in_memory, on_disk = list(asked(3)), list(asked(3, tmp_path / "optuna.log"))
     assert in_memory == on_disk and in_memory[0] != in_memory[1]
     assert in_memory[2] == list(asked(3))[2]
@@ -308,7 +303,7 @@ def test_optuna_proposes_what_it_proposed_before_and_learns(tmp_path):
 
 
 def test_a_search_by_optuna_is_asked_again_where_it_was_interrupted(tmp_path):
-    """Whatever is left in its storage. Broken once: the storage is gone on with -> fails."""
+    """Whatever is left in its storage."""
     search = wanted(sampler="optuna", rounds=2, draws=8, rungs=2)
     whole = searched(search)
     (tmp_path / searching.STUDIES).write_text("not what it was")
