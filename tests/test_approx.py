@@ -80,6 +80,10 @@ def test_features_of_counted_states_are_worked_out_beforehand():
     for s in range(7):
         np.testing.assert_array_equal(rows(jnp.int32(s)).ones, own(jnp.asarray([float(s)])).ones)
     assert rows.matrix.sum(1).tolist() == [2] * 7
+    grid = read("aggregation((7, 2))").fitted(
+        rl.WindyGridworld()
+    )  # of rows, and of the two halves of columns
+    np.testing.assert_array_equal(grid.numbers[:, 0], [2 * (s // 10) + (s % 10 > 4) for s in range(70)])
     given = approx.Rows(np.eye(7)[:, ::-1])
     assert given.fitted(walk) == given
     assert approx.Rows(np.eye(7)) != given
@@ -300,6 +304,9 @@ REFUSED = {
     ),
     "number 0 of what is observed of a state is between -1.2 and 0.5": lambda: train(
         approx.SemiGradientSarsa(features="tile-coding(8, 8, low=(-1, -1), high=(1, 1))")
+    ),
+    "tile-coding(8, 5000) are 200,080,008 features, and at most 16,777,216 are possible": lambda: train(
+        approx.SemiGradientSarsa(features="tile-coding(8, 5000)")
     ),
     "features of 7 states were given, and the task has 70": lambda: train(
         approx.SemiGradientSarsa(features=np.eye(7)), rl.WindyGridworld()

@@ -1,7 +1,5 @@
 """The mountain car (book, example 10.1; Moore 1990)."""
 
-from typing import ClassVar
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
@@ -28,11 +26,11 @@ class MountainCar(Shown):
 
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
-    num_states: ClassVar[int] = 0
-    num_actions: ClassVar[int] = 3
-    low: ClassVar[tuple[float, ...]] = (-1.2, -0.07)
-    high: ClassVar[tuple[float, ...]] = (GOAL, 0.07)
-    action_names: ClassVar[tuple[str, ...]] = ("back", "none", "forward")
+    num_states = 0  # they cannot be counted
+    num_actions = 3
+    low = (-1.2, -0.07)
+    high = (GOAL, 0.07)
+    action_names = ("back", "none", "forward")
 
     def reset(self, key: Key[Array, ""]) -> Float[Array, " 2"]:
         u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(float) * 2**-24

@@ -4,8 +4,8 @@ Features are the numbers of which approximate values are a linear function (book
 Called with what is observed of a state, they give what `linear` reads and changes values by: the few features that are
 1 where all others are 0, or all n of them.
 
-What is observed of a state are the numbers that it is; of a task whose states are counted, the number of the state, or
-its row and column in a grid (`declared.OfEnvironment`). They lie in a range, which the environment knows, and from
+What is observed of a state are the numbers that it is; in a grid its row and its column; and else, where states are
+counted, the number of the state (`declared.OfEnvironment`). They lie in a range, which the environment knows, and from
 which features are made: `fitted` fills it in. Where states are counted, `fitted` also works out the features of all of
 them, once, in float64.
 """
@@ -28,7 +28,7 @@ from jaxrl_tab.core.errors import InputError, is_whole, unfit
 from jaxrl_tab.core.linear import Active, X
 from jaxrl_tab.core.pytree import checked_dataclass, static
 
-MOST = 2**24  # features, and weights of each action: more are surely a mistake
+MOST = 2**24  # features: more are surely a mistake
 RANGE = "of each number that is observed; by default those of the environment."
 OF_RANGE = ("low", "high", "outside")
 
@@ -70,6 +70,9 @@ class Features:
             InputError: they are not features of what is observed there.
         """
         own = self.ranged(*observed_range(env)) if self.needs_range else self
+        if own.size > MOST:
+            problem = f"{self} are {own.size:,} features, and at most {MOST:,} are possible: take fewer along a number"
+            raise InputError(problem, who=type(self).__name__)
         return Rows.of(own, env) if env.num_states else own
 
     def ranged(self, low: tuple[float, ...], high: tuple[float, ...]) -> Self:
@@ -164,34 +167,28 @@ class Ranged(Features):
             if len(self.low) != len(self.high):
                 problem = f"low are {len(self.low)} numbers, and high are {len(self.high)}"
                 raise InputError(problem, who=who, field="high")
-            if (
-                i := next(
-                    (i for i, (a, b) in enumerate(zip(self.low, self.high, strict=True)) if a >= b), None
-                )
-            ) is not None:
-                problem = (
-                    f"high must be above low, and number {i} is {self.high[i]:g}, not above {self.low[i]:g}"
-                )
-                raise InputError(problem, who=who, field="high")
+            for i, (a, b) in enumerate(zip(self.low, self.high, strict=True)):
+                if a >= b:
+                    problem = f"high must be above low, and number {i} is {b:g}, not above {a:g}"
+                    raise InputError(problem, who=who, field="high")
+
+    @property
+    def ends(self) -> list[tuple[float, float]]:
+        """The least and the largest of each number."""
+        if self.low is None or self.high is None:
+            problem = "which numbers are observed is not known: give low and high"
+            raise InputError(problem, who=type(self).__name__)
+        return list(zip(self.low, self.high, strict=True))
 
     @property
     def dimensions(self) -> int:
         """d, how many numbers are observed."""
-        if self.low is None or self.high is None:
-            raise InputError(
-                "which numbers are observed is not known: give low and high", who=type(self).__name__
-            )
-        return len(self.low)
+        return len(self.ends)
 
     def scaled(self, observed: Any) -> list[Any]:
         """Each number, moved so that its range is [0, 1]; one outside is moved to the end of it."""
-        if self.low is None or self.high is None:
-            raise InputError(
-                "which numbers are observed is not known: give low and high", who=type(self).__name__
-            )
-        # The loop gives what was stepped to, which rounding may carry over an end, so all are clipped.
-        ranges = enumerate(zip(self.low, self.high, strict=True))
-        return [jnp.clip((observed[i] - a) * (1 / (b - a)), 0, 1) for i, (a, b) in ranges]
+        # Rounding may carry a number over an end, so all are clipped.
+        return [jnp.clip((observed[i] - a) * (1 / (b - a)), 0, 1) for i, (a, b) in enumerate(self.ends)]
 
 
 class Rows(Features):

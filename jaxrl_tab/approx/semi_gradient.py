@@ -18,7 +18,6 @@ from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.approx.features import OneHot, read
-from jaxrl_tab.approx.observed import Features
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import goes_by_visit
@@ -42,7 +41,7 @@ PER_TILING = (
 class Linear:
     """What a method has whose values are linear in features."""
 
-    features: Features | str = static(default="one-hot", help=OF_FEATURES)
+    features: Any = static(default="one-hot", help=OF_FEATURES)
     per_tiling: bool = static(default=False, help=PER_TILING)
 
     def __post_init__(self):
@@ -50,7 +49,6 @@ class Linear:
             assign(self, features=read(self.features))
         except InputError as error:
             raise error.renamed(type(self).__name__, "features") from None
-        assert isinstance(self.features, Features)
         if self.per_tiling and self.features.active is None:
             problem = f"features {self.features} are not 1 or 0, so alpha cannot be divided by how many are 1"
             raise InputError(problem, who=type(self).__name__, field="per_tiling")
@@ -102,7 +100,7 @@ class SemiGradientControl(Linear, TDControl):
         return super().restricted_to(available, q0=self.q0, **more)
 
     def initial(self, num_states: int, num_actions: int) -> Float[Array, "n A"]:
-        features: Any = self.features
+        features = self.features
         if isinstance(features, OneHot):
             return super().initial(num_states, num_actions)
         unit = np.zeros(features.size) if features.unit is None else features.unit
@@ -110,13 +108,11 @@ class SemiGradientControl(Linear, TDControl):
         return jnp.broadcast_to(w[:, None], (features.size, num_actions))
 
     def x(self, s: State) -> X:
-        features: Any = self.features
-        return features(s)
+        return self.features(s)
 
     @property
     def nowhere(self) -> X:
-        features: Any = self.features
-        return features.nowhere
+        return self.features.nowhere
 
     def row(self, state: Any, s: State) -> Float[Array, " A"]:
         row = super().row(state, s)
@@ -125,9 +121,8 @@ class SemiGradientControl(Linear, TDControl):
         return jnp.where(tables.row(jnp.asarray(available, float), s) > 0, row, policies.UNAVAILABLE)
 
     def step_size(self, state: Learner, t: Transition) -> Float[Array, ""] | float:
-        features: Any = self.features
         alpha = super().step_size(state, t)
-        return alpha / features.active if self.per_tiling else alpha
+        return alpha / self.features.active if self.per_tiling else alpha
 
 
 @pytree

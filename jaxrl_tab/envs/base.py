@@ -156,6 +156,18 @@ class Grid(Finite):
         return (Panel("", np.arange(self.num_states).reshape(self.shape), rows, columns),)
 
     @property
+    def low(self) -> tuple[float, ...]:
+        return (0.0, 0.0)
+
+    @property
+    def high(self) -> tuple[float, ...]:
+        return tuple(float(n - 1) for n in self.shape)
+
+    def observation(self, s: Int[Array, ""]) -> Float[Array, " 2"]:
+        """The row and the column of a cell, float [2]: what features are made of (see `approx`)."""
+        return jnp.stack([s // self.shape[1], s % self.shape[1]]).astype(float)
+
+    @property
     def starts(self) -> tuple[tuple[int, int], ...]:
         """The cells in which episodes start, each equally likely."""
         return (self.start,)
