@@ -151,8 +151,8 @@ def check_tuple(obj: Any, name: str, wanted: str, least: int | None = None) -> N
 class Ranged(Features):
     """Features of numbers in a range."""
 
-    low: tuple[float, ...] | None = static(default=None, kw_only=True, help=f"The least {RANGE}")
-    high: tuple[float, ...] | None = static(default=None, kw_only=True, help=f"The largest {RANGE}")
+    low: tuple[float, ...] | float | None = static(default=None, kw_only=True, help=f"The least {RANGE}")
+    high: tuple[float, ...] | float | None = static(default=None, kw_only=True, help=f"The largest {RANGE}")
     outside: Literal["error", "clip"] = static(
         default="error",
         kw_only=True,
@@ -162,12 +162,14 @@ class Ranged(Features):
     def __post_init__(self):
         for name in ("low", "high"):
             check_tuple(self, name, "finite numbers")
-        if self.low and self.high:
+        low: Any = self.low  # a tuple now, where it is given
+        high: Any = self.high
+        if low and high:
             who = type(self).__name__
-            if len(self.low) != len(self.high):
-                problem = f"low are {len(self.low)} numbers, and high are {len(self.high)}"
+            if len(low) != len(high):
+                problem = f"low are {len(low)} numbers, and high are {len(high)}"
                 raise InputError(problem, who=who, field="high")
-            for i, (a, b) in enumerate(zip(self.low, self.high, strict=True)):
+            for i, (a, b) in enumerate(zip(low, high, strict=True)):
                 if a >= b:
                     problem = f"high must be above low, and number {i} is {b:g}, not above {a:g}"
                     raise InputError(problem, who=who, field="high")
@@ -175,10 +177,12 @@ class Ranged(Features):
     @property
     def ends(self) -> list[tuple[float, float]]:
         """The least and the largest of each number."""
-        if self.low is None or self.high is None:
+        low: Any = self.low
+        high: Any = self.high
+        if low is None or high is None:
             problem = "which numbers are observed is not known: give low and high"
             raise InputError(problem, who=type(self).__name__)
-        return list(zip(self.low, self.high, strict=True))
+        return list(zip(low, high, strict=True))
 
     @property
     def dimensions(self) -> int:
