@@ -4,6 +4,7 @@ Its modules, from the ground up:
 
     places     where in a TOML file something is wrong
     instances  environments and methods that are given as instances
+    tasks      what an environment has of its own: the length of its runs, and gamma
     sources    the copies of the files that somebody's own classes and tables are in
     resolve    from what a person wrote to environments, methods and values
     spec       an experiment as data: environments x methods x hyperparameters x seeds

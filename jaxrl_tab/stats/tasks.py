@@ -16,6 +16,8 @@ from jaxrl_tab.stats.bootstrap import RESAMPLES, bootstrap_interval, iqm_interva
 from jaxrl_tab.stats.columns import Methods
 from jaxrl_tab.stats.measures import optimum
 
+CUT_OFF = 1e-3  # how much what comes after the time limit of a task without an end may count, gamma^max_steps
+
 
 class Tasks(NamedTuple):
     """Methods over several tasks, each at its best setting in each.
@@ -67,7 +69,8 @@ def across_tasks(methods: Mapping[str, Methods], confidence: float = 0.95) -> Ta
     The tasks are those that there are, and not drawn from any: intervals tell of other seeds, not of other tasks. The
     settings were chosen on these seeds, which flatters methods with many of them; of fresh seeds (`select`) they are
     not. What is called random is exact, as the optimum is. `performance_profile(tasks.scores, thresholds,
-    within="environment")` has the whole distribution.
+    within="environment")` has the whole distribution. Of a task that does not end the return is that of an episode up
+    to its time limit, where what comes later hardly counts: gamma^max_steps is at most a thousandth.
 
     Args:
         methods: the methods of each environment, such as `Outcome.methods` or `Outcome.fresh_methods`.
@@ -80,8 +83,8 @@ def across_tasks(methods: Mapping[str, Methods], confidence: float = 0.95) -> Ta
     scores: dict[str, dict[str, xr.DataArray]] = {}
     left_out = {}
     for label, own in methods.items():
-        if own.env is None or own.prediction or own.continuing:
-            left_out[label] = "it has no returns from the start to an end, or is not known"
+        if why := _without_a_scale(own):
+            left_out[label] = why
             continue
         for name, settings in own.settings.items():
             best = float(optimum(settings.ds.sel(settings.best)))
@@ -118,6 +121,19 @@ def across_tasks(methods: Mapping[str, Methods], confidence: float = 0.95) -> Ta
         mean_improvement(x, "seed", "environment", confidence),
         left_out,
     )
+
+
+def _without_a_scale(own: Methods) -> str | None:
+    """Why the methods of an environment have no returns that the exact values of its start are a scale for."""
+    if own.env is None or own.prediction:
+        return "it has no returns from the start to an end, or is not known"
+    gammas = [float(settings.chosen.get("gamma", 1.0)) for settings in own.settings.values()]
+    if own.continuing and max(gammas, default=1.0) ** own.env.max_steps > CUT_OFF:
+        return (
+            f"it has no end, and what comes after its {own.env.max_steps} steps counts: take a smaller gamma, or larger "
+            "max_steps"
+        )
+    return None
 
 
 def mean_rank(
