@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from jaxrl_tab.cli.fitting import print_over_tasks
 from jaxrl_tab.cli.streams import console, print_json, too_narrow
 from jaxrl_tab.cli.typed import words
 from jaxrl_tab.experiment import files, storage
@@ -118,13 +119,8 @@ def _print_tasks(outcome: files.Outcome) -> None:
         tasks = outcome.tasks
     if tasks is None:
         return
-    out, view = console(), Table(*over_tasks.head(tasks))
-    for column in view.columns[1:]:
-        column.justify = "right"
-    for row in over_tasks.rows(tasks):
-        view.add_row(*map(escape, row))
-    out.print(f"[bold]over {tasks.scores.sizes['environment']} environments[/]")
-    out.print(view)
+    out = console()
+    print_over_tasks(out, tasks)
     for line in over_tasks.notes(tasks, outcome.fresh.keys() == outcome.datasets.keys()):
         out.print(line, markup=False)
 

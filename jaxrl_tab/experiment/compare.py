@@ -35,9 +35,9 @@ def compare(first: Any, *others: Any, confidence: float = 0.95) -> "Comparison":
     in common: see `stats.ranking`.
 
     Args:
-        first: a folder of results, a file of them (`results.nc`), a table as `read` takes it, a file of scores (.npz, see
-            `experiment.scores`), or what `run`, `resume`, `sweep` or `read` returned. Folders are only looked at; of one
-            that is not finished what is there counts.
+        first: a folder of results, a file of them (`results.nc`), a table as `read` takes it, a file of scores
+            (.npz, see `experiment.scores`), or what `run`, `resume`, `sweep` or `read` returned. Folders are only
+            looked at; of one that is not finished what is there counts.
         others: the same, one or more, each of which is compared with the first.
         confidence: of all comparisons together.
 
@@ -71,7 +71,7 @@ def compare(first: Any, *others: Any, confidence: float = 0.95) -> "Comparison":
         on_fresh = [
             n
             for n in a.fresh
-            if n in b.fresh and (n in alike or n not in both and is_same_task(a.fresh[n], b.fresh[n]))
+            if n in b.fresh and (n in alike or (n not in both and is_same_task(a.fresh[n], b.fresh[n])))
         ]
         fresh = {n: (Settings(a.fresh[n]), Settings(b.fresh[n])) for n in on_fresh}
         rankings.append(_ranking(a, b, confidence))
@@ -108,8 +108,8 @@ def _ranking(a: Side, b: Side, confidence: float) -> "Ranking | str | None":
         return None
     if not other:
         return (
-            f"{b.name} has no fresh seeds, on which {a.name} has its scores: write [select] into its file, as there, and "
-            "run it again"
+            f"{b.name} has no fresh seeds, on which {a.name} has its scores: write [select] into its file, as there, "
+            "and run it again"
         )
     methods: list[dict[str, dict[str, xr.Dataset]]] = [{}, {}]
     for own, datasets in zip(methods, (one, other), strict=True):

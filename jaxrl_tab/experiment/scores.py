@@ -1,7 +1,7 @@
 """The scores of an experiment in one small file, by which other methods are ranked without computing it again.
 
-A folder of results is large. What a ranking needs of it is a number for each run of a chosen setting on its fresh seeds,
-and what these runs were. Nothing in such a file is taken for granted when it is read.
+A folder of results is large. What a ranking needs of it is a number for each run of a chosen setting on its fresh
+seeds, and what these runs were. Nothing in such a file is taken for granted when it is read.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """What an environment has of its own in an experiment, beside its parameters: the length of its runs, and gamma.
 
-How long it takes to learn a task, and how its rewards are discounted, belongs to the task. So a table [[environment]] may
-say it, in place of what the experiment and the methods say for all others.
+How long it takes to learn a task, and how its rewards are discounted, belongs to the task. So a table [[environment]]
+may say it, in place of what the experiment and the methods say for all others.
 """
 
 import dataclasses
@@ -57,7 +57,7 @@ def check(
     methods: Sequence[Mapping[str, Any]],
     steps: int | None,
 ) -> None:
-    """Raises InputError where an environment has a length in another unit than the experiment, or a gamma beside others."""
+    """Raises InputError where an environment has a length in another unit than all, or a gamma beside a grid of them."""
     other = "episodes" if steps is not None else "steps"
     several = [
         table["label"]

@@ -24,9 +24,9 @@ def sentences(ranking: Ranking) -> Iterator[str]:
         alone = sum(place.better == len(others) for place in own)
         yield (
             f"{title_of(name)} is number {names.index(name) + 1} of {len(names)} by its mean rank over {environments} "
-            f"environments, {number(rank[0], 2)} ({number(rank[1], 2)} to {number(rank[2], 2)}): in a comparison of runs "
-            f"it wins more often than it loses against {int((beats[1] > 0.5).sum())} of the other {len(others)}, and less "
-            f"often against {int((beats[2] < 0.5).sum())}. It is better than all of them in "
+            f"environments, {number(rank[0], 2)} ({number(rank[1], 2)} to {number(rank[2], 2)}): of two runs its own is "
+            f"more often the better one beside {int((beats[1] > 0.5).sum())} of the other {len(others)}, and more often "
+            f"the worse one beside {int((beats[2] < 0.5).sum())}. It is better than all of them in "
             f"{counted(alone, 'environments')}, and worse than some in "
             f"{counted(sum(place.worse > 0 for place in own), 'environments')}."
         )
@@ -36,8 +36,8 @@ def notes(ranking: Ranking) -> Iterator[str]:
     """What a reader of the tables must know, in sentences."""
     yield from over_tasks.notes(ranking.tasks, ranking.on_fresh)
     yield (
-        f"All have the same {ranking.seeds} seeds. Better and worse: than how many of the others, by differences seed by "
-        "seed, corrected for all of them in all environments together (Holm)."
+        f"All have the same {ranking.seeds} seeds. Better and worse: than how many of the others, by differences seed "
+        "by seed, corrected for all of them in all environments together (Holm)."
     )
 
 

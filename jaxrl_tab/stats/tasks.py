@@ -130,8 +130,8 @@ def _without_a_scale(own: Methods) -> str | None:
     gammas = [float(settings.chosen.get("gamma", 1.0)) for settings in own.settings.values()]
     if own.continuing and max(gammas, default=1.0) ** own.env.max_steps > CUT_OFF:
         return (
-            f"it has no end, and what comes after its {own.env.max_steps} steps counts: take a smaller gamma, or larger "
-            "max_steps"
+            f"it has no end, and what comes after its {own.env.max_steps} steps counts: take a smaller gamma, or "
+            "larger max_steps"
         )
     return None
 
