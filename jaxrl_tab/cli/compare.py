@@ -36,10 +36,11 @@ ROWS = 60  # of a table for people, at most: those that are the same go first
 class Compare:
     """Results beside others: what differs, what is the same to the last bit, and what is better or worse.
 
-    Methods that only the others have are ranked among those of A, over the environments that both have. A is the first folder; each of the others is compared with it. Of settings that both have it counts the runs that
-    are the same to the last bit, as they should be where only the machine, the executor or the backend is another one.
-    Where they are not, scores are compared on the seeds that both have, seed by seed, and all comparisons are corrected
-    together (Holm). Of a sweep that is not finished what is there is compared. Folders are only looked at.
+    Methods that only the others have are ranked among those of A, over the environments that both have. A is the first
+    folder; each of the others is compared with it. Of settings that both have it counts the runs that are the same to
+    the last bit, as they should be where only the machine, the executor or the backend is another one. Where they are
+    not, scores are compared on the seeds that both have, seed by seed, and all comparisons are corrected together
+    (Holm). Of a sweep that is not finished what is there is compared. Folders are only looked at.
 
     Exit code with --fail-if-worse: 1 where anything is worse than in A; else 2 where something of A could not be
     compared; else 0.
@@ -52,8 +53,8 @@ class Compare:
       jaxrl-tab compare benchmarks/suite.npz runs/mine
 
     Attributes:
-        folders: Two or more folders of sweeps: what --out named; their results.nc; tables as `read` takes them; or scores that
-            were kept (.npz).
+        folders: Two or more folders of sweeps: what --out named; their results.nc; tables as `read` takes them; or
+            scores that were kept (.npz).
         fail_if_worse: End with exit code 1 where anything is worse than in the first folder.
         html: New file for a page that shows all of it.
         json: Print JSON.

@@ -30,7 +30,7 @@ def print_fitting(
         left_out.append(names[column])
     out.print(table(shown))
     if left_out:
-        out.print(f"In a wider window the table has: {'; '.join(left_out)}.", markup=False)
+        out.print(f"In a wider window the table has: {'; '.join(dict.fromkeys(left_out))}.", markup=False)
 
 
 def print_over_tasks(

@@ -21,6 +21,7 @@ Its modules, from the ground up:
     painter    a process beside this one that draws pictures
     files      the files of results in the folder
     reading    results that other tools computed
+    scores     the scores of an experiment in one small file, by which others are ranked
     sides      results that are to be compared, from wherever they are
     compare    results of experiments side by side
     runner     an experiment in a folder: `run` and `resume`

@@ -118,7 +118,7 @@ def _ranking(a: Side, b: Side, confidence: float) -> "Ranking | str | None":
             own.setdefault(label, {})[method] = ds.sel(Settings(ds).best)
     envs = known_environments(a.experiment) | known_environments(b.experiment)
     try:
-        return ranking(*methods, envs, on_fresh, confidence)
+        return ranking(methods[0], methods[1], envs, on_fresh, confidence)
     except InputError as error:
         return f"the methods that only {b.name} has cannot be ranked: {error}"
 

@@ -71,7 +71,7 @@ def save(
     arrays = {"score": np.stack([score(fresh[name]).values for name in names]), "diverged": np.stack(lost)}
     arrays |= {"seed": seeds, "about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
     with io.BytesIO() as data:
-        np.savez_compressed(data, **arrays)
+        np.savez_compressed(data, **arrays)  # pyright: ignore[reportArgumentType]
         storage.write(file, data.getvalue())
 
 

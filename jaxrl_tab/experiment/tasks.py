@@ -57,7 +57,7 @@ def check(
     methods: Sequence[Mapping[str, Any]],
     steps: int | None,
 ) -> None:
-    """Raises InputError where an environment has a length in another unit than all, or a gamma beside a grid of them."""
+    """Raises InputError where an environment has a length in another unit, or a gamma beside a grid of them."""
     other = "episodes" if steps is not None else "steps"
     several = [
         table["label"]

@@ -18,17 +18,17 @@ def sentences(ranking: Ranking) -> Iterator[str]:
     names = over_tasks.order(tasks)
     for name in ranking.new:
         others = [other for other in names if other not in ranking.new]
-        beats = [part.sel(method=name, other=others).values for part in tasks.improvement[:3]]
-        rank = [float(part.sel(method=name)) for part in tasks.mean_rank[:3]]
+        beats = [part.sel({"method": name, "other": others}).values for part in tasks.improvement[:3]]
+        rank = [float(part.sel({"method": name})) for part in tasks.mean_rank[:3]]
         own = [place for place in ranking.places if place.method == name]
         alone = sum(place.better == len(others) for place in own)
+        more, less = int((beats[1] > 0.5).sum()), int((beats[2] < 0.5).sum())
+        where = f"number {names.index(name) + 1} of {len(names)} by its mean rank over {environments} environments"
         yield (
-            f"{title_of(name)} is number {names.index(name) + 1} of {len(names)} by its mean rank over {environments} "
-            f"environments, {number(rank[0], 2)} ({number(rank[1], 2)} to {number(rank[2], 2)}): of two runs its own is "
-            f"more often the better one beside {int((beats[1] > 0.5).sum())} of the other {len(others)}, and more often "
-            f"the worse one beside {int((beats[2] < 0.5).sum())}. It is better than all of them in "
-            f"{counted(alone, 'environments')}, and worse than some in "
-            f"{counted(sum(place.worse > 0 for place in own), 'environments')}."
+            f"{title_of(name)} is {where}: {number(rank[0], 2)} ({number(rank[1], 2)} to {number(rank[2], 2)}). Of two "
+            f"runs its own is more often the better one beside {more} of the other {len(others)}, and more often the "
+            f"worse one beside {less}. It is better than all of them in {counted(alone, 'environments')}, and worse "
+            f"than some in {counted(sum(place.worse > 0 for place in own), 'environments')}."
         )
 
 

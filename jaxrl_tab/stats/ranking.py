@@ -85,8 +85,8 @@ def ranking(
         added = {name: ds for name, ds in own.items() if name in names}
         if not added or label not in first:
             continue
-        ones = [next(iter(of.values())) for of in (first[label], added)]
-        if reason := _unlike(*ones, label in envs):
+        one, other = (next(iter(of.values())) for of in (first[label], added))
+        if reason := _unlike(one, other, label in envs):
             why[label] = reason
         else:
             together[label] = {**first[label], **added}
@@ -134,9 +134,11 @@ def _common_seeds(together: Mapping[str, Datasets]) -> np.ndarray:
 
 def _places(scores: xr.DataArray, new: Sequence[str], confidence: float) -> list[Place]:
     others = [name for name in scores.method.values.tolist() if name not in new]
-    beside = scores.sel(method=others)
+    beside = scores.sel({"method": others})
     tests = [
-        paired_difference(scores.sel(method=name, drop=True), beside, confidence=confidence, worst=np.inf)
+        paired_difference(
+            scores.sel({"method": name}, drop=True), beside, confidence=confidence, worst=np.inf
+        )
         for name in new
     ]
     p = xr.concat([test.p.fillna(1) for test in tests], "new").transpose("new", "environment", "method")
@@ -146,10 +148,10 @@ def _places(scores: xr.DataArray, new: Sequence[str], confidence: float) -> list
     for i, name in enumerate(new):
         sign = np.sign(tests[i].interval.estimate.transpose("environment", "method").values)
         told = corrected[i] <= 1 - confidence
-        score, low, high, _ = mean_interval(scores.sel(method=name, drop=True), confidence=confidence)
+        score, low, high, _ = mean_interval(scores.sel({"method": name}, drop=True), confidence=confidence)
         for j, label in enumerate(scores.environment.values.tolist()):
-            here, own = means.sel(environment=label), float(means.sel(method=name, environment=label))
-            best = max(others, key=lambda other: float(here.sel(method=other)))
+            here, own = means.sel(environment=label), float(means.sel({"method": name, "environment": label}))
+            best = max(others, key=lambda other: float(here.sel({"method": other})))
             places.append(
                 Place(
                     name,
@@ -160,7 +162,7 @@ def _places(scores: xr.DataArray, new: Sequence[str], confidence: float) -> list
                     1 + int((here > own).sum()),
                     int((told[j] & (sign[j] > 0)).sum()),
                     int((told[j] & (sign[j] < 0)).sum()),
-                    (best, float(here.sel(method=best))),
+                    (best, float(here.sel({"method": best}))),
                 )
             )
     return places

@@ -83,12 +83,15 @@ def across_tasks(methods: Mapping[str, Methods], confidence: float = 0.95) -> Ta
     scores: dict[str, dict[str, xr.DataArray]] = {}
     left_out = {}
     for label, own in methods.items():
-        if why := _without_a_scale(own):
+        if (env := own.env) is None or own.prediction:
+            left_out[label] = "it has no returns from the start to an end, or is not known"
+            continue
+        if why := _cut_off(own, env):
             left_out[label] = why
             continue
         for name, settings in own.settings.items():
             best = float(optimum(settings.ds.sel(settings.best)))
-            random = random_value(own.env, float(settings.chosen.get("gamma", 1.0)))
+            random = random_value(env, float(settings.chosen.get("gamma", 1.0)))
             try:
                 scaled = normalised(settings.score.sel(settings.best), random, best)
             except InputError as error:
@@ -123,17 +126,15 @@ def across_tasks(methods: Mapping[str, Methods], confidence: float = 0.95) -> Ta
     )
 
 
-def _without_a_scale(own: Methods) -> str | None:
-    """Why the methods of an environment have no returns that the exact values of its start are a scale for."""
-    if own.env is None or own.prediction:
-        return "it has no returns from the start to an end, or is not known"
+def _cut_off(own: Methods, env: Environment) -> str | None:
+    """Why the exact values of the start are no scale for the returns of a task without an end; None where they are."""
     gammas = [float(settings.chosen.get("gamma", 1.0)) for settings in own.settings.values()]
-    if own.continuing and max(gammas, default=1.0) ** own.env.max_steps > CUT_OFF:
-        return (
-            f"it has no end, and what comes after its {own.env.max_steps} steps counts: take a smaller gamma, or "
-            "larger max_steps"
-        )
-    return None
+    if not own.continuing or max(gammas, default=1.0) ** env.max_steps <= CUT_OFF:
+        return None
+    return (
+        f"it has no end, and what comes after its {env.max_steps} steps counts: take a smaller gamma, or larger "
+        "max_steps"
+    )
 
 
 def mean_rank(
