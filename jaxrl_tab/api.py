@@ -3,7 +3,7 @@
 import importlib
 from typing import Any
 
-from jaxrl_tab import algorithms, envs, interop
+from jaxrl_tab import algorithms, approx, envs, interop
 from jaxrl_tab.algorithms import (
     ALGORITHMS,
     PSRL,
@@ -193,6 +193,7 @@ __all__ = [
     "WeightedDoubleQLearning",
     "WindyGridworld",
     "algorithms",
+    "approx",
     "backups",
     "batch",
     "bridge",

@@ -81,8 +81,12 @@ def drawn_here(monkeypatch):
 LEFT_OUT = "it takes long"
 
 
+FURTHER = 4  # one in so many of the further cases of a test is run before anything lands
+
+
 def pytest_addoption(parser):
-    parser.addoption("--slow", action="store_true", help="run the tests that take long, too")
+    parser.addoption("--landing", action="store_true", help="run tests that take long, but few cases of each")
+    parser.addoption("--slow", action="store_true", help="run everything, with all cases")
 
 
 def pytest_configure(config):
@@ -94,22 +98,24 @@ def pytest_collection_modifyitems(items, config):
     order = {f"test_{name}": k for k, name in enumerate(LONG)}
     items.sort(key=lambda item: order.get(item.path.stem, len(LONG)))
     if not config.option.slow:
-        for item in takes_long(items):
+        for item in left_out(items, config.option.landing):
             item.add_marker(pytest.mark.skip(reason=LEFT_OUT))
 
 
-def takes_long(items):
-    """Those that are marked as slow; and of the others of a test that is marked with `one_in(n)` all but the first,
+def left_out(items, landing):
+    """By default those that are slow, and further cases; and of a test that is marked with `one_in(n)` all cases but
 
-    the one n after it, and so on.
+    the first, the one n after it, and so on. Before anything lands only the latter, and of further cases all but the
+    first, the one `FURTHER` after it, and so on.
     """
     seen = Counter()
     for item in items:
-        if item.get_closest_marker("slow"):
+        is_further, one_in = item.get_closest_marker("further"), item.get_closest_marker("one_in")
+        if not landing and (is_further or item.get_closest_marker("slow")):
             yield item
-        elif one_in := item.get_closest_marker("one_in"):
-            test = item.path, item.originalname
-            if seen[test] % one_in.args[0]:
+        elif is_further or one_in:
+            test = item.path, item.originalname, bool(is_further)
+            if seen[test] % (FURTHER if is_further else one_in.args[0]):
                 yield item
             seen[test] += 1
 

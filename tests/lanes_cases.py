@@ -112,6 +112,8 @@ CASES = {
     "rem": each(lax.rem, *ANY_TWO),
     "max": each(lax.max, *WITH_BOOL),
     "min": each(lax.min, *WITH_BOOL),
+    "sin": each(lax.sin, *ONE),
+    "cos": each(lax.cos, *ONE),
     "pow": each(lax.pow, *TWO, (F32, I32)),
     "eq": each(lax.eq, *WITH_BOOL),
     "ne": each(lax.ne, *WITH_BOOL),

@@ -1,4 +1,4 @@
-"""Of many values of a parameter, which are tested at once; the others are tested with --slow."""
+"""Of many values of a parameter, which are tested at once: of the others some before anything lands."""
 
 from collections.abc import Collection, Iterable
 from typing import Any
@@ -7,8 +7,8 @@ import pytest
 
 
 def slow_but(quick: Collection[Any], values: Iterable[Any]) -> list[Any]:
-    """The values for `parametrize`, marked as slow but for those that are quick."""
-    return [x if x in quick else pytest.param(x, marks=pytest.mark.slow) for x in values]
+    """The values for `parametrize`, marked as further cases but for those that are quick."""
+    return [x if x in quick else pytest.param(x, marks=pytest.mark.further) for x in values]
 
 
 def slow_but_first(values: Iterable[Any], number: int = 1) -> list[Any]:

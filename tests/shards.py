@@ -3,12 +3,14 @@
 import os
 import time
 from pathlib import Path
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxrl_tab as rl
+from jaxrl_tab.engine import backend, programs
 
 
 def learn(task):
@@ -56,7 +58,7 @@ def begun_on_ray(task):
     return {"mode": np.array([os.environ.get("RAY_AUTH_MODE", "none")]), "listens": np.array(sorted(listens))}
 
 
-def waits_on_node(task, folder, node):
+def waits_on_node(task, work, folder, node):
     """Tasks wait for ever on this Ray node, and elsewhere until there is one on it."""
     import ray
 
@@ -64,7 +66,19 @@ def waits_on_node(task, folder, node):
         begun(task, folder)
         time.sleep(600)
     the_process(folder, "*")
-    return learn(task)
+    return work(task)
+
+
+def compiles(task, folder):
+    """How many programs were made, and by what; task 0 looks for none, and task 1 waits until it is done."""
+    made, put = [], programs._put
+    if task:
+        the_process(folder, "done")
+    noted = mock.patch.object(programs, "_put", lambda *what: made.append(what) or put(*what))
+    with noted, mock.patch.object(programs, "_found", programs._found if task else lambda *_: None):
+        rl.sweep(rl.make("windy-gridworld"), rl.Sarsa, {"alpha": 0.5}, num_seeds=2, num_steps=101)
+    begun("done", folder)
+    return {"made": np.array(len(made)), "by": np.array(backend.chosen()), "pid": np.array(os.getpid())}
 
 
 def dies(task, folder, deaths):

@@ -32,6 +32,7 @@ from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import runner, shards
 from jaxrl_tab.figures import FIGURES, figure
+from jaxrl_tab.lanes import versions
 from jaxrl_tab.show import rows as of_report
 from jaxrl_tab.stats.columns import Methods
 
@@ -116,7 +117,8 @@ def test_sweep_prints_a_table_and_as_json_the_summary(run, capsys):
     assert main([*argv, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["folder"] is None
-    frame = pd.DataFrame(found["summary"]).drop(columns="steps_per_second").replace({None: np.nan})
+    numbers = [{name: np.nan if x is None else x for name, x in row.items()} for row in found["summary"]]
+    frame = pd.DataFrame(numbers).drop(columns="steps_per_second")
     expected = summary.drop(columns="steps_per_second").replace({np.inf: np.nan})  # JSON has no infinity
     pd.testing.assert_frame_equal(frame, expected, check_dtype=False)
 
@@ -148,7 +150,10 @@ def test_the_table_says_what_its_numbers_rest_on(windy, capsys):
 
 
 def test_a_narrow_window_cuts_no_number(windy, capsys, monkeypatch):
-    """Names are broken before. Broken once: `overflow` as rich has it -> fails."""
+    """Nor a name: where columns have no room, the rows stand one below the other.
+
+    Broken once, each: columns as rich makes them narrower; rows never one below the other -> fails.
+    """
     ds = make_result(windy, np.zeros((70, 4)), seeds=3).to_xarray().isel(alpha=[0, 2])
     methods = Methods({"differential-semi-gradient-sarsa": ds}, windy)
 
@@ -159,12 +164,14 @@ def test_a_narrow_window_cuts_no_number(windy, capsys, monkeypatch):
         screen.print_summary("windy", methods)
         return capsys.readouterr().out
 
-    numbers = lambda out: re.findall(r"\d+\.\d+", "".join(x for x in out.splitlines(True) if "│" in x))
-    wide, narrow = printed(160), printed(48)
-    assert "…" not in narrow and max(map(len, narrow.splitlines())) <= 48
-    assert len(numbers(narrow)) > 6 and not {*numbers(narrow)} - {*numbers(wide)}
-    assert "too narrow" not in narrow
-    assert "The window is too narrow, and cuts columns off" in " ".join(printed(20).split())
+    numbers = lambda out: {*re.findall(r"-?\d+\.\d+", out)}
+    wide, narrow, rows = printed(160), printed(76), printed(40)
+    for out, width in ((narrow, 76), (rows, 40)):
+        assert "…" not in out and max(map(len, out.splitlines())) <= width
+        assert len(numbers(out)) > 6 and numbers(out) <= numbers(wide)
+        assert "differential-semi-gradient-sarsa" in out
+    assert "│" in narrow and "│" not in rows
+    assert "\n  mean return, last tenth: " in rows
 
 
 def test_of_a_task_that_does_not_end_nothing_is_unfinished(windy):
@@ -411,16 +418,20 @@ def test_where_nobody_reads_the_table_the_files_are_written(tmp_path):
     ],
 )
 def test_pictures_are_of_the_formats_that_are_wanted(options, endings, tmp_path, monkeypatch):
-    """And what is resumed has those that are wanted then. Broken once: the formats are not handed on -> fails."""
+    """What is resumed has the same, or those that are wanted then.
+
+    Broken once, each: the formats are not handed on; what is resumed is PNG -> fails.
+    """
     monkeypatch.setattr(plot, "save", lambda figure, file: file.touch())
     out = tmp_path / "run"
     call("sweep windy-gridworld sarsa", *TINY, "--quiet", "--out", str(out), *options.split())
     pictures = {file.suffix for file in out.iterdir()} & {".png", ".svg", ".pdf"}
     assert pictures == endings
     assert {"results.nc", "summary.csv", "report.html"} <= {file.name for file in out.iterdir()}
-    (out / "results.nc").unlink()
-    call("resume", str(out), "--quiet")
-    assert (out / "overview.png").exists()
+    for more, now in (([], endings), (["--formats", "png"], endings | {".png"})):
+        (out / "results.nc").unlink()
+        call("resume", str(out), "--quiet", *more)
+        assert {file.suffix for file in out.iterdir()} & {".png", ".svg", ".pdf"} == now
 
 
 def test_a_sweep_over_several_environments_takes_the_options_of_each(capsys):
@@ -915,6 +926,12 @@ def test_a_defect_is_said_in_one_line_with_the_way_to_its_traceback(monkeypatch,
     said = capsys.readouterr().err
     assert "this is a defect of jaxrl-tab: ZeroDivisionError: by nothing at all; please report it" in said
     assert said.count("\n") == 1
+    monkeypatch.setattr(versions, "JAX", (99, 0))  # where it may well be none
+    assert call("sweep windy-gridworld sarsa") == 1
+    assert re.search(
+        r"nothing at all; JAX [\d.]+ is newer than [\d.]+, the newest known here; please",
+        capsys.readouterr().err,
+    )
 
 
 @pytest.mark.parametrize("words", ["--alpha", "--out x --seeds", "--memory", "--log-every"])

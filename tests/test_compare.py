@@ -219,6 +219,11 @@ def test_of_an_unfinished_folder_what_is_there_is_compared(folder, tmp_path):
     assert "not finished: 1 of 2 shards are there" in beside.notes
     assert [(row.verdict, row.common) for row in beside.rows] == [("same", 24)] * 2
     assert not beside.whole
+    turned = rl.compare(
+        other, folder
+    )  # broken once: only the others are asked whether they are whole -> fails
+    assert not (turned.whole or turned.complete) and turned.others[0].whole
+    assert main(["compare", str(other), str(folder), "--fail-if-worse"]) == 2
     (other / "shards" / "000000.npz").write_bytes(b"damaged")
     refused(lambda: rl.compare(folder, other), f"nothing is finished in {other}", "jaxrl-tab resume")
 
@@ -283,6 +288,8 @@ def test_the_command_says_what_is_worse_and_ends_with_1_if_asked(in_files, tmp_p
         "worse",
     )
     assert 'class="worse"' in page.read_text() and "<script" not in page.read_text()
+    assert "to the right of the line is better" in page.read_text()
+    assert "of the line" not in rl.compare(a, a).page().html  # there is none
     assert main(["compare", worse, a, "--fail-if-worse"]) == 0
     assert main(["compare", a, a, "--html", str(page)]) == 2
     assert "exists already" in capsys.readouterr().err

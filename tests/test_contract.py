@@ -37,7 +37,7 @@ def env_for(name, env):
     return GOES_ON if in_the_long_run(name) else HAS_HORIZON if needs_horizon else env
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(7)
 @pytest.mark.parametrize(("method", "env_name"), pairs())
 def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
     """Bitwise: runs among others, and in another order. (On one device and on two: see test_batch.)
@@ -143,7 +143,7 @@ def test_no_policy_and_no_schedule_mixes_types(behaviour):
 ACTS_LATE = [name for name, cls in rl.ALGORITHMS.items() if getattr(cls, "acts_after_update", False)]
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize("name", ACTS_LATE)
 def test_methods_that_say_that_they_act_after_their_update_do(name):
     """For then the driver draws A' in their place: from the same key it must be the same."""

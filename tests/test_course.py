@@ -47,7 +47,7 @@ OFTEN = {
 CASES = []
 for base, changes in WRONG.items():
     for old, new, name in changes:
-        marks = [] if name in OFTEN else [pytest.mark.slow]
+        marks = [] if name in OFTEN else [pytest.mark.further]
         OFTEN.discard(name)
         CASES.append(pytest.param(base, old, new, name, id=f"{base}: {name}", marks=marks))
 

@@ -43,7 +43,7 @@ def by_credit(q, fades, kept, steps):
             values = values.begun()
             before = values.entry(s, a)
             row = values.row(s)
-            values = values.learned(s, a, kept, x).faded(jnp.where(ends, 0, fade))
+            values = values.learned(s, a, kept, 1.0, x).faded(jnp.where(ends, 0, fade))
             return values, (before, row[a], values.q, values.z)
 
         return jax.lax.scan(one, credited.start(jnp.asarray(q)), steps)

@@ -7,9 +7,9 @@ from pathlib import Path
 import jax
 import keeping
 import nbformat
+import notebooks
 import numpy as np
 import pytest
-import quick_start
 import xarray as xr
 
 import jaxrl_tab as rl
@@ -130,24 +130,53 @@ def test_results_of_long_ago(capsys, tmp_path, monkeypatch):
     assert set(names["table"].environment) == {"cliff"}
 
 
-@pytest.mark.slow
-def test_the_notebook_shows_what_it_gives(monkeypatch):
-    """It is kept with its outputs, for it is read where it cannot run; `python tests/quick_start.py` makes them anew.
+@pytest.mark.one_in(3)
+@pytest.mark.parametrize("name", notebooks.NAMES)
+def test_the_cells_of_a_notebook_run(name, capsys, monkeypatch):
+    """Without a kernel, which takes longer, and with few seeds. Broken once: a name misspelt -> fails."""
+    sweep = rl.sweep
+    few = lambda *of, num_seeds, num_steps, **more: sweep(
+        *of, num_seeds=min(num_seeds, 6), num_steps=num_steps // 5, progress=False, **more
+    )
+    monkeypatch.setattr(rl, "sweep", few)
+    names = {}
+    for cell in notebooks.kept(name).cells:
+        if cell.cell_type == "code":
+            exec(re.sub("^%.*", "", cell.source, flags=re.MULTILINE), names)
+    assert capsys.readouterr().out.strip()
 
-    Words are the same; numbers may differ a little on another processor.
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", notebooks.NAMES)
+def test_a_notebook_shows_what_it_gives(name, monkeypatch):
+    """It is kept with its outputs, for it is read where it cannot run; `python tests/notebooks.py` makes them anew.
+
+    Words are the same; numbers may differ a little on another processor, and one in ten by more, such as a step size
+    that is hardly better than the next.
     """
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
-    kept = nbformat.read(quick_start.FILE, as_version=4)
+    monkeypatch.delenv("JAX_DISABLE_MOST_OPTIMIZATIONS")  # as a user has them
+    kept = notebooks.kept(name)
     nbformat.validate(kept)
-    assert quick_start.FILE.stat().st_size < 400_000
-    shown, again = outputs(kept), outputs(quick_start.executed())
+    assert (file := notebooks.FOLDER / f"{name}.ipynb").stat().st_size < 400_000
+    shown, again = outputs(kept), outputs(notebooks.executed(name))
     number = re.compile(r"-?\d+(?:\.\d+)?")
     assert number.sub("N", shown) == number.sub("N", again)
     values, new_values = ([float(x) for x in number.findall(text)] for text in (shown, again))
-    assert new_values == pytest.approx(values, rel=0.1)
-    assert "the shortest way takes 15 steps" in shown
-    assert shown.count("a picture") == 2
-    assert str(Path.home()) not in quick_start.FILE.read_text()
+    assert np.isclose(new_values, values, rtol=0.1).mean() >= 0.9
+    assert str(Path.home()) not in file.read_text()
+
+
+def test_the_notebooks_have_the_numbers_of_the_lecture():
+    """The shortest way, Sarsa's lead on the cliff though it never knows the best way, and what one episode teaches."""
+    quick, cliff, back = (
+        outputs(notebooks.kept(name)) for name in ("quick_start", "sarsa_or_q_learning", "how_far_back")
+    )
+    assert "the shortest way takes 15 steps" in quick
+    assert [text.count("a picture") for text in (quick, cliff, back)] == [2, 1, 2]
+    assert "the best policy is worth -13" in cliff and "ε = 0.1: -20.71" in cliff
+    assert "q-learning greedy: 50 of 50 runs know a best way" in cliff
+    assert re.search(r"one step +1 values", back)
 
 
 def outputs(notebook):
@@ -155,7 +184,6 @@ def outputs(notebook):
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in code] == [*range(1, len(code) + 1)]
     found = [output for cell in code for output in cell.outputs]
-    found = [output for output in found if output.get("data", {}).get("text/html") != ""]  # where a bar was
     assert {output.get("name", "stdout") for output in found} == {"stdout"}  # no warnings
     # What is printed may come in several pieces, as time goes.
     return "".join(

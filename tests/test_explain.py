@@ -117,7 +117,7 @@ def test_a_method_that_does_not_tell_its_probabilities_is_explained_by_its_greed
     cliff, monkeypatch
 ):
     result = cliff[rl.QLearning]
-    monkeypatch.setattr(acting, "restricted", lambda *_: object())
+    monkeypatch.setattr(acting, "fitted", lambda *_: object())
     explained = one(result)
     assert explained.acting is None
     assert explained.main is explained.greedy

@@ -248,16 +248,16 @@ def test_interrupted_at_any_moment_it_goes_on(folder, computed, monkeypatch, mom
 def test_killed_again_and_again_while_it_grows(begun, tmp_path):
     """With SIGKILL, at moments of all kinds; then it is asked for once more."""
     subprocess.run([sys.executable, __file__, str(begun), str(tmp_path)], check=True)
-    for number in range(6):
+    for number in range(4):
         folder = tmp_path / str(number)
         assert_same(rl.resume(folder), at_once(1))
         assert not (folder / storage.ASIDE).exists() and len(runner.history(folder)) == 2
 
 
-def kill_six_times(begun, scratch):
+def kill_four_times(begun, scratch):
     """In processes of their own, copies of this one, which has not started JAX."""
     random, used, killed = np.random.default_rng(0), 1.0, 0
-    for number in range(-1, 6):  # the first one is left alone, to know how long it takes
+    for number in range(-1, 4):  # the first one is left alone, to know how long it takes
         folder = Path(shutil.copytree(begun, scratch / str(number)))
         pid = extending(folder)
         if number >= 0:
@@ -266,7 +266,7 @@ def kill_six_times(begun, scratch):
         killed += os.WIFSIGNALED(status)
         used = usage.ru_utime + usage.ru_stime if number < 0 else used
         assert os.waitpid(extending(folder), 0)[1] == 0
-    assert killed > 2
+    assert killed > 1
 
 
 def extending(folder):
@@ -403,4 +403,4 @@ def test_on_the_command_line(tmp_path, monkeypatch, capsys):
 
 
 if __name__ == "__main__":
-    kill_six_times(*map(Path, sys.argv[1:]))
+    kill_four_times(*map(Path, sys.argv[1:]))

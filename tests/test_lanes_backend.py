@@ -3,6 +3,7 @@
 import contextvars
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -25,7 +26,7 @@ from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import backend, by_lanes, provenance
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.experiment.executors.base import Job
-from jaxrl_tab.lanes import calls, machine, program
+from jaxrl_tab.lanes import calls, machine, program, registry, versions
 from jaxrl_tab.lanes.emit import emit
 from jaxrl_tab.lanes.kernel import Kernel
 
@@ -288,6 +289,25 @@ def test_what_llvm_refuses_xla_does(used, monkeypatch, caplog):
     assert used == ["ByXLA"]
     assert "is not compiled by lanes: LLVM refuses its code: LLVM IR parsing error" in caplog.messages[0]
     assert_same_bits(arrays(found), arrays(swept("cliff-walking")))
+
+
+@pytest.mark.usefixtures("programs_folder")
+def test_what_a_newer_jax_writes_otherwise_xla_does_and_one_line_says_so(used, monkeypatch, caplog):
+    """Under a JAX that is known it is a defect. Broken once: the guard left out -> KeyError, and no run."""
+
+    def renamed(*_):
+        raise KeyError("num_consts")
+
+    monkeypatch.setitem(registry.RULES, "scan", renamed)
+    with pytest.raises(KeyError, match="num_consts"):
+        swept("cliff-walking")
+    monkeypatch.setattr(versions, "JAX", (99, 0))
+    swept("cliff-walking")
+    assert used == ["ByXLA"]
+    (line,) = caplog.messages
+    assert re.search(
+        r"is not compiled by lanes: JAX [\d.]+ is newer than [\d.]+, the newest known here", line
+    )
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from marks import slow_but
 from jaxrl_tab.lanes.code import Unsupported
 from jaxrl_tab.lanes.lower import lower
 from jaxrl_tab.lanes.registry import RULES
+from jaxrl_tab.lanes.versions import JAXLIB
 
 pytestmark = pytest.mark.usefixtures("optimised")
 
@@ -122,7 +123,6 @@ def test_functions_of_many_numbers_have_the_bits_of_xla():
     one = [
         lax.exp,
         lax.exp2,
-        lax.expm1,
         lax.log,
         lax.log1p,
         lax.tanh,
@@ -131,6 +131,8 @@ def test_functions_of_many_numbers_have_the_bits_of_xla():
         lax.erf_inv,
         lax.sqrt,
     ]
+    if JAXLIB < (0, 12):
+        one.append(lax.expm1)
     two = [lax.add, lax.mul, lax.div, lax.rem, lax.pow]
 
     def all_of_them(a, b, c, d):
@@ -143,7 +145,7 @@ def test_functions_of_many_numbers_have_the_bits_of_xla():
 
 UNSUPPORTED = {
     "the primitive fft is not compiled": lambda x: jnp.fft.fft(x),
-    "the primitive sin is not compiled": lambda x: jnp.sin(x),
+    "the primitive tan is not compiled": lambda x: jnp.tan(x),
     "numbers of the type uint8 are not compiled": lambda x: (x > 0).astype(np.uint8) + 1,
     "running sums of more than 256 real numbers are not compiled": lambda x: jnp.cumsum(jnp.tile(x, 100)),
     "the sorting of more than 32 numbers is not compiled": lambda x: jnp.sort(jnp.tile(x, 10)),

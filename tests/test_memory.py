@@ -67,6 +67,7 @@ def test_the_bytes_of_a_call_are_known_within_a_tenth(case, blocks):
     np.testing.assert_allclose(one.call.bytes(room.LANES, blocks), total, rtol=0.1)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", [*METHODS])
 def test_what_a_run_gives_and_carries_is_known_without_tracing_it(name):
     """Against the run, traced. Broken once: a table that the state does not hold, as of double Q-learning, forgotten,

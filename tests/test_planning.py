@@ -397,6 +397,7 @@ class Given(Unregistered):
 @pytest.mark.parametrize(
     ("env", "message"),
     [
+        ("taxi", r"env must be an environment such as make\('windy-gridworld'\), not 'taxi'"),
         (Sampled(), "Sampled can only be sampled"),
         (Unregistered(), "Unregistered is not a JAX pytree"),
         (Given(prob=0.9), r"the outcomes of \(s, a\) = \(0, 0\) are not a distribution"),

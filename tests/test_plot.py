@@ -17,6 +17,7 @@ from jaxrl_tab import plot, stats
 from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.show import words
+from jaxrl_tab.stats.columns import Methods
 
 
 @pytest.fixture(scope="module")
@@ -164,6 +165,17 @@ def test_sensitivity_marks_settings_that_lose_seeds(ax, datasets):
     assert [x for line in hollow for x in line.get_xdata()] == [0.2]
     assert "hollow: some runs unfinished" in [text.get_text() for text in ax.get_legend().texts]
     assert ax.get_xscale() == "linear"
+
+
+def test_sensitivity_marks_nothing_unfinished_in_a_task_that_does_not_end(ax, datasets):
+    """Broken once, each: it asks no environment; with `color_by` it has none -> fails."""
+    ds = datasets["sarsa"].isel(alpha=[0, 1]).assign(episodes=lambda ds: ds.episodes * 0)
+    two = xr.concat([ds, ds], xr.Variable("epsilon", [0.1, 0.2]))
+    for swept, more in ((ds, {}), (two, {"color_by": "epsilon"})):
+        for env, marked in ((rl.make("windy-gridworld"), True), (rl.make("river-swim"), False)):
+            ax.clear()
+            plot.sensitivity(ax, Methods.of({"sarsa": swept}, env), **more)
+            assert ("hollow: some runs unfinished" in ax.get_legend_handles_labels()[1]) == marked
 
 
 def test_sensitivity_shows_a_method_that_kept_the_parameter(ax, datasets):

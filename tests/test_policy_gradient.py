@@ -139,7 +139,7 @@ def test_what_one_episode_adds_is_on_average_the_exact_gradient(cls):
     ("fields", "message"),
     [
         ({"optimizer": "adm"}, "Reinforce: optimizer: optax has no optimiser 'adm'; did you mean 'adam'?"),
-        ({"optimizer": "adam(b3=1)"}, "'b3'; adam takes b1, b2, eps"),
+        ({"optimizer": "adam(warmth=1)"}, "'warmth'; adam takes b1, b2, eps"),
         (
             {"optimizer": "adam(__import__)"},
             "is not the name of an optimiser in optax with its numbers in paren",

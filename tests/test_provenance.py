@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -17,7 +18,7 @@ from jaxrl_tab import plot
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import provenance, room
-from jaxrl_tab.experiment import runner, storage
+from jaxrl_tab.experiment import records, runner, storage
 from jaxrl_tab.experiment import shards as splitting
 
 SHARDS = 64 * 200
@@ -298,3 +299,25 @@ def test_the_commit_is_that_of_the_package(monkeypatch, tmp_path):
     provenance.git_commit.cache_clear()
     assert provenance.git_commit() is None
     provenance.git_commit.cache_clear()
+
+
+def test_a_library_that_comes_to_it_changes_no_number_that_is_there():
+    """Where more environments are added. Another version of one that was there does; in whichever session it came.
+
+    Broken once, each: a library that was not there is a change; only the first session is looked at -> fails.
+    """
+    now = provenance.surroundings()
+    sessions = [{"surroundings": now}, {"surroundings": now | {"gymnasium": "1"}}]
+    names = [provenance.digest(session["surroundings"]) for session in sessions]
+    store = storage.Store.__new__(storage.Store)
+
+    def of(count, library):
+        store.shards = {i: SimpleNamespace(surroundings=name) for i, name in enumerate(names[:count])}
+        return records.Origin.of(store, {"sessions": sessions[:count]}, False, {"gymnasium": library})
+
+    assert of(1, "1").changed == of(2, "1").changed == []
+    assert of(2, "2").changed == ["gymnasium was 1, and is 2"]
+    assert records.mixture(sessions) == ""
+    other = {"surroundings": now | {"jax": "0"}}
+    assert records.mixture([*sessions, other]) == f"jax was {now['jax']}, and is 0"
+    assert records.mixture(sessions[:1]) == records.NOT_RECORDED

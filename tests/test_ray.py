@@ -19,8 +19,9 @@ import test_own
 import xarray as xr
 
 import jaxrl_tab as rl
-from jaxrl_tab import cli, executors, export, plot
+from jaxrl_tab import cli, executors, export, plot, report
 from jaxrl_tab.core.errors import InputError, RunError
+from jaxrl_tab.engine import programs
 from jaxrl_tab.experiment.executors import ray as ray_executor
 from jaxrl_tab.experiment.shards import _shards
 
@@ -56,24 +57,30 @@ def connection(cluster):
 
 
 @pytest.mark.slow
-def test_settings_go_along_and_few_tasks_are_ahead(cluster, tmp_path):
-    """With a connection that ends with each run."""
-    executor = executors.Ray(cluster.address)
+def test_settings_go_along_and_few_tasks_are_ahead(connection, tmp_path):
     jax.config.update("jax_enable_x64", True)
     try:
-        ((_, seen),) = executor.run(shards.settings, [0])
+        ((_, seen),) = connection.run(shards.settings, [0])
     finally:
         jax.config.update("jax_enable_x64", False)
     assert seen["zero"].dtype == np.float64
     assert str(seen["flags"]) == os.environ["XLA_FLAGS"]
     assert seen["devices"] == 1
 
-    given = executor.run(functools.partial(shards.begun, folder=tmp_path), range(50))
+    given = connection.run(functools.partial(shards.begun, folder=tmp_path), range(50))
     next(given)
-    time.sleep(1)
+    time.sleep(0.5)
     assert len(list(tmp_path.iterdir())) <= 1 + 2 * 2  # the one given, and two for each of two cores
     assert len(list(given)) == 49
-    assert not ray.is_initialized()
+
+
+@pytest.mark.slow
+def test_workers_compile_by_lanes_and_one_finds_what_the_other_compiled(connection, tmp_path, monkeypatch):
+    """Broken once: not kept in workers, where this process keeps -> the first keeps nothing."""
+    monkeypatch.setattr(programs, "_folder", tmp_path)
+    given = dict(connection.run(functools.partial(shards.compiles, folder=tmp_path), [0, 1]))
+    assert given[0]["made"] > 0 and given[1]["made"] == 0
+    assert given[0]["by"] == given[1]["by"] == "lanes" and given[0]["pid"] != given[1]["pid"]
 
 
 @pytest.mark.slow
@@ -90,9 +97,9 @@ def test_a_worker_is_killed(connection, tmp_path):
 @pytest.mark.slow
 def test_a_worker_that_always_dies_is_given_up(connection, tmp_path):
     work = functools.partial(shards.dies, folder=tmp_path, deaths=9)
-    with pytest.raises(RunError, match=r"shard 1 was lost 2 times"):
-        list(executors.Ray(max_retries=1).run(work, [1]))
-    assert shards.times(1, tmp_path) == 2
+    with pytest.raises(RunError, match=r"shard 1 was lost 1 times"):
+        list(executors.Ray(max_retries=0).run(work, [1]))
+    assert shards.times(1, tmp_path) == 1
 
 
 @pytest.mark.slow
@@ -153,40 +160,73 @@ def test_own_files_go_all_the_way_on_the_command_line(connection, cluster, tmp_p
     assert (tmp_path / "run" / "selection.csv").read_text().count("Hasty") == 1
 
 
-@pytest.mark.slow
-def test_an_experiment_is_interrupted_and_goes_on(connection, tmp_path, monkeypatch):
-    monkeypatch.setattr(plot, "save_all", quick.picture)
-    _shards.cache_clear()  # other tests cut the same experiment into smaller shards, which workers do not
-    expected = rl.run(quick.SELECTED)
+def interrupted(run, *given, **named):
+    """Runs until one shard more is there, and is interrupted."""
+    before = []
 
     def interrupt(state):
-        if state.done:
+        before.append(state.done)
+        if state.done > before[0]:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rl.run(quick.SELECTED, tmp_path / "run", executor=connection, progress=interrupt)
-    assert list((tmp_path / "run" / "shards").iterdir())
-    found = rl.resume(tmp_path / "run", executor=connection)
+        run(*given, progress=interrupt, **named)
+
+
+@pytest.mark.slow
+def test_an_experiment_goes_from_one_kind_of_executor_to_another_and_grows(connection, tmp_path, monkeypatch):
+    """Begun by a job of SLURM, interrupted on Ray, finished here, grown on Ray: as what is run here at once."""
+    monkeypatch.setattr(plot, "save_all", quick.picture)
+    monkeypatch.setattr(report, "write_methods", quick.page)
+    monkeypatch.setenv("PYTHONPATH", os.path.dirname(__file__), prepend=os.pathsep)
+    _shards.cache_clear()  # other tests cut the same experiment into smaller shards, which workers do not
+    folder = tmp_path / "run"
+    interrupted(
+        rl.run, quick.SELECTED, folder, executor=executors.Slurm(tmp_path, cluster="local", max_jobs=1)
+    )
+    interrupted(rl.resume, folder, executor=connection)
+    assert len(list((folder / "shards").iterdir())) == 2
+    rl.resume(folder)
+    found = rl.resume(folder, seeds=80, executor=connection)
+    larger = {"seeds": 80, "select": {"fresh_seeds": 66}}
+    expected = rl.run(rl.Experiment(**quick.SELECTED.data() | larger))
     for name in expected.datasets:
         xr.testing.assert_equal(found.datasets[name], expected.datasets[name])
         xr.testing.assert_equal(found.fresh[name], expected.fresh[name])
 
 
+class Waits:
+    """On Ray, where what is computed on one of the nodes waits there for ever."""
+
+    def __init__(self, folder, node):
+        self.about = {"folder": folder, "node": node}
+
+    def run(self, work, tasks):
+        return executors.Ray().run(functools.partial(shards.waits_on_node, work=work, **self.about), tasks)
+
+
 @pytest.mark.slow
-def test_a_node_goes_away(cluster, connection, tmp_path):
-    """The last test: the cluster is smaller after it."""
+def test_a_node_goes_away_while_methods_are_compared(cluster, connection, tmp_path):
+    """Between two looks nothing is lost, either. The last test: the cluster is smaller after it."""
+    methods = ["sarsa", {"name": "sarsa", "label": "greedier", "epsilon": 0.09}]
+    until = {"difference": 1e-4, "most_seeds": 12}
+    experiment = rl.Experiment("windy-gridworld", methods, seeds=8, steps=400, until_decided=until)
     (node,) = cluster.worker_nodes
 
     def remove():
         shards.the_process(tmp_path, "*")
         cluster.remove_node(node, allow_graceful=False)
 
-    remover = threading.Thread(target=remove, daemon=True)
+    remover, looks = threading.Thread(target=remove, daemon=True), []
     remover.start()
-    work = functools.partial(shards.waits_on_node, folder=tmp_path, node=node.node_id)
-    shards.same(connection.run(work, range(4)), range(4))
+    looked = lambda _, verdict: looks.append(verdict.seeds)
+    found = rl.run(experiment, executor=Waits(tmp_path, node.node_id), looked=looked)
     remover.join()
     assert not cluster.worker_nodes
+    expected = rl.run(experiment)
+    assert len(looks) == 2 and str(found.verdicts) == str(expected.verdicts)
+    for name in expected.fresh:
+        xr.testing.assert_equal(found.fresh[name], expected.fresh[name])
 
 
 def test_addresses_where_nothing_answers_are_refused_at_once():
@@ -266,7 +306,7 @@ def test_a_cluster_of_our_own_is_for_this_process_alone(cluster, tmp_path):
         given = executors.Ray().run(shards.begun_on_ray, [0])
         _, seen = next(given)
         given.close()
-        assert not auth()
+        assert not auth() and not __import__("ray").is_initialized()
         print(*seen["mode"], *seen["listens"])
     """
     environment = {name: x for name, x in os.environ.items() if not name.startswith("RAY_")}

@@ -67,15 +67,25 @@ def _thing(name):
     return thing
 
 
-def test_links_between_made_pages_lead_somewhere(pages):
-    """Anything else is for `mkdocs build --strict`. Broken once: a wrong folder in `_place` -> fails."""
-    written = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.*")}
-    for path, text in pages.items():
-        for link in re.findall(
-            r"\]\(([\w./-]+)\)", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
-        ):
+def test_links_between_pages_lead_somewhere(pages):
+    """Anything else is for `mkdocs build --strict`.
+
+    Broken once: a wrong folder in `_place` -> fails; Markdown not among the files of `in_the_site` -> fails.
+    """
+    docs = ROOT / "docs"
+    written = {path.relative_to(docs).as_posix(): path for path in docs.rglob("*.*")}
+    texts = {name: path.read_text("utf-8") for name, path in written.items() if name.endswith(".md")}
+    for path, text in (pages | {name: site.in_the_site(text) for name, text in texts.items()}).items():
+        prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+        for link in re.findall(r"\]\(([\w./-]+)[)#]", prose):
             target = (Path("/") / path).parent / link
-            assert target.resolve().relative_to("/").as_posix() in written | set(pages), (path, link)
+            assert target.resolve().relative_to("/").as_posix() in {*written, *pages}, (path, link)
+
+
+def test_lists_in_lists_are_told_apart():
+    """By four blanks, for Markdown as the site reads it. Broken once: by two -> one list, and fails."""
+    for file in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")):
+        assert not re.search(r"^ {1,3}[-*] ", file.read_text(encoding="utf-8"), re.MULTILINE), file
 
 
 # --- methods, environments, figures --------------------------------------------------------------------
@@ -122,10 +132,26 @@ def test_every_environment_and_every_figure_has_a_page(pages):
     assert {path.stem for path in (ROOT / "docs/figures").glob("*.png")} == set(kept)
 
 
+def test_what_a_sweep_of_a_page_gave_is_shown(pages):
+    """`python docs/make/given.py` makes it where it is not there. Broken once: of what there is not -> fails."""
+    there = {
+        path.relative_to(ROOT / "docs")
+        for kind in ("methods", "environments")
+        for path in (ROOT / "docs" / kind).glob("*.png")
+    }
+    assert {f"{path.with_suffix('.md')}" for path in there} <= set(pages)
+    assert {f"methods/{name}.png" for name in METHODS} <= {*map(str, there)}
+    assert {f"environments/{name}.png" for name in rl.ENVS} <= {*map(str, there)}
+    for path in there:
+        assert f"]({path.name})" in pages[f"{path.with_suffix('.md')}"]
+
+
 def test_the_notebook_is_shown_with_what_it_gave(pages):
     notebook = pages["examples/quick_start.md"]
     assert notebook.count("data:image/png") == 2
-    assert "```text\n" in notebook
+    assert "```text\n" in notebook and "HTML object" not in notebook
+    cells = [{"cell_type": "code", "source": "x", "outputs": [{"data": {"text/html": "<p>\n\n<b>1</b>"}}]}]
+    assert site.notebook({"cells": cells}) == "```python\nx\n```\n\n<p> <b>1</b>\n"
 
 
 # --- what is typed ------------------------------------------------------------------------------------

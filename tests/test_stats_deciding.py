@@ -152,6 +152,9 @@ def test_seeds_are_added_where_something_is_open():
     assert seen[-1] == verdict and [v.until for v in seen] == [last for _, _, last in asked[1:]] + [0]
     assert verdict.sentence == f"a > b > c; 100 to {verdict.seeds['a']} seeds; error rate at most 5%"
     assert stats.decide(x) == verdict  # with all seeds at hand
+    assert repr(verdict) == f"<Verdict: {verdict.sentence}>"
+    shown, pair = verdict._repr_html_(), verdict.pairs[0]
+    assert shown.count("<tr>") == 4 and f">{pair.low:.4g}<" in shown and "a &gt; b &gt; c" in shown
 
 
 def test_the_order_follows_from_what_is_decided_and_says_what_is_not():

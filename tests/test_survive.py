@@ -489,7 +489,7 @@ def little_memory(monkeypatch):
 def test_a_block_that_is_too_large_is_halved(windy, little_memory, caplog):
     """First blocks of a call, then lanes; the same to the last bit. Broken once: down to 2 lanes -> fails."""
     most, asked = little_memory
-    given = {"num_seeds": 70, "num_steps": 200, "exact": True, "backend": "xla"}
+    given = {"num_seeds": 70, "num_steps": 200, "backend": "xla"}
     most[0] = 2**20
     expected = rl.sweep(windy, "sarsa", {"alpha": [0.3, 0.7]}, **given)
     for most[0], shape in ((64, (1, 64)), (8, (1, 8))):

@@ -72,6 +72,8 @@ def test_methods_over_tasks_of_a_sweep(windy):
     np.testing.assert_allclose(tasks.iqm.estimate.sel({"method": "q"}), pooled[10:30].mean())
     assert (tasks.mean_rank.estimate.sum() == 3) and (tasks.iqm.low < tasks.iqm.estimate).all()
     refused(lambda: across_tasks({"windy": a}), "two tasks or more are needed")
+    assert repr(tasks) == "<Tasks: sarsa, q over windy, cliff>"
+    assert f">{float(tasks.iqm.estimate.sel({'method': 'q'})):.4g} (" in tasks._repr_html_()
     best, worst = over_tasks.rows(tasks)
     p = float(tasks.improvement.estimate.sel({"method": "q", "other": "sarsa"}))
     assert (best[0], best[-1], worst[0], worst[-2]) == ("Sarsa", "–", "q", f"{p:.3f}")

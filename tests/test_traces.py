@@ -41,8 +41,8 @@ GAMMAS, LAMBDAS, ALPHAS = (0.0, 0.5, 0.9, 1.0), (0.75, 1.0, 0.5, 0.875), (0.5, 0
 @pytest.mark.parametrize(
     ("kind", "env_name"),
     [
-        *((kind, "random mdp") for kind in [*KINDS][:-1]),
-        pytest.param([*KINDS][-1], "random mdp", marks=pytest.mark.slow),
+        *((kind, "random mdp") for kind in [*KINDS][::2]),
+        *(pytest.param(kind, "random mdp", marks=pytest.mark.slow) for kind in [*KINDS][1::2]),
         pytest.param("SarsaLambda, dutch", "windy, stochastic, king", marks=pytest.mark.slow),
         pytest.param("QLambda, accumulating", "cliff", marks=pytest.mark.slow),
     ],

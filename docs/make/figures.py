@@ -16,7 +16,7 @@ from jaxrl_tab.figures.page import cells
 
 KEPT = Path(__file__).parents[1] / "figures"
 NUMBERS = KEPT / "numbers.json"
-WIDTH, COLOURS = 840, 64
+WIDTH, COLOURS = 840, 64  # of a picture in the gallery
 
 
 def keep(folder: Path, alone: str = "") -> None:
@@ -29,7 +29,7 @@ def keep(folder: Path, alone: str = "") -> None:
             above = f"{of_figure.path.rstrip('/')}/"
             datasets = {node.path.removeprefix(above): node.to_dataset() for node in runs}
             kept[name] = [_row(*cells(number.check(datasets))) for number in FIGURES[name].numbers]
-            _shrink(folder / f"{name}.png", KEPT / f"{name}.png")
+            shrink(folder / f"{name}.png", KEPT / f"{name}.png")
     text = json.dumps({name: kept[name] for name in FIGURES if name in kept}, ensure_ascii=False, indent=1)
     NUMBERS.write_text(text + "\n", encoding="utf-8")
 
@@ -38,12 +38,12 @@ def _row(what: str, published: str, got: str, error: str, expected: str, *_: str
     return {"what": what, "published": published, "got": got, "error": error, "expected": expected}
 
 
-def _shrink(file: Path, kept: Path) -> None:
+def shrink(file: Path, kept: Path, width: int = WIDTH, colours: int = COLOURS) -> None:
     """The picture as wide as a page, and of few colours."""
     with Image.open(file) as picture:
         small = picture.convert("RGB")
-        small.thumbnail((WIDTH, 10 * WIDTH), Image.Resampling.LANCZOS)
-        small.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+        small.thumbnail((width, 10 * width), Image.Resampling.LANCZOS)
+        small.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
             kept, optimize=True
         )
 

@@ -1,6 +1,5 @@
 """Hands the pages that are made to MkDocs, and puts them, and whatever else lies in docs/, into the navigation."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,9 @@ def on_config(config: Any) -> None:
     fence = {"name": "formula", "class": "formula", "format": docstrings.formula}
     config.mdx_configs["pymdownx.superfences"]["custom_fences"].append(fence)
     here = {path.relative_to(DOCS).as_posix() for path in DOCS.glob("*.md")}
-    config.nav = expanded(config.nav, here - named(config.nav))
+    config.nav = expanded(
+        config.nav, here - named(config.nav), [x for x in MADE if x not in named(config.nav)]
+    )
 
 
 def named(nav: Any) -> set[str]:
@@ -27,16 +28,16 @@ def named(nav: Any) -> set[str]:
     return set().union(*map(named, nav.values() if isinstance(nav, dict) else nav))
 
 
-def expanded(nav: Any, others: set[str]) -> Any:
-    """The navigation with "methods/" as the pages that are made there, and "*" as the pages that it does not name."""
+def expanded(nav: Any, written: set[str], made: list[str]) -> Any:
+    """The navigation with "*" as the other pages in docs/, and "methods/" as those that are made there."""
     if isinstance(nav, dict):
-        return {title: expanded(below, others) for title, below in nav.items()}
+        return {title: expanded(below, written, made) for title, below in nav.items()}
     if isinstance(nav, list):
-        below = [expanded(one, others) for one in nav]
+        below = [expanded(one, written, made) for one in nav]
         return [page for one in below for page in (one if isinstance(one, list) else [one])]
     if nav == "*":
-        return sorted(others)
-    return [page for page in MADE if page.startswith(nav)] if nav.endswith("/") else nav
+        return sorted(written)
+    return [page for page in made if page.startswith(nav)] if nav.endswith("/") else nav
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -47,11 +48,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links to files of the repository as links to the pages that show them."""
-    if page.file.generated_by:
-        return markdown
-    to_page = lambda link: f"]({pages.page_of_file(link[1])})"
-    return re.sub(r"\]\(\.\./([\w./-]+\.(?:py|ipynb|toml))\)", to_page, markdown)
+    return markdown if page.file.generated_by else pages.in_the_site(markdown)
 
 
 def on_post_page(output: str, **_: Any) -> str:

@@ -90,6 +90,7 @@ def _methods() -> dict[str, str]:
             _seen_in(cls, name),
             "## Run it",
             _console(method_commands(name)),
+            _given("methods", name),
         )
     sections = [f"## {kind}\n\n{_table(('method', 'what it is'), rows)}" for kind, rows in kinds.items()]
     return {"methods/index.md": _page("# Methods", *sections), **made}
@@ -137,6 +138,7 @@ def _environments() -> dict[str, str]:
             _seen_in(cls, name),
             "## Run it",
             _console(environment_commands(name)),
+            _given("environments", name),
         )
     table = _table(("environment", "what it is"), [_row(name, cls) for name, cls in rl.ENVS.items()])
     return {"environments/index.md": _page("# Environments", table), **made}
@@ -149,6 +151,16 @@ def environment_commands(name: str) -> list[str]:
     method = "r-learning" if declared.continuing else "q-learning"
     solve = [] if declared.at else [f"jaxrl-tab solve {name}"]
     return [*solve, f"jaxrl-tab sweep {name} {method} --steps 8000 --seeds 20 --out runs/{name}"]
+
+
+def _given(folder: str, name: str) -> str:
+    """The picture that the last command on a page gave, where it is kept: see `given.py`."""
+    there = (ROOT / f"docs/{folder}/{name}.png").exists()
+    return (
+        f"Of its pictures this is `overview.png`:\n\n![What the sweep above gave]({name}.png)"
+        if there
+        else ""
+    )
 
 
 def _figures() -> dict[str, str]:
@@ -257,8 +269,16 @@ def _shown_files() -> dict[str, str]:
     return made
 
 
+def in_the_site(text: str) -> str:
+    """A page of docs/, whose links to files elsewhere in the repository lead to the pages that show them."""
+    to_page = lambda link: f"]({page_of_file(link[1])}"
+    return re.sub(r"\]\(\.\./([\w./-]+\.(?:py|ipynb|toml|md))(?=[)#])", to_page, text)
+
+
 def page_of_file(name: str) -> str:
     """Where a file of the repository is shown, by its path."""
+    if name in AT_THE_ROOT:
+        return AT_THE_ROOT[name]
     stem = name.rpartition(".")[0]
     return f"{stem}.md" if name.startswith("examples/") else f"files/{stem}.md"
 
@@ -283,6 +303,8 @@ def _cell(cell: Mapping[str, Any]) -> Iterator[str]:
         data = output.get("data", {})
         if "image/png" in data:
             yield f"![What the cell above shows](data:image/png;base64,{''.join(data['image/png']).strip()})"
+        elif "text/html" in data:  # "" where a bar was
+            yield re.sub(r"\n\s*", " ", "".join(data["text/html"]))
         elif printed := "".join(output.get("text", data.get("text/plain", ""))).strip("\n"):
             yield f"```text\n{printed}\n```"
 
@@ -369,11 +391,37 @@ def _entry(module: Any, path: str, name: str, shown: str) -> str:
         return f"## `{shown}`\n\n[{_first_line(thing)}](../{PAGE_OF[thing]})"
     if not (callable(thing) and hasattr(thing, "__name__")):
         plain = isinstance(thing, str | int | float | tuple | frozenset)
-        return _page(f"## `{shown}`", f"`{one_line(repr(thing))}`" if plain else f"A {type(thing).__name__}.")
+        keys = [f"`{key}`" for key in thing if isinstance(key, str)] if isinstance(thing, dict) else []
+        is_what = (
+            f"`{one_line(repr(thing))}`"
+            if plain
+            else f"A {type(thing).__name__}{': ' * bool(keys)}{', '.join(keys)}."
+        )
+        return _page(f"## `{shown}`", is_what, _comment(module, name))
     fields = _parameters(thing, "") if isinstance(thing, type) and dataclasses.is_dataclass(thing) else ""
     return _page(
         f"## `{shown}`", _docstring(path, show_root_toc_entry=False, show_root_heading=False), fields
     )
+
+
+def _comment(module: Any, name: str) -> str:
+    """What the source says of a constant: the comment behind it, or above, wherever it was imported from."""
+    lines = inspect.getsource(module).splitlines()
+    for node in ast.parse("\n".join(lines)).body:
+        if (
+            isinstance(node, ast.ImportFrom)
+            and node.module
+            and name in [x.asname or x.name for x in node.names]
+        ):
+            return _comment(importlib.import_module(node.module), name)
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        if name in [getattr(target, "id", None) for target in targets]:
+            above = (
+                lines[node.lineno - 2].removeprefix("# ") if lines[node.lineno - 2].startswith("# ") else ""
+            )
+            comment = lines[node.lineno - 1].partition("  # ")[2] or above
+            return f"{comment[:1].upper()}{comment[1:].rstrip('.')}." if comment else ""
+    return ""
 
 
 def _first_line(thing: Any) -> str:

@@ -121,7 +121,8 @@ def row_of(method: TDControl | Prediction) -> Row:
         InputError: it is on none of them.
     """
     for row in TABLE:
-        if isinstance(method, tuple(METHODS[name] for name in row.methods)):
+        is_one = isinstance(method, tuple(METHODS[name] for name in row.methods))
+        if is_one and of_method(method).features is None:
             return row
     names = ", ".join(name for row in TABLE for name in row.methods)
     raise InputError(f"{type(method).__name__} is on no row of the table, whose methods are {names}")

@@ -1,20 +1,21 @@
 """Control by a table of action values: how it acts. How it learns, a method adds."""
 
 import dataclasses
-from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, cast, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab.core import clock, policies, tables
+from jaxrl_tab.core import clock, linear, policies
 from jaxrl_tab.core.checks import concrete
 from jaxrl_tab.core.clock import Clock, Rate
 from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.linear import X
 from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy
 from jaxrl_tab.core.pytree import field, pytree
-from jaxrl_tab.core.types import Available, Transition, restricted
+from jaxrl_tab.core.types import Available, State, Transition, restricted
 
 
 @runtime_checkable
@@ -88,33 +89,55 @@ class ValueControl(Shown):
             available: which actions there are in each state, bool [S, A].
             more: other fields that a subclass has to restrict, as they then are.
         """
-        return dataclasses.replace(
-            self,
-            q0=policies.among(self.q0, available),
-            epsilon=type(self).epsilon,  # which is part of the behaviour policy now
-            behaviour=restricted(self.selection, available),
-            **more,
-        )
+        own: dict[str, Any] = {
+            "q0": policies.among(self.q0, available),
+            "epsilon": type(self).epsilon,  # which is part of the behaviour policy now
+            "behaviour": restricted(self.selection, available),
+        }
+        return dataclasses.replace(self, **own | more)
 
     def init(self, num_states: int, num_actions: int) -> Any:
         """A TDState; a method that remembers more makes its own state of it."""
         for policy in self.all_policies:
             policy.check(num_states, num_actions)
-        q = jnp.full((num_states, num_actions), self.q0, dtype=float)
-        if isinstance(acting := self.selection, EpsilonGreedy) and acting.available is not None:
-            q = policies.among(q, acting.available)
+        q = self.initial(num_states, num_actions)
         by_visit = any(map(clock.goes_by_visit, self.rates)) or any(p.by_visit for p in self.all_policies)
         return TDState(q, clock.start(num_states, num_actions, by_visit))
 
-    def probs(self, state: Learner, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def initial(self, num_states: int, num_actions: int) -> Float[Array, "_ A"]:
+        """What is learned, before the first step."""
+        q = jnp.full((num_states, num_actions), self.q0, dtype=float)
+        available = self.available
+        return q if available is None else policies.among(q, available)
+
+    @property
+    def available(self) -> Any:
+        """The actions to which an epsilon-greedy policy is restricted, bool [S, A]; None where it is to none."""
+        acting = self.selection
+        return acting.available if isinstance(acting, EpsilonGreedy) else None
+
+    def probs(self, state: Learner, s: State) -> Float[Array, " A"]:
         """The behaviour policy pi(. | s), float [A]."""
         return self.selection.probs(self.row(state, s), state.clock, s)
 
-    def row(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
-        """Q(s, .), float [A]."""
-        return tables.row(state.q, s)
+    def x(self, s: State) -> X:
+        """What stands for a state: its number, for Q is a table; in `approx`, its features."""
+        return cast(X, s)
 
-    def policy(self, key: Key[Array, ""], state: Learner, s: Int[Array, ""]) -> Int[Array, ""]:
+    @property
+    def nowhere(self) -> X:
+        """What `x` gives, of no state in particular."""
+        return jnp.int32(0)
+
+    def row(self, state: Any, s: State) -> Float[Array, " A"]:
+        """Q(s, .), float [A]."""
+        return linear.row(state.q, self.x(s))
+
+    def value(self, state: Any, s: State, a: Int[Array, ""]) -> Float[Array, ""]:
+        """Q(s, a), float []."""
+        return linear.entry(state.q, self.x(s), a)
+
+    def policy(self, key: Key[Array, ""], state: Learner, s: State) -> Int[Array, ""]:
         return policies.sample(key, self.probs(state, s))
 
     def begin(self, state: L, t: Transition) -> L:

@@ -18,7 +18,7 @@ from jaxrl_tab.core import memory
 from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError, shown, whole
-from jaxrl_tab.core.types import Environment, Transition, available_actions, init_learner, restricted
+from jaxrl_tab.core.types import Environment, Transition, fitted, init_learner
 from jaxrl_tab.exact import planning
 
 MOST = 2**17  # learners that may be told apart
@@ -68,7 +68,7 @@ def control_distribution(env: Environment, method: Any, *, num_episodes: int) ->
     if of_method(method).exploring_starts:
         raise InputError("a method that starts episodes anywhere has no such distribution")
     model = planning.exact_model(env)
-    method = restricted(method, available_actions(env))
+    method = fitted(method, env)
     begin = jax.jit(jax.vmap(partial(_begin, method)))
     step = jax.jit(jax.vmap(partial(_step, method, jax.tree.map(jnp.asarray, model[:4]))))
     keeps_time = any(

@@ -4,7 +4,6 @@ from typing import ClassVar
 
 from jaxrl_tab.algorithms.control import TDState
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
-from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.pytree import pytree
@@ -30,7 +29,7 @@ class ExpectedSarsa(OffPolicyControl):
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)
-        q_next = self.target_probs(state, t.s_next) @ tables.row(state.q, t.s_next)
-        delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
+        q_next = self.target_probs(state, t.s_next) @ self.row(state, t.s_next)
+        delta = t.r + t.discount * q_next - self.value(state, t.s, t.a)
         state = self.learn(state, t, delta)
         return state, self.policy(key, state, t.s_next)

@@ -28,9 +28,9 @@ from jaxtyping import Float, Int
 from jaxrl_tab.algorithms.distribution import Distribution, control_distribution
 from jaxrl_tab.algorithms.prediction import TD, MonteCarloPrediction, NStepTD, OffPolicyPrediction, TDLambda
 from jaxrl_tab.core import memory
-from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.declared import of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown, whole
-from jaxrl_tab.core.types import Environment, available_actions, restricted
+from jaxrl_tab.core.types import Environment, fitted
 from jaxrl_tab.exact import planning
 from jaxrl_tab.exact.affine import NEGLIGIBLE, Arrow, Recursion
 
@@ -236,7 +236,8 @@ def best_alpha(env: Environment, method: Any, *, num_episodes: int, whole_run: b
 
 def _checked(method: Any, values: Mapping[str, Any]) -> Any:
     """The method with these values. Raises InputError where its table has no such recursion."""
-    if not isinstance(method, METHODS) or isinstance(method, OffPolicyPrediction):
+    known = isinstance(method, METHODS) and not isinstance(method, OffPolicyPrediction)
+    if not known or of_method(method).features is not None:
         raise InputError(
             "there are exact learning curves of TD, NStepTD, TDLambda(offline=True) and MonteCarloPrediction, "
             f"as instances, not of {shown(method)}"
@@ -276,7 +277,7 @@ def _task(env: Environment, method: Any) -> _Task:
     if differs := of_environment(env).differs:
         raise InputError(f"{differs} there, so that no curve is that of all")
     model = planning.exact_model(env)
-    pi = restricted(method, available_actions(env)).probabilities(env)
+    pi = fitted(method, env).probabilities(env)
     gamma = float(method.gamma)
     reached = planning.entered(model, pi) & ~planning.terminal_states(model)
     states = np.flatnonzero(reached)

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import tables
-from jaxrl_tab.core.clock import Clock, end_step, step_size
+from jaxrl_tab.core import linear, tables
+from jaxrl_tab.core.clock import Clock, end_step
 from jaxrl_tab.core.policies import Policy
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
@@ -53,16 +53,17 @@ class NStepControl(TDControl):
 
     def init(self, num_states: int, num_actions: int) -> NStepState:
         q, clock = super().init(num_states, num_actions)
-        index, real = jnp.zeros(self.n, jnp.int32), jnp.zeros(self.n, q.dtype)
+        ring = lambda x: jnp.zeros((self.n, *x.shape), x.dtype)
+        index, real = ring(jnp.int32(0)), ring(q[0, 0])
         _, _, *numbers = self.remembers._fields
-        memory = self.remembers(index, index, *[real] * len(numbers))
+        memory = self.remembers(jax.tree.map(ring, self.nowhere), index, *[real] * len(numbers))
         return NStepState(q, clock, memory, slot=jnp.int32(0), filled=jnp.int32(0))
 
     def remember(self, state: NStepState, t: Transition, **numbers: Any) -> Any:
         """The memory with this step in it: S, A, alpha, and these numbers."""
-        alpha = step_size(self.alpha, state.clock, t.s, t.a)
-        step = self.remembers(t.s, t.a, alpha, **numbers)
-        put = lambda x, value: tables.put(x, jnp.asarray(value, x.dtype), state.slot)
+        alpha = self.step_size(state, t)
+        step = self.remembers(self.x(t.s), t.a, alpha, **numbers)
+        put = lambda x, value: tables.put_at(x, jnp.asarray(value, x.dtype), state.slot)
         return jax.tree.map(put, state.memory, step)
 
     def learned(
@@ -99,8 +100,8 @@ def _learn(n: int, returns: Returns, lane, q, memory: Any, oldest, due, *inputs)
 
     def one(i, q):
         step = read(i)
-        old = tables.entry(q, lane, step.s, step.a)
-        return tables.write(q, old + step.alpha * (target(q, i, step) - old), lane, step.s, step.a)
+        old = linear.entry(q, step.s, step.a, lane)
+        return linear.add(q, step.s, step.a, step.alpha * (target(q, i, step) - old), lane)
 
     return lax.fori_loop(jnp.int32(0), tables.entry(due, lane), one, q)
 
@@ -117,14 +118,14 @@ class Sums(NamedTuple):
     """The last n steps, each with what it will learn from.
 
     Attributes:
-        s, a: S and A, int32 [n].
+        s, a: what stands for S (`ValueControl.x`), int32 [n] or more, and A, int32 [n].
         alpha: the step size when they were visited, float [n]; off-policy times the ratios of later actions.
         g: the rewards since then, discounted and summed, float [n].
         weight: what the value of the state that has been reached counts in their returns: gamma^k after k
             steps, and 0 where that state is terminal; float [n].
     """
 
-    s: Int[Array, "*n"]
+    s: Any
     a: Int[Array, "*n"]
     alpha: Float[Array, "*n"]
     g: Float[Array, "*n"]
@@ -141,8 +142,8 @@ class Sums(NamedTuple):
 
 def bootstrapped(lane, read, s_next, a_next):
     """G = the rewards and, with its weight, Q(S', A'); as `NStepControl.learned` asks for it."""
-    reached = lane, tables.entry(s_next, lane), tables.entry(a_next, lane)
-    return lambda q, i, step: step.g + step.weight * tables.entry(q, *reached)
+    s_next, a_next = jax.tree.map(lambda x: tables.entry(x, lane), (s_next, a_next))
+    return lambda q, i, step: step.g + step.weight * linear.entry(q, s_next, a_next, lane)
 
 
 # --- returns that are worked out backwards, by the Q of the moment --------------------------------------

@@ -33,4 +33,4 @@ class NStepSarsa(NStepControl):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
         memory = self.remember(state, t, g=0, weight=1).rewarded(t)
-        return self.learned(state, t, memory, bootstrapped, t.s_next, a_next), a_next
+        return self.learned(state, t, memory, bootstrapped, self.x(t.s_next), a_next), a_next

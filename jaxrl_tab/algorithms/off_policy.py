@@ -10,7 +10,7 @@ from jaxrl_tab.core import tables
 from jaxrl_tab.core.coverage import check_coverage
 from jaxrl_tab.core.policies import EpsilonGreedy, Greedy, Policy, Table
 from jaxrl_tab.core.pytree import field, pytree
-from jaxrl_tab.core.types import Available, restricted
+from jaxrl_tab.core.types import Available, State, restricted
 
 
 @pytree
@@ -64,7 +64,7 @@ class OffPolicyControl(TDControl):
         target = None if self.target is None else restricted(self.target, available)
         return super().restricted_to(available, target=target, **more)
 
-    def target_probs(self, state: Learner, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def target_probs(self, state: Learner, s: State) -> Float[Array, " A"]:
         """The target policy pi(. | s), float [A]."""
         return self.pi.probs(self.row(state, s), state.clock, s)
 

@@ -25,6 +25,6 @@ class ExpectedTraces(OffPolicyControl, TraceControl):
         state = state._replace(values=state.values.faded(c))
         state = self.begin(state, t)
         q_next = self.target_probs(state, t.s_next) @ self.row(state, t.s_next)
-        delta = t.r + t.discount * q_next - state.values.entry(t.s, t.a)
+        delta = t.r + t.discount * q_next - self.value(state, t.s, t.a)
         state = self.learn(state, t, delta)
         return state, self.policy(key, state, t.s_next)

@@ -46,9 +46,10 @@ from jaxrl_tab.core.schedules import sample_average
 from jaxrl_tab.core.types import (
     Available,
     Environment,
+    State,
     Task,
     Transition,
-    available_actions,
+    fitted,
     init_learner,
     restricted,
 )
@@ -129,9 +130,13 @@ class Prediction(Shown):
         state = state._replace(learner=learner)
         return state, self.policy(key, state, t.s_next)
 
+    def row(self, state: ValueState, s: State) -> Float[Array, " 1"]:
+        """V(s), as the one action value of what learns it, float [1]."""
+        return self.control().row(state.learner, s)
+
     def exact_value(self, env: Environment) -> float:
         """v_pi from the start distribution, float64; -inf where pi may go round for ever at a cost."""
-        method = restricted(self, available_actions(env))
+        method = fitted(self, env)
         return planning.policy_value(env, method.probabilities(env), self.gamma)
 
     def probabilities(self, env: Environment) -> Float[np.ndarray, "S A"]:
@@ -145,7 +150,11 @@ class Prediction(Shown):
         with planning.doubled():
             pi = _probabilities(self.pi, env.num_states, env.num_actions)
         measure = planning.value_measurer(env, pi, self.gamma)
-        return lambda state: {"v_error": measure(state.v)}
+        return lambda state: {"v_error": measure(self.everywhere(state, env.num_states))}
+
+    def everywhere(self, state: ValueState, num_states: int) -> Float[Array, " S"]:
+        """V, float [S]."""
+        return state.v
 
 
 @pytree

@@ -5,7 +5,6 @@ from typing import ClassVar, Literal
 from jaxrl_tab.algorithms.traces import TraceControl, TraceState
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.backups import Backup, lambda_return
-from jaxrl_tab.core.clock import step_size
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
 
@@ -47,13 +46,16 @@ class QLambda(TraceControl):
     def update(self, key, state: TraceState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        row_next = state.values.row(t.s_next)
+        row_next = self.row(state, t.s_next)
         q_next = policies.largest(row_next)
-        delta = t.r + t.discount * q_next - state.values.entry(t.s, t.a)
+        delta = t.r + t.discount * q_next - self.value(state, t.s, t.a)
         if self.version == "peng":
             # The others are told of another error; what that is less for this pair, it is told alone.
-            less = policies.largest(state.values.row(t.s)) - state.values.entry(t.s, t.a)
-            alpha = step_size(self.alpha, state.clock, t.s, t.a)
-            state, delta = state._replace(values=state.values.added(t.s, t.a, alpha * less)), delta - less
+            less = policies.largest(self.row(state, t.s)) - self.value(state, t.s, t.a)
+            alpha = self.step_size(state, t)
+            state, delta = (
+                state._replace(values=state.values.added(self.x(t.s), t.a, alpha * less)),
+                delta - less,
+            )
         cut = self.version == "watkins" and tables.entry(row_next, a_next) != q_next
         return self.learn(state, t, delta, cut), a_next

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 from jaxrl_tab.algorithms.control import TDState
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core import policies
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
 from jaxrl_tab.core.pytree import pytree
@@ -26,7 +26,7 @@ class QLearning(TDControl):
 
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)
-        q_next = policies.largest(tables.row(state.q, t.s_next))
-        delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
+        q_next = policies.largest(self.row(state, t.s_next))
+        delta = t.r + t.discount * q_next - self.value(state, t.s, t.a)
         state = self.learn(state, t, delta)
         return state, self.policy(key, state, t.s_next)

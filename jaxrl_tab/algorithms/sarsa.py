@@ -4,7 +4,6 @@ from typing import ClassVar
 
 from jaxrl_tab.algorithms.control import TDState
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Transition
@@ -24,6 +23,5 @@ class Sarsa(TDControl):
     def update(self, key, state: TDState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        q_next = tables.entry(state.q, t.s_next, a_next)
-        delta = t.r + t.discount * q_next - tables.entry(state.q, t.s, t.a)
+        delta = t.r + t.discount * self.value(state, t.s_next, a_next) - self.value(state, t.s, t.a)
         return self.learn(state, t, delta), a_next

@@ -6,13 +6,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.algorithms.traces import TraceControl
-from jaxrl_tab.core import clock, tables
+from jaxrl_tab.core import linear, tables
 from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.clock import Clock
 from jaxrl_tab.core.credited import Credited
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import pytree, static
-from jaxrl_tab.core.types import Transition
+from jaxrl_tab.core.types import State, Transition
 
 
 class SarsaLambdaState(NamedTuple):
@@ -33,10 +33,6 @@ class SarsaLambdaState(NamedTuple):
     def q(self) -> Float[Any, "... S A"]:
         """Q, float [S, A]; of a batch [..., S, A]."""
         return self.values.q if self.q_start is None else self.q_start
-
-    def row(self, s: Int[Array, ""]) -> Float[Array, " A"]:
-        """Q(s, .), float [A]."""
-        return self.values.row(s) if self.q_start is None else tables.row(self.q_start, s)
 
 
 @pytree
@@ -88,19 +84,24 @@ class SarsaLambda(TraceControl):
         q_old = jnp.zeros_like(values.credit) if self.trace == "dutch" else None
         return SarsaLambdaState(values, clock, q_old, values.q if self.offline else None)
 
+    def row(self, state: SarsaLambdaState, s: State) -> Float[Array, " A"]:
+        return super().row(state, s) if state.q_start is None else linear.row(state.q_start, self.x(s))
+
+    def value(self, state: SarsaLambdaState, s: State, a: Int[Array, ""]) -> Float[Array, ""]:
+        return (
+            super().value(state, s, a) if state.q_start is None else linear.entry(state.q_start, self.x(s), a)
+        )
+
     def update(self, key, state: SarsaLambdaState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        q, q_next = state.values.entry(t.s, t.a), state.values.entry(t.s_next, a_next)
-        if state.q_start is not None:  # off-line
-            q = tables.entry(state.q_start, t.s, t.a)
-            q_next = tables.entry(state.q_start, t.s_next, a_next)
+        q, q_next = self.value(state, t.s, t.a), self.value(state, t.s_next, a_next)
         delta = t.r + t.discount * q_next - q
         if state.q_old is not None:  # dutch
             # Q(S, A) is no longer what the last error counted on: all pairs but this step's own are told. In the
             # first step of an episode there are no others, so q_old may be anything.
-            alpha, told = clock.step_size(self.alpha, state.clock, t.s, t.a), q - state.q_old
-            values = state.values.added(t.s, t.a, -alpha * told)
+            alpha, told = self.step_size(state, t), q - state.q_old
+            values = state.values.added(self.x(t.s), t.a, -alpha * told)
             state, delta = state._replace(values=values, q_old=q_next), delta + told
         state = self.learn(state, t, delta)
         if state.q_start is not None:  # at the end of an episode no trace is left, so that Q is the base

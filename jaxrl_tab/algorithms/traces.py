@@ -7,17 +7,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import credited
-from jaxrl_tab.core.clock import Clock, end_step, step_size
+from jaxrl_tab.core.clock import Clock, end_step
 from jaxrl_tab.core.credited import Credited
+from jaxrl_tab.core.linear import X
 from jaxrl_tab.core.pytree import field, pytree, static
-from jaxrl_tab.core.types import Transition
-
-# The part of its trace that a pair keeps when it comes again with step size alpha, before 1 is added.
-KEPT = {
-    "accumulating": lambda alpha: 1.0,
-    "replacing": lambda alpha: 0.0,  # Singh and Sutton 1996
-    "dutch": lambda alpha: 1 - alpha,  # van Seijen and Sutton 2014
-}
+from jaxrl_tab.core.types import State, Transition
 
 
 class TraceState(NamedTuple):
@@ -36,9 +30,18 @@ class TraceState(NamedTuple):
         """Q, float [S, A]; of a batch [..., S, A]."""
         return self.values.q
 
-    def row(self, s: Int[Array, ""]) -> Float[Array, " A"]:
-        """Q(s, .), float [A]."""
-        return self.values.row(s)
+
+def marked(
+    values: Credited, trace: str, alpha: Any, x: X, a: Int[Array, ""], step: Float[Array, ""]
+) -> Credited:
+    """The values where a pair has come with step size alpha, and all are credited with `step` times their traces.
+
+    Its trace grows by 1; or it is 1 (replacing; Singh and Sutton 1996); or it grows by 1 - alpha z (dutch; van Seijen
+    and Sutton 2014).
+    """
+    kept = 0.0 if trace == "replacing" else 1.0
+    by = 1 - alpha * values.trace(x, a) if trace == "dutch" else 1.0
+    return values.learned(x, a, kept, by, step)
 
 
 @pytree
@@ -65,8 +68,11 @@ class TraceControl(TDControl):
         q, clock = super().init(num_states, num_actions)
         return TraceState(credited.start(q), clock)
 
-    def row(self, state: Any, s: Int[Array, ""]) -> Float[Array, " A"]:
-        return state.row(s)
+    def row(self, state: Any, s: State) -> Float[Array, " A"]:
+        return state.values.row(self.x(s))
+
+    def value(self, state: Any, s: State, a: Int[Array, ""]) -> Float[Array, ""]:
+        return state.values.entry(self.x(s), a)
 
     def begin(self, state: Any, t: Transition) -> Any:
         state = super().begin(state, t)
@@ -75,8 +81,8 @@ class TraceControl(TDControl):
     def learn(
         self, state: Any, t: Transition, delta: Float[Array, ""], cut: Bool[Array, ""] | bool = False
     ) -> Any:
-        """z(S, A) <- z(S, A) + 1 and Q <- Q + alpha delta z; then z <- gamma lambda z, or 0 where they are `cut`."""
-        alpha = step_size(self.alpha, state.clock, t.s, t.a)
-        values = state.values.learned(t.s, t.a, KEPT[self.trace](alpha), alpha * delta)
+        """Marks (S, A), and Q <- Q + alpha delta z; then z <- gamma lambda z, or 0 where they are `cut`."""
+        alpha, x = self.step_size(state, t), self.x(t.s)
+        values = marked(state.values, self.trace, alpha, x, t.a, alpha * delta)
         values = values.faded(jnp.where(t.last | cut, 0, t.discount * self.lam))
         return state._replace(values=values, clock=end_step(state.clock, t.last))

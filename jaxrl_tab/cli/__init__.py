@@ -116,6 +116,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get(TRACEBACK) == "1":
             raise
+        with contextlib.suppress(Exception):  # where JAX cannot even be imported
+            from jaxrl_tab.lanes import versions
+
+            if newer := versions.newer():
+                error.add_note(newer)
         error.add_note(f"please report it with what {TRACEBACK}=1 shows, set before the command")
         what = f"this is a defect of {PROG}: {type(error).__name__}: {one_line(str(error))}"
         return complain(what, error)

@@ -17,6 +17,7 @@ from jaxrl_tab.cli.common import (
     prepare,
     start_jax,
 )
+from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import parse, word
@@ -170,7 +171,7 @@ def _print(compared: Compared, options: Bridge) -> None:
         if change[at] > 0:
             table.add_row(*map(escape, [name(int(at[0])), *actions, *numbers]))
     table.caption = f"what the backup changes the most, of {entries}"
-    out.print(table)
+    print_table(out, table)
     verdict = "is" if compared.is_same else "is not"
     out.print(
         f"The mean of what is sampled {verdict} the full backup: the largest difference over all {entries} "

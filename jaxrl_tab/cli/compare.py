@@ -163,8 +163,6 @@ def _table(names: list[str], every: list[Compared], shown: list[int]) -> Table:
     if len(every) > ROWS:
         rows = sorted(every, key=lambda row: row.verdict == "same")[:ROWS]
     table, digits = Table(*(names[i] for i in shown)), decimals(rows)
-    for column in table.columns:
-        column.overflow = "fold"
     for column in table.columns[2:-1]:
         column.justify = "right"
     for row in rows:

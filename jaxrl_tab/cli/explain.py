@@ -6,6 +6,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.cli.common import new_folder, prepare, start_jax
+from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import parse, word
@@ -67,7 +68,7 @@ def _print(explanation: Explanation) -> None:
             column.justify = "right"
         for one in explanation.values():
             summary.add_row(*map(escape, one.row()))
-        out.print(summary)
+        print_table(out, summary)
     for one in explanation.values():
         out.print(
             f"\n[bold]{escape(f'{one.name} in {one.environment}')}[/]: {escape(' '.join(one.sentences))}"
@@ -80,6 +81,6 @@ def _print(explanation: Explanation) -> None:
                 table.add_row(*map(escape, row))
             if more := len(places) - len(table.rows):
                 table.caption = f"and {more} more states: --json prints them all"
-            out.print(table)
+            print_table(out, table)
     for line in explanation.left_out:
         out.print(line, markup=False)

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from jaxrl_tab.cli.common import new_folder, prepare, start_jax
 from jaxrl_tab.cli.options import checked_name
+from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import PROG, console, print_json
 from jaxrl_tab.cli.typed import parse, word
@@ -96,12 +97,17 @@ def figure_command(argv: list[str]) -> int:
                 if folder:
                     _draw_figure(figure, datasets, folder / name)
             if not options.json:
-                console().print(_check_table(*checked[name]), escape(figure.shows), "", sep="\n")
+                print_table(console(), _check_table(*checked[name]))
+                console().print(escape(figure.shows), "", sep="\n")
         if folder and options.all:
             (folder / "index.html").write_text(page(checked, __version__), encoding="utf-8")
 
     if options.all and not options.json:
-        console().print(*_all_tables(checked), sep="\n")
+        for part in _all_tables(checked):
+            if isinstance(part, str):
+                console().print(part)
+            else:
+                print_table(console(), part)
     if options.json:
         results = [
             {"figure": name, "numbers": [_as_json(check) for check in checks]}

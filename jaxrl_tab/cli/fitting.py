@@ -7,6 +7,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from jaxrl_tab.cli.printed import print_table
+
 if TYPE_CHECKING:
     from jaxrl_tab.stats.tasks import Tasks
 
@@ -28,7 +30,7 @@ def print_fitting(
             break
         shown.remove(column)
         left_out.append(names[column])
-    out.print(table(shown))
+    print_table(out, table(shown))
     if left_out:
         out.print(f"In a wider window the table has: {'; '.join(dict.fromkeys(left_out))}.", markup=False)
 

@@ -15,6 +15,7 @@ from jaxrl_tab.algorithms.moments import METHODS, SWEPT, Best, LearningCurve, be
 from jaxrl_tab.algorithms.prediction import PREDICTION, OffPolicyPrediction
 from jaxrl_tab.cli.common import ALPHAS, ENVIRONMENT, build_named, named_in, new_folder, start_jax, with_own
 from jaxrl_tab.cli.options import Typed, checked_name
+from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import Classes, parameters, parse, values, word, words
@@ -173,7 +174,7 @@ def _print(found: Found, options: Moments) -> None:
     if found.is_best.any():
         say(f"* This setting has the least {judged}.")
     if found.best:
-        out.print(_best_table(found.best))
+        print_table(out, _best_table(found.best))
         say(f"Between 0 and 1 the best alpha is that with the least {judged}.")
 
 
@@ -186,7 +187,7 @@ def _print_table(found: Found, options: Moments) -> None:
         if _table(found, columns).__rich_measure__(out, out.options).maximum > out.width:
             left_out.append(" ".join(name.split()))
             del columns[name]
-    out.print(_table(found, columns))
+    print_table(out, _table(found, columns))
     if left_out:
         out.print(f"In a wider window the table has: {'; '.join(left_out)}.", markup=False)
 

@@ -7,6 +7,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.cli.common import new_folder, start_jax
+from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.screen import say_where
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import parse, word
@@ -71,7 +72,7 @@ def _print(studies: list[Study]) -> None:
         for number, (what, values) in enumerate(one.rows().items()):
             table.add_row(escape(one.name) if number == 0 else "", what, *(f"{x:.4g}" for x in values))
         table.add_section()
-    out.print(table)
+    print_table(out, table)
     if lines := curve(studies):
         names = "   ".join(f"{mark} {one.name}" for mark, one in zip(MARKS, studies, strict=False))
         out.print("\n".join(["", *lines, "", f"  {names}"]), markup=False, soft_wrap=True)

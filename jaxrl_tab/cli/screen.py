@@ -15,7 +15,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.cli.fitting import print_over_tasks
-from jaxrl_tab.cli.streams import console, print_json, too_narrow
+from jaxrl_tab.cli.printed import print_table
+from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import words
 from jaxrl_tab.experiment import files, storage
 from jaxrl_tab.show.words import (
@@ -161,7 +162,7 @@ def _print_selection(table: "pd.DataFrame") -> None:
         names = (row["environment"], row["method"]) if several else (row["method"],)
         view.add_row(*names, ", ".join(setting) or "–", *cells)
     out = console()
-    out.print(view)
+    print_table(out, view)
     out.print("The choice flatters the first number: report the second.")
 
 
@@ -200,10 +201,7 @@ def print_summary(environment: str, methods: "Methods") -> None:
         if name in columns and view.__rich_measure__(out, out.options).maximum > out.width:
             left_out.append(text(columns.pop(name).screen, methods.prediction).replace("\n", " "))
             view = _table(methods, varied, columns, digits)
-    out.print(view)
-    needed = 1 + sum(3 + (column.min_width or 1) for column in view.columns)
-    if out.is_terminal and needed > out.width:
-        out.print(too_narrow(needed))
+    print_table(out, view)
     if left_out:
         out.print(f"In a wider window the table has: {'; '.join(left_out)}.", markup=False)
     for line in _notes(methods, bool(varied), digits):
@@ -257,10 +255,6 @@ def _table(methods: "Methods", varied: Sequence[str], columns: "Mapping[str, Col
                 style="bold" if star else None,
             )
         view.add_section()
-    for column in view.columns:  # no number is cut: names are broken before
-        column.overflow = "fold"
-    for column in view.columns[1:]:
-        column.min_width = max((len(part) for x in column.cells for part in str(x).split()), default=1)
     return view
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
+from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.screen import busy
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import parse, word
@@ -67,7 +68,7 @@ def seeds_command(argv: list[str]) -> int:
     from jaxrl_tab.stats import unseen
 
     out = console()
-    out.print(table)
+    print_table(out, table)
     fewest = min(row["pilot"] for row in rows)
     out.print(
         f"So many common seeds show a true difference of {options.difference:g} in {options.power:.0%} of experiments, "

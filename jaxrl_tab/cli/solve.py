@@ -10,6 +10,7 @@ from rich.table import Table
 
 from jaxrl_tab.cli import hard
 from jaxrl_tab.cli.common import ENVIRONMENT, find, named_in, new_folder, start_jax, with_own
+from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.screen import busy, say_where
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.tables import arrows, show, tables
@@ -133,7 +134,7 @@ def solve_command(argv: list[str]) -> int:
             out.print(found.said, soft_wrap=True)
         show(out, *tables(env, v, q))
     if hardness:
-        out.print(hard.hardness_table(env, hardness, options.gamma))
+        print_table(out, hard.hardness_table(env, hardness, options.gamma))
     if (rate := of_environment(env).discount) not in (None, options.gamma):
         out.print(f"Its source states a discount rate of {rate:g}: `--gamma {rate:g}` takes it.")
     if (mean_value := of_environment(env).mean_optimal_value) is not None:
@@ -259,7 +260,7 @@ def _print_steps(env: Any, history: planning.Iterates) -> None:
         )
     if more := count - len(table.rows):
         table.caption = f"and {more} more: --json prints them all"
-    out.print(table)
+    print_table(out, table)
     out.print(_what_became(history), soft_wrap=True)
     if isinstance(env, Grid) and count <= POLICIES:
         show(out, *(arrows(env, policy, f"policy {n}") for n, policy in enumerate(history.policy)))

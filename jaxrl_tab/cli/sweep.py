@@ -29,11 +29,13 @@ from jaxrl_tab.core.names import is_from_outside
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.backend import Backend
+from jaxrl_tab.engine.by_lanes import threads
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.executors import Executor
 from jaxrl_tab.experiment.files import FORMATS, Outcome, check_formats
-from jaxrl_tab.experiment.plan import plan
+from jaxrl_tab.experiment.plan import OnWorkers, on_workers, plan
+from jaxrl_tab.experiment.shards import Job
 from jaxrl_tab.experiment.spec import Experiment, template
 
 
@@ -68,10 +70,16 @@ class Where:
 
 
 @contextlib.contextmanager
-def _executor(options: Any, typed: Typed, out: Path | None) -> Iterator[Executor]:
-    """The executor that the options name, made with those of them that are its own."""
+def _executor(options: Any, typed: Typed, out: Path | None, is_used: bool = True) -> Iterator[Executor]:
+    """The executor that the options name, made with those of them that are its own.
+
+    Where it `is_used` for nothing, as by `--dry-run`, it need not be reached.
+    """
     name = checked_name(EXECUTOR.noun, options.executor, executors.EXECUTORS)
     parameters = values_of(name, typed, EXECUTOR)
+    if not is_used:
+        yield executors.Local()
+        return
     if name == "slurm":
         if out is None:
             raise InputError("--executor slurm needs --out: a folder that all machines see")
@@ -104,6 +112,7 @@ class Sweep(Where):
       jaxrl-tab sweep mine.py:MyEnv mine.py:MyMethod sarsa --my-parameter 1 2
       jaxrl-tab sweep --write-template experiment.toml
       jaxrl-tab sweep experiment.toml --dry-run
+      jaxrl-tab sweep experiment.toml --dry-run --executor ray --workers 64
       jaxrl-tab sweep experiment.toml --out runs/experiment
 
     Attributes:
@@ -133,6 +142,7 @@ class Sweep(Where):
         backend: What compiles it: lanes, which is for CPUs and fast, or xla. By default lanes, where it can.
         out: New folder for the data and the pictures.
         dry_run: Show what would be run, in how much memory, and stop.
+        workers: With --dry-run: how long it takes on so many workers of the executor that are as fast as this machine.
         write_template: Write an experiment that explains itself, to FILE or, without one, to the screen, and
             stop.
     """
@@ -155,6 +165,7 @@ class Sweep(Where):
     backend: Backend = field(default="auto", static=True)
     out: Path | None = None
     dry_run: bool = False
+    workers: int | None = field(default=None, at_least=1)
     write_template: bool = False
 
 
@@ -182,25 +193,47 @@ def sweep_command(argv: list[str]) -> int:
     options, typed = parse(Sweep, argv, **groups, executor=EXECUTOR)
     if options.write_template:
         return _write_template(options.env)
-    with _executor(options, typed["executor"], options.out) as executor:
+    if options.workers and not options.dry_run:
+        raise InputError("--workers is for --dry-run: how many there are, the executor knows")
+    if options.workers and options.executor == "local":
+        raise InputError(
+            "--workers is how many an executor has: give --executor ray, slurm or distributed as well"
+        )
+    with _executor(options, typed["executor"], options.out, not options.dry_run) as executor:
         if isinstance(executor, executors.Distributed) and executor.serve():
             return 0
         with busy("reading what is to be run", options.quiet):
             experiment = _experiment(options, typed, **groups)
-        return _conduct(experiment, executor, options, ["sweep", *argv])
+        return _conduct(experiment, executor, options, ["sweep", *argv], typed["executor"])
 
 
-def _conduct(experiment: Experiment, executor: Executor, options: Sweep, command: Sequence[str]) -> int:
+def _forecast(experiment: Experiment, options: Sweep, typed: Typed) -> OnWorkers:
+    """How long it takes on the workers of an executor: one core of each, unless it was said otherwise."""
+    given = values_of(options.executor, typed, EXECUTOR)
+    cores = given.get("num_cpus") or dict(given.get("parameters", {})).get("cpus_per_task") or 1
+    if options.executor == "distributed":
+        cores = threads()  # all of each machine
+    return on_workers(Job.of(experiment, options.bytes, {}), options.workers or 1, int(cores))
+
+
+def _conduct(
+    experiment: Experiment, executor: Executor, options: Sweep, command: Sequence[str], typed: Typed
+) -> int:
     """Runs the experiment, prints what came out, and leaves it in the folder; or says what it would do."""
     start_jax()
+    forecast = None
     if options.dry_run or (not options.quiet and sys.stderr.isatty()):
         with busy("planning", options.quiet), backend.using(experiment.backend):
             planned = plan(experiment.parts(), options.bytes)
+            forecast = _forecast(experiment, options, typed) if options.workers else None
         if options.dry_run and options.json:
             parts = {name: part._asdict() for name, part in planned.parts.items()}
-            print_json(planned._asdict() | {"parts": parts})
+            elsewhere = {"on_workers": forecast._asdict()} if forecast else {}
+            print_json(planned._asdict() | {"parts": parts} | elsewhere)
         else:
             print(planned.text(), file=sys.stdout if options.dry_run else sys.stderr)
+            if forecast:
+                print(forecast.text())
             if about := experiment.until_decided:
                 what = "every setting" if about["all_settings"] else "the best setting of each method"
                 print(
@@ -313,6 +346,7 @@ class Resume(Where):
         seeds: How many seeds there are to be.
         steps: How many steps each run is to take. Longer runs are all computed from their beginning.
         episodes: How many episodes each run is to finish, in the same way.
+        formats: Of the pictures: png, svg, pdf, or several of them; by default those that there were, if any.
         history: Show what the sweep was begun with, and what was added when; and stop.
         mixed: Go on nevertheless; the report tells what was not the same for all numbers.
     """
@@ -322,6 +356,7 @@ class Resume(Where):
     seeds: int | None = field(default=None, at_least=1)
     steps: int | None = field(default=None, at_least=1)
     episodes: int | None = field(default=None, at_least=1)
+    formats: tuple[str, ...] = ()
     history: bool = False
     mixed: bool = False
 
@@ -377,7 +412,7 @@ def _watched(options: Where, folder: Path | None, again: Sequence[str] = ()) -> 
 
     try:
         with interruptible():
-            formats = options.formats if options.pictures else ()
+            formats = (options.formats or None) if options.pictures else ()
             looked = None if options.quiet else show_look
             shown = {"progress": False if options.quiet else None, "ready": show, "looked": looked}
             yield {**shown, "formats": formats}

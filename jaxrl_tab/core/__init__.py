@@ -17,6 +17,7 @@ Its modules, from the ground up:
     types       the vocabulary: what an environment answers, what a method learns from
     rng         random numbers for the loop, one word a decision
     tables      reading and writing a table of values, and how lanes batch that
+    linear      values that are linear in features of a state: reading and changing them
     credited    action values with traces: what a pair is credited with is worked out when it is read
     clock       step sizes and exploration rates as a method uses them, and the clock that they read
     families    schedules that a few numbers describe

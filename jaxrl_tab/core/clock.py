@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.core import tables
+from jaxrl_tab.core.types import State
 
 ClockName: TypeAlias = Literal["step", "episode", "visit"]
 
@@ -50,7 +51,7 @@ def goes_by_visit(rate: Any) -> bool:
     return isinstance(rate, Schedule) and rate.clock == "visit"
 
 
-def begin_step(clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) -> Clock:
+def begin_step(clock: Clock, s: State, a: Int[Array, ""]) -> Clock:
     """Counts one step and one visit of (s, a)."""
     visits = None if clock.visits is None else tables.add(clock.visits, s, a, jnp.int32(1))
     return clock._replace(step=clock.step + 1, visits=visits)
@@ -61,7 +62,7 @@ def end_step(clock: Clock, last: Bool[Array, ""]) -> Clock:
     return clock._replace(episode=clock.episode + last.astype(jnp.int32))
 
 
-def step_size(rate: Rate, clock: Clock, s: Int[Array, ""], a: Int[Array, ""]) -> Float[Array, ""] | float:
+def step_size(rate: Rate, clock: Clock, s: State, a: Int[Array, ""]) -> Float[Array, ""] | float:
     """alpha for the update of (s, a) in the step that has begun."""
     if not goes_by_visit(rate):
         return at_visit(rate, clock, None)
@@ -79,7 +80,7 @@ def at_visit(rate: Rate, clock: Clock, n: Int[Array, ""] | None) -> Float[Array,
     return rate(clock.step if rate.clock == "step" else clock.episode + 1)
 
 
-def of_state(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
+def of_state(rate: Rate, clock: Clock, s: State) -> Float[Array, ""] | float:
     """What `rate` is for the choice of the next action, in state s."""
     if not isinstance(rate, Schedule):
         return rate
@@ -89,6 +90,6 @@ def of_state(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | 
     return rate(1 + (clock.step if rate.clock == "step" else clock.episode))
 
 
-def exploration(rate: Rate, clock: Clock, s: Int[Array, ""]) -> Float[Array, ""] | float:
+def exploration(rate: Rate, clock: Clock, s: State) -> Float[Array, ""] | float:
     """epsilon for the choice of the next action, in state s; what a schedule gives is clipped to [0, 1]."""
     return jnp.clip(of_state(rate, clock, s), 0, 1) if isinstance(rate, Schedule) else rate

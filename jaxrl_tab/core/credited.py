@@ -16,14 +16,19 @@ overflows, however long an episode is. (With gamma lambda = 1 the scale stays 1,
 same bound says how exact it is. Where a pair is marked, its base takes up the opposite of credit / scale, so that its
 rounding is that of a number up to 1 / SMALL times as large as the credit. With this `SMALL`, Q was as near to that of
 float64 as it is by a loop over all pairs, or nearer, wherever learning was measured; see docs/performance.md.
+
+All this holds as well where values are linear in features: the weights stand for Q, a feature and an action for a pair,
+and a step marks every feature x(S) that is not 0 (see `linear`).
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxrl_tab.core import tables
+from jaxrl_tab.core import linear, tables
+from jaxrl_tab.core.linear import X
 
 SMALL = 1 / 16
 
@@ -54,13 +59,17 @@ class Credited(NamedTuple):
         """The traces; of a batch [..., S, A]."""
         return self.marks * self.scale[..., None, None]
 
-    def row(self, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def row(self, x: X) -> Float[Array, " A"]:
         """Q(s, .)."""
-        return tables.row(self.base, s) + tables.row(self.marks, s) * self.credit
+        return linear.row(self.base, x) + linear.row(self.marks, x) * self.credit
 
-    def entry(self, s: Int[Array, ""], a: Int[Array, ""]) -> Float[Array, ""]:
+    def entry(self, x: X, a: Int[Array, ""]) -> Float[Array, ""]:
         """Q(s, a)."""
-        return tables.entry(self.base, s, a) + tables.entry(self.marks, s, a) * self.credit
+        return linear.entry(self.base, x, a) + linear.entry(self.marks, x, a) * self.credit
+
+    def trace(self, x: X, a: Int[Array, ""]) -> Float[Array, ""]:
+        """x . z(., a), which is z(s, a) where x is the number of a state."""
+        return linear.entry(self.marks, x, a) * self.scale
 
     def begun(self) -> "Credited":
         """With a scale that is not small, as each step begins; nothing that can be read changes."""
@@ -69,25 +78,29 @@ class Credited(NamedTuple):
         return self._replace(marks=marks, scale=jnp.where(is_due, 1, self.scale))
 
     def learned(
-        self, s: Int[Array, ""], a: Int[Array, ""], kept: Float[Array, ""] | float, x: Float[Array, ""]
+        self,
+        x: X,
+        a: Int[Array, ""],
+        kept: float,
+        by: Float[Array, ""] | float,
+        step: Float[Array, ""],
     ) -> "Credited":
-        """z(s, a) <- kept z(s, a) + 1; and then Q <- Q + x z, for all pairs."""
+        """z(., a) <- kept z(., a) + by x; and then Q <- Q + step z, for all pairs."""
         # Marking moves the last bits of Q(s, a), so it comes when all is read that decides between actions. The mark
-        # is worked out from x, which was made of that, so that XLA reads first, too: else it would copy the tables.
-        one = jnp.where(x == x, 1.0, jnp.nan)  # with an x that is NaN, all of Q is NaN
-        base, old = tables.entry(self.base, s, a), tables.entry(self.marks, s, a)
-        new = kept * old + one / self.scale
-        base = base + (old - new) * self.credit
-        return Credited(
-            tables.put(self.base, base, s, a),
-            tables.put(self.marks, new, s, a),
-            self.scale,
-            self.credit + x * self.scale,
-        )
+        # is worked out from `step`, which was made of that, so that XLA reads first, too: else it would copy the
+        # tables.
+        mark = jnp.where(step == step, by, jnp.nan) / self.scale  # with a step that is NaN, all of Q is NaN
 
-    def added(self, s: Int[Array, ""], a: Int[Array, ""], x: Float[Array, ""]) -> "Credited":
-        """Q(s, a) <- Q(s, a) + x, for this pair alone."""
-        return self._replace(base=tables.add(self.base, s, a, x))
+        def marked(times_x: Callable[[Array], Array], base: Array, old: Array) -> tuple[Array, Array]:
+            new = kept * old + times_x(mark)
+            return base + (old - new) * self.credit, new
+
+        base, marks = linear.change(marked, (self.base, self.marks), x, a)
+        return Credited(base, marks, self.scale, self.credit + step * self.scale)
+
+    def added(self, x: X, a: Int[Array, ""], step: Float[Array, ""]) -> "Credited":
+        """w(., a) <- w(., a) + step x, which for a table is Q(s, a) <- Q(s, a) + step, for this pair alone."""
+        return self._replace(base=linear.add(self.base, x, a, step))
 
     def faded(self, by: Float[Array, ""] | float) -> "Credited":
         """z <- by z, for all pairs; `by` is at least 0. Where it is 0, Q is the base alone then."""

@@ -82,6 +82,7 @@ class OfMethod(NamedTuple):
         works_with: gives, from a state, arrays of the shapes of those with which `update` works beside it, for the
             forecast of memory; None where these are no more than some numbers of each state and action.
         behaviour: the policy that acts, where the method was given one.
+        features: the features of a state of which its values are a linear function; None where they are a table.
         backup: the diagram of what `update` looks ahead to, a `Backup` or its levels as text; None where nobody has
             drawn it. The class that defines `update` declares it, or a subclass without an `update` of its own.
     """
@@ -96,6 +97,7 @@ class OfMethod(NamedTuple):
     records: tuple[str, ...] = ()
     works_with: Callable[[Any], Any] | None = None
     behaviour: Any = None
+    features: Any = None
     backup: Backup | None = None
 
 
@@ -116,6 +118,10 @@ class OfEnvironment(NamedTuple):
         horizon: H, after how many steps every episode has ended, where its states tell how many were taken: after h
             steps it is one of the S states from h S on, and state H S, the last, is the end. None where an episode may
             go on, or its states do not tell.
+        low, high: the least and the largest that each number may be which is observed of a state; infinite where there
+            is no bound. None where states are counted, and their number is all that is observed.
+        observation: the numbers that are observed of a state, float [d]; None where they are the state itself, or its
+            number.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
     """
 
@@ -130,6 +136,9 @@ class OfEnvironment(NamedTuple):
     discount: float | None = None
     continuing: bool = False
     horizon: int | None = None
+    low: tuple[float, ...] | None = None
+    high: tuple[float, ...] | None = None
+    observation: Callable[[Any], Any] | None = None
 
     @property
     def differs(self) -> str:

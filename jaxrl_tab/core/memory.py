@@ -99,7 +99,7 @@ def blocks(count: int, each: int, most: int = BLOCK) -> Iterator[slice]:
 
 def let_go() -> None:
     """Frees the memory that reading results in files took; what is needed again is read again."""
-    if hasattr(mmap, "MADV_DONTNEED"):
+    if _MAPPED and hasattr(mmap, "MADV_DONTNEED"):
         for file in list(_MAPPED):
             file.madvise(mmap.MADV_DONTNEED)
 

@@ -72,8 +72,10 @@ def _make(text: str) -> Callable[[Any], Any]:
     return schedule
 
 
-def read_call(text: str, what: str) -> tuple[str, list[float], dict[str, float]]:
+def read_call(text: str, what: str, takes_more: bool = False) -> tuple[str, list[Any], dict[str, Any]]:
     """The name, the arguments and the keyword arguments of a call; nothing in `text` is evaluated.
+
+    They are numbers, or, where it `takes_more`, also texts and tuples of numbers.
 
     Raises:
         InputError: `text` is not the name of `what`.
@@ -82,7 +84,10 @@ def read_call(text: str, what: str) -> tuple[str, list[float], dict[str, float]]
         call: Any = ast.parse(text, mode="eval").body
         numbers = [ast.literal_eval(x) for x in call.args]
         keywords = {x.arg: ast.literal_eval(x.value) for x in call.keywords}
-        is_number = [isinstance(x, int | float) and abs(x) < math.inf for x in [*numbers, *keywords.values()]]
+        given = [*numbers, *keywords.values()]
+        if takes_more:
+            given = [y for x in given for y in (x if isinstance(x, tuple) else [x]) if not isinstance(y, str)]
+        is_number = [isinstance(x, int | float) and abs(x) < math.inf for x in given]
         if all(is_number) and len(keywords) == len(call.keywords):
             return call.func.id, numbers, keywords
     raise InputError(f"{shown(text)} is not the name of {what}")

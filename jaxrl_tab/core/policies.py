@@ -32,7 +32,7 @@ from jaxrl_tab.core.checks import KINDS, Kind, as_array, build, concrete, first,
 from jaxrl_tab.core.clock import Clock, Rate, exploration, goes_by_visit, of_state
 from jaxrl_tab.core.errors import InputError, nearest, shown, unfit
 from jaxrl_tab.core.pytree import field, pytree
-from jaxrl_tab.core.types import Available, check_available
+from jaxrl_tab.core.types import Available, State, check_available
 
 # The value of an action that a state does not have: never the maximum, and of weight 0 in a softmax. It is
 # finite because 0 times it must be 0. Nothing is learned about such an action, so the value never changes.
@@ -137,7 +137,7 @@ class Policy(Protocol):
         """Raises InputError where it does not fit a task of so many states and actions."""
         ...
 
-    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: State) -> Float[Array, " A"]:
         """pi(. | s), float [A], where `q` is Q(s, .)."""
         ...
 
@@ -211,7 +211,7 @@ class _Anywhere:
 class Greedy(_Anywhere):
     """A maximal action; ties split equally."""
 
-    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: State) -> Float[Array, " A"]:
         return greedy(q)
 
 
@@ -254,7 +254,7 @@ class EpsilonGreedy(_Anywhere):
             available = (jnp.asarray(self.available) > 0) & available
         return dataclasses.replace(self, available=available)
 
-    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: State) -> Float[Array, " A"]:
         epsilon = exploration(self.epsilon, clock, s)
         if self.available is None:
             return epsilon_greedy(q, epsilon)
@@ -274,7 +274,7 @@ class Softmax(_Anywhere):
     def by_visit(self) -> bool:
         return goes_by_visit(self.temperature)
 
-    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: State) -> Float[Array, " A"]:
         return softmax(q, of_state(self.temperature, clock, s))
 
 
@@ -291,7 +291,7 @@ class UCB(_Anywhere):
     def by_visit(self) -> bool:
         return True
 
-    def probs(self, q: Float[Array, " A"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def probs(self, q: Float[Array, " A"], clock: Clock, s: State) -> Float[Array, " A"]:
         assert clock.visits is not None
         visits = tables.row(clock.visits, s)
         n = _reduce(jnp.add, visits).astype(q.dtype)
@@ -334,7 +334,7 @@ class Table:
         check_among("Table: probabilities", self.probabilities, available)
         return self
 
-    def probs(self, q: Float[Array, " _"], clock: Clock, s: Int[Array, ""]) -> Float[Array, " A"]:
+    def probs(self, q: Float[Array, " _"], clock: Clock, s: State) -> Float[Array, " A"]:
         return tables.row(jnp.asarray(self.probabilities, float), s)  # where v is learned, `q` is v(s) alone
 
 

@@ -56,6 +56,13 @@ def put(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""
     return _write(table, x.astype(table.dtype), *index)
 
 
+def put_at(
+    table: Shaped[Array, "N ..."], x: Shaped[Array, "..."], i: Int[Array, ""]
+) -> Shaped[Array, "N ..."]:
+    """`table` with `table[i]` set to `x`, a number or a row. `i` must be in range: it is not checked."""
+    return put(table, x, i) if x.ndim == 0 else lane_by_lane(_put_row, table, i, x)
+
+
 def write(table: Shaped[Array, "..."], x: Shaped[Array, ""], *index: Int[Array, ""]) -> Shaped[Array, "..."]:
     """`table` with entry `index` set to `x`, inside the body of `lane_by_lane` and other plain loops."""
     block = x.astype(table.dtype).reshape((1,) * table.ndim)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import Protocol, runtime_checkable  # quick ones, as since Python 3.12
 
 from jaxrl_tab.core.checks import concrete, first
-from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.declared import of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown
 
 T = TypeVar("T")
@@ -25,17 +25,21 @@ Available: TypeAlias = Bool[Array, "S A"] | Bool[np.ndarray, "S A"]
 """Which actions there are in each state."""
 
 
+State: TypeAlias = Int[Array, ""] | Float[Array, " d"]
+"""A state: its number, int32 []; or, where states cannot be counted, the numbers that it is, float [d]."""
+
+
 # --- what environments and methods exchange ----------------------------------------------------------
 class Outcome(NamedTuple):
     """What an environment answers to an action.
 
     Attributes:
-        s_next: the state S' that was entered, int32 []; terminal states are states too.
+        s_next: the state S' that was entered, a `State`; terminal states are states too.
         reward: R, float [].
         terminal: whether S' is terminal, bool []. A time limit is not the environment's business here.
     """
 
-    s_next: Int[Array, "*k"]
+    s_next: Int[Array, "*k"] | Float[Array, "*k d"]
     reward: Float[Array, "*k"]
     terminal: Bool[Array, "*k"]
 
@@ -44,19 +48,19 @@ class Transition(NamedTuple):
     """What a method learns from: (S, A, R, S', gamma').
 
     Attributes:
-        s: S, int32 [].
+        s: S, a `State`.
         a: A, int32 [].
         r: R, float [].
-        s_next: S', int32 []: the state before any reset.
+        s_next: S', a `State`: the one before any reset.
         discount: gamma', float []: gamma, and 0 only where S' is terminal. At a time limit it stays gamma,
             so a method that multiplies its bootstrap with it does the right thing in both cases.
         last: whether the episode ends here, by S' or by the time limit, bool [].
     """
 
-    s: Int[Array, ""]
+    s: State
     a: Int[Array, ""]
     r: Float[Array, ""]
-    s_next: Int[Array, ""]
+    s_next: State
     discount: Float[Array, ""]
     last: Bool[Array, ""]
 
@@ -92,7 +96,8 @@ class Environment(Protocol):
     see `restricted`.
 
     Attributes:
-        num_states: the number of states, terminal ones included.
+        num_states: the number of states, terminal ones included; 0 where they cannot be counted, for a state is some
+            numbers, between its `low` and `high` (see `declared.OfEnvironment`). Then it takes a method of `approx`.
         num_actions: the number of actions, the same in every state.
         max_steps: the time limit of an episode, in steps; reaching it truncates and does not terminate.
     """
@@ -104,11 +109,11 @@ class Environment(Protocol):
     @property
     def max_steps(self) -> int: ...
 
-    def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        """Draws a start state, int32 []."""
+    def reset(self, key: Key[Array, ""]) -> State:
+        """Draws a start state."""
         ...
 
-    def step(self, key: Key[Array, ""], s: Int[Array, ""], a: Int[Array, ""]) -> Outcome:
+    def step(self, key: Key[Array, ""], s: Any, a: Int[Array, ""]) -> Outcome:
         """Draws what follows action `a` in state `s`."""
         ...
 
@@ -152,7 +157,7 @@ class Algorithm(Protocol[L]):
         """
         ...
 
-    def policy(self, key: Key[Array, ""], state: L, s: Int[Array, ""]) -> Int[Array, ""]:
+    def policy(self, key: Key[Array, ""], state: L, s: Any) -> Int[Array, ""]:
         """Draws an action for `s` from the behaviour policy, int32 []."""
         ...
 
@@ -177,11 +182,37 @@ def available_actions(env: Any) -> Bool[Array, "S A"] | None:
     Raises:
         InputError: what `available` gives has the wrong shape, or a state has no action.
     """
-    if (available := of_environment(env).available) is None:
+    if (available := of_environment(env).available) is None or not env.num_states:
         return None
     is_available = jax.vmap(available)(jnp.arange(env.num_states, dtype=jnp.int32)).astype(bool)
     check_available(f"{type(env).__name__}: available", is_available, env.num_states, env.num_actions)
     return is_available
+
+
+def fitted(method: T, env: Any) -> T:
+    """A method as it acts in an environment.
+
+    It takes available actions only; and where its values are functions of features, these are features of what is
+    observed there: it then has a method `fitted_to(env)`.
+
+    Raises:
+        InputError: method and environment do not fit.
+    """
+    if (fit := getattr(method, "fitted_to", None)) is not None:
+        return restricted(fit(env), available_actions(env))
+    if not env.num_states:
+        raise InputError(
+            f"{type(method).__name__} keeps a table, and the states of {type(env).__name__} cannot be counted: take a "
+            "method whose values are functions of features, such as those of rl.approx"
+        )
+    return restricted(method, available_actions(env))
+
+
+def table_of(method: Any, env: Any, learner: Any) -> Float[Array, "*tables _ _"]:
+    """What was learned, as a table: Q [S, A], or V [S, 1]; weights [n, A] where states cannot be counted."""
+    if of_method(method).features is None or not env.num_states:
+        return learner.q
+    return jax.vmap(method.row, (None, 0))(learner, jnp.arange(env.num_states, dtype=jnp.int32))
 
 
 def stand_ins(available: Available) -> Int[Array, "S A"]:

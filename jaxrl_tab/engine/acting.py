@@ -15,7 +15,7 @@ from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.core.clock import Clock
 from jaxrl_tab.core.errors import RunError
 from jaxrl_tab.core.policies import Policy
-from jaxrl_tab.core.types import available_actions, restricted
+from jaxrl_tab.core.types import fitted
 from jaxrl_tab.engine.part import Part, compute
 
 # Methods that act by their Q as it is, and by what the clock has counted.
@@ -50,7 +50,7 @@ def acting(
     Raises:
         RunError: run again, they gave other tables.
     """
-    method: Any = restricted(part.configs[setting], available_actions(part.env))
+    method: Any = fitted(part.configs[setting], part.env)
     if not hasattr(method, "probs"):
         return None
     if not _by_q(method):

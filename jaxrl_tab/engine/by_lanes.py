@@ -19,7 +19,7 @@ import numpy as np
 from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.cores import cores
 from jaxrl_tab.core.errors import RunError
-from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
+from jaxrl_tab.core.types import Algorithm, Environment, fitted, init_learner
 from jaxrl_tab.engine import backend, programs, provenance
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
@@ -185,7 +185,7 @@ def gives(budget: Budget, signature: Signature) -> tuple[list[Any], Any]:
     _, _, (algorithm, _), (env, _) = signature.arguments
 
     def learner(algorithm: Algorithm, env: Environment) -> Any:
-        return init_learner(restricted(algorithm, available_actions(env)), env)
+        return init_learner(fitted(algorithm, env), env)
 
     results = needs_of_program(budget, signature).results
     return jax.tree.flatten((results, jax.eval_shape(learner, algorithm, env)))

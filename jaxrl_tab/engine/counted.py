@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.pytree import pytree
-from jaxrl_tab.core.types import Available, Task, Transition, init_learner, restricted
+from jaxrl_tab.core.types import Available, Task, Transition, fitted, init_learner
 
 
 class CountedState(NamedTuple):
@@ -54,8 +54,11 @@ class Counted:
             raise AttributeError(name)
         return getattr(self.method, name)
 
+    def fitted_to(self, env: Any) -> Self:
+        return dataclasses.replace(self, method=fitted(self.method, env))
+
     def restricted_to(self, available: Available) -> Self:
-        return dataclasses.replace(self, method=restricted(self.method, available))
+        return self  # its method was, when it was fitted
 
     def init(self, num_states: int, num_actions: int, max_steps: int) -> CountedState:
         learner = init_learner(self.method, Task(num_states, num_actions, max_steps))

@@ -14,7 +14,15 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.core import policies, rng, tables
 from jaxrl_tab.core.declared import of_environment, of_method
-from jaxrl_tab.core.types import Algorithm, Environment, Outcome, Transition, available_actions, init_learner
+from jaxrl_tab.core.types import (
+    Algorithm,
+    Environment,
+    Outcome,
+    State,
+    Transition,
+    available_actions,
+    init_learner,
+)
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.envs.base import samples_outcomes
@@ -26,7 +34,7 @@ class Run(NamedTuple):
 
     learner: Any
     t: Int[Array, ""]  # steps taken
-    s: Int[Array, ""]
+    s: State
     a: Int[Array, ""]
     length: Int[Array, ""]  # steps of this episode so far
     g: Float[Array, ""]  # its return so far
@@ -179,9 +187,9 @@ def _make_step(algorithm: Algorithm, env: Environment, start: _Start) -> Step:
 
     def step(run: Run, key: _Decisions) -> tuple[Run, Log, Happened]:
         # Drawn before the update, on which it does not depend: so a processor works on both at the same time.
-        s_start = jnp.asarray(start.state(key.reset), jnp.int32)
+        s_start = _as_state(start.state(key.reset))
         s_next, reward, terminal = step_at(run.t)(key.step, run.s, run.a)
-        s_next = jnp.asarray(s_next, jnp.int32)
+        s_next = _as_state(s_next)
         reward, terminal = jnp.asarray(reward, run.g.dtype), jnp.asarray(terminal, bool)
         length = run.length + 1
         last = terminal | (length >= env.max_steps)
@@ -232,10 +240,16 @@ def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _S
 
 def _begin(start: _Start, reset_key: Any, start_key: Any, learner: Any, t: Int[Array, ""]) -> Run:
     """The run at the beginning of an episode, in its start state with its first action chosen."""
-    s = jnp.asarray(start.state(reset_key), jnp.int32)
+    s = _as_state(start.state(reset_key))
     a = start.action(start_key, learner, s)
     zero = jnp.zeros((), learner.q.dtype)
     return Run(learner, t=t, s=s, a=a, length=jnp.int32(0), g=zero, discount=zero + 1)
+
+
+def _as_state(s: Any) -> State:
+    """A state in the type that a run carries: a number in int32, what it is otherwise in JAX's floats."""
+    s = jnp.asarray(s)
+    return s.astype(float if jnp.issubdtype(s.dtype, jnp.floating) else jnp.int32)
 
 
 # --- many steps --------------------------------------------------------------------------------------

@@ -34,8 +34,8 @@ from jaxrl_tab.core.types import (
     Environment,
     Task,
     Transition,
-    available_actions,
     check_available,
+    fitted,
     init_learner,
     restricted,
 )
@@ -220,7 +220,7 @@ def collect(
     """
     method = _method(behaviour)
     check_pytree("env", env, ENVS)
-    method = restricted(method, available_actions(env))
+    method = fitted(method, env)
     logged = _Logged(method, init_learner(method, env))
     _, log = train(key, logged, env, num_steps=num_steps, log_every=1, record=_transition)
     assert log.recorded is not None
@@ -282,8 +282,11 @@ class _Logged:
     def exploring_starts(self) -> bool:
         return of_method(self.method).exploring_starts
 
-    def restricted_to(self, available: Available) -> Self:
+    def fitted_to(self, env: Any) -> Self:
         return self  # its method was, before it began
+
+    def restricted_to(self, available: Available) -> Self:
+        return self
 
     def init(self, num_states: int, num_actions: int) -> _LoggedState:
         zero, real = jnp.int32(0), jnp.zeros((), self.start.q.dtype)

@@ -86,6 +86,11 @@ def keep(folder: Path | None = None) -> None:
     model.keep_with(functools.partial(kept, what=EXACT))
 
 
+def are_kept() -> bool:
+    """Whether `keep` was called, and there is a folder for it."""
+    return _folder is not None
+
+
 def kept(
     name: Any,
     make: Callable[[], T],

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from jaxrl_tab.approx.observed import Features
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.declared import Learns
@@ -110,7 +111,8 @@ class SweepResult:
     def to_xarray(self) -> "xr.Dataset":
         """The result as a dataset: dimensions are the swept hyperparameters, then seed, then row.
 
-        The fields of the log are its variables, with what was recorded, `q` [*grid, seed, state, action], and
+        The fields of the log are its variables, with what was recorded, `q` [*grid, seed, state, action] (weights
+        [feature, action] where states cannot be counted), and
         `diverged` [*grid, seed]; what is the same for all runs is in `attrs`. Hyperparameters that were drawn
         at random are coordinates along a dimension `draw`: alpha(draw).
         """
@@ -125,7 +127,7 @@ class SweepResult:
         for name, x in (self.log.recorded or {}).items():
             more = [f"{name}_{i}" for i in range(x.ndim - len(axes) - 1)]
             variables[name] = ((*axes, "row", *more), x)
-        variables["q"] = ((*axes, "state", "action"), self.q)
+        variables["q"] = ((*axes, "state" if self.env.num_states else "feature", "action"), self.q)
         variables["diverged"] = (axes, self.diverged)
         if self.optimal_value.ndim:
             variables["optimum"] = (("gamma" if "gamma" in self.grid else DRAW,), self.optimal_value)
@@ -212,8 +214,8 @@ def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
 
 
 def label(value: Any) -> Any:
-    """A hyperparameter as a coordinate: a number as it is, a schedule or a policy as it is typed."""
-    return str(value) if isinstance(value, Schedule | Policy) else value
+    """A hyperparameter as a coordinate: a number as it is, a schedule, a policy or features as they are typed."""
+    return str(value) if isinstance(value, Schedule | Policy | Features) else value
 
 
 def labels(values: Iterable[Any]) -> Any:

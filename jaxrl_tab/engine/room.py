@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.errors import InputError, RunError
-from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment
+from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, fitted, table_of
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.traced import gives, in_full, unchecked
@@ -241,7 +241,7 @@ def traced_program(budget: Budget, signature: Signature) -> Any:
         key = rng.from_data(root)
         key = key if seed is None else jax.random.fold_in(key, seed)
         state, log = unchecked(key, algorithm, env, full, budget)
-        return (state.q, log), state
+        return (table_of(fitted(algorithm, env), env, state), log), state
 
     return jax.jit(one).trace(*signature.arguments)
 

@@ -16,7 +16,7 @@ import jax
 from jaxrl_tab.engine import backend, programs
 from jaxrl_tab.engine.by_lanes import threads
 from jaxrl_tab.engine.part import Part
-from jaxrl_tab.engine.typical import typical
+from jaxrl_tab.engine.typical import Typical, typical
 
 NAME = "speeds"
 SHORTEST = 0.01  # seconds
@@ -72,7 +72,40 @@ class Forecast(NamedTuple):
 
 def forecast(part: Part, known: Known) -> Forecast | None:
     """How long a part will take, by what is `known`; None where nothing is, and it is not computed on CPUs."""
-    name, usual = _name(part), typical(part)
+    if (found := pace(part, known)) is None:
+        return None
+    return Forecast(
+        sum(found.running(len(members) * part.num_seeds, threads()) for members in part.programs)
+        + sum(found.ready(needs.program in known.programs) for needs in part.needs),
+        found.is_measured,
+    )
+
+
+class Pace(NamedTuple):
+    """How fast the runs of a part are: what is usual, and how many times as long they take here.
+
+    Attributes:
+        is_measured: as in `Forecast`.
+    """
+
+    usual: Typical
+    speed: Speed
+    is_measured: bool
+
+    def running(self, runs: int, cores: int) -> float:
+        """Seconds that so many runs of one program take on so many cores: one after another, or some together."""
+        return -(-runs // (TOGETHER * cores)) * TOGETHER * self.usual.running * self.speed.running
+
+    def ready(self, was_made: bool) -> float:
+        """Seconds until a program can run that was made before, or was not."""
+        if was_made:
+            return self.speed.starting * self.usual.starting
+        return self.speed.compiling * self.usual.compiling
+
+
+def pace(part: Part, known: Known) -> Pace | None:
+    """How fast the runs of a part are; None as in `forecast`."""
+    name = _name(part)
     weighted = [(_alike(name, other) * _weight(x), x) for other, x in known.speeds.items() if other != name]
     if jax.default_backend() == "cpu":
         weighted.append((SURE, USUAL))
@@ -81,17 +114,7 @@ def forecast(part: Part, known: Known) -> Forecast | None:
         weighted = [(_weight(own), own), *([(SURE, _mean(weighted))] if weighted else [])]
     if not weighted:
         return None
-    speed = _mean(weighted)
-    before = sum(needs.program in known.programs for needs in part.needs)
-    ready = before * speed.starting * usual.starting
-    ready += (len(part.needs) - before) * speed.compiling * usual.compiling
-    running = sum(_in_turn(len(members) * part.num_seeds) for members in part.programs) * usual.running
-    return Forecast(running * speed.running + ready, own is not None and own.seconds >= SURE)
-
-
-def _in_turn(runs: int) -> int:
-    """How many runs a core does one after another, or together in the time of so many."""
-    return -(-runs // (TOGETHER * threads())) * TOGETHER
+    return Pace(typical(part), _mean(weighted), own is not None and own.seconds >= SURE)
 
 
 def _weight(speed: Speed) -> float:
@@ -144,7 +167,7 @@ class Clock:
         """So many runs of a program of a part took so many seconds, and the program others to be ready."""
         usual = typical(part)
         took = self._took.get(_name(part), _Took())
-        took = took.and_of("running", running, _in_turn(runs) * usual.running)
+        took = took.and_of("running", running, Pace(usual, USUAL, True).running(runs, threads()))
         name = part.needs[program].program
         if compiling and name in self.known.programs:
             took = took.and_of("starting", compiling, usual.starting)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxrl_tab.algorithms import PolicyGradient, TDControl
 from jaxrl_tab.algorithms.prediction import Prediction
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.types import Transition, available_actions, restricted
+from jaxrl_tab.core.types import Transition, fitted
 from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.loop import Happened, Run
 from jaxrl_tab.engine.traced import problem_of
@@ -73,7 +73,7 @@ def _of_run(key: PRNGKeyArray, algorithm: Any, env: Any) -> tuple[rng.Stream, An
     """The random stream of a run, the method with the actions that there are, and the problem of the run."""
     stream = rng.stream(key)
     problem = problem_of(stream, env)
-    return stream, restricted(algorithm, available_actions(problem)), problem
+    return stream, fitted(algorithm, problem), problem
 
 
 def _telling(method: Any, tell: Callable[[Float[Array, ""]], None]) -> Any:

@@ -18,7 +18,7 @@ from jaxrl_tab.core.checks import build, check_held, check_pytree, checked, fore
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.errors import InputError, one_line, shown, whole
 from jaxrl_tab.core.names import registered_name
-from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
+from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, fitted
 from jaxrl_tab.engine import backend as backends
 from jaxrl_tab.engine.axes import DRAW, check_settings, spread, swept_names
 from jaxrl_tab.engine.backend import Backend
@@ -54,6 +54,9 @@ def sweep(
 
     Seed i has the key `fold_in(key(seed), i)` in every configuration: common random numbers, which pair the
     configurations. What a run gives depends on that key and on its hyperparameters alone, bitwise.
+
+    It is one method, with as many seeds as it is told. To compare methods on as many seeds as it takes until all is
+    decided, an experiment knows them all: `run(Experiment(env, methods, until_decided=True)).verdicts`, with no folder.
 
     Args:
         env: the environment.
@@ -159,9 +162,8 @@ def prepare(
         )
     if int(first_seed) + int(num_seeds) > 2**31:
         raise InputError(f"seeds have numbers below 2**31: {num_seeds:,} from {first_seed:,} on are too many")
-    available = available_actions(env)
     for config in configs:
-        restricted(config, available)  # raises InputError where the actions do not fit the method
+        fitted(config, env)  # raises InputError where it does not fit
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, PRNGKeyArray
 from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.checks import concrete
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
-from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
+from jaxrl_tab.core.types import Algorithm, Environment, fitted, init_learner, table_of
 from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.log import Log, record_of, recorded
@@ -40,7 +40,7 @@ def unchecked(
         env = problem
         full = full and (full[0], env)  # it is drawn in the precision of the program
     measures = tuple(_make_measure(what, algorithm, env, full) for what in _measured(algorithm, budget))
-    algorithm = restricted(algorithm, available_actions(env))
+    algorithm = fitted(algorithm, env)
     return loop.run(stream, algorithm, env, budget, measures)
 
 
@@ -51,9 +51,9 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
         (table, Log); what else is in the state of the learner; and states of it that wait to be measured, with what
         its update works with.
     """
-    algorithm = restricted(algorithm, available_actions(env))
+    algorithm = fitted(algorithm, env)
     learner = init_learner(algorithm, env)
-    q = learner.q  # some methods work it out
+    q = table_of(algorithm, env, learner)  # some methods work it out
     others = [x for x in jax.tree.leaves(learner) if x is not q]
     measured, waiting = {}, None
     if budget.exact:
@@ -134,15 +134,15 @@ def _make_measure(what: _Measured, algorithm: Algorithm, env: Environment, full:
         if full is not None:
             with planning.doubled():
                 exact_algorithm, exact_env = _restored(full, (algorithm, env))
-                exact_algorithm = restricted(exact_algorithm, available_actions(exact_env))
-            acting = restricted(algorithm, available_actions(env))
+                exact_algorithm = fitted(exact_algorithm, exact_env)
+            acting = fitted(algorithm, env)
             measures.append(_exact_measurer(exact_algorithm, exact_env, acting))
         if record is not None:
             of_learner = partial(recorded, record, algorithm)
             measures.append(lambda learner: {"recorded": of_learner(learner)})
         return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
 
-    like = jax.eval_shape(lambda: init_learner(restricted(algorithm, available_actions(env)), env))
+    like = jax.eval_shape(lambda: init_learner(fitted(algorithm, env), env))
     if record is not None and _is_free(what, algorithm, like):
         return Measure(lambda learner: {"recorded": recorded(record, algorithm, learner)}, most=1)
     at_once = rows_at_once(what, algorithm, like)
@@ -187,7 +187,7 @@ def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[
     @planning.in_turn
     def measure(learner: Any) -> dict[str, Any]:
         policies = [jax.vmap(acting.probs, (None, 0))(learner, states)] if "policy_value" in fields else []
-        greedy_value, q_error, *values = of_table(learner.q, *policies)
+        greedy_value, q_error, *values = of_table(table_of(acting, env, learner), *policies)
         found = {"greedy_value": greedy_value, "q_error": q_error} | dict(
             zip(fields[-1:], values, strict=False)
         )

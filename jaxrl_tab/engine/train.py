@@ -16,7 +16,12 @@ from jaxrl_tab.core.checks import check_held, check_pytree
 from jaxrl_tab.core.declared import of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.names import registered_name
-from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, available_actions, restricted
+from jaxrl_tab.core.types import (
+    Algorithm,
+    Environment,
+    FiniteEnvironment,
+    fitted,
+)
 from jaxrl_tab.engine import by_lanes, within
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.log import Log
@@ -105,7 +110,7 @@ def checked_pair(
         raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     check_held(env)
     check_end(algorithm, env)
-    restricted(algorithm, available_actions(env))  # raises InputError where the actions do not fit the method
+    fitted(algorithm, env)  # raises InputError where it does not fit
     return algorithm, env
 
 

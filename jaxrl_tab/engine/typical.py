@@ -25,6 +25,7 @@ from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import FiniteEnvironment
 from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.part import Part
+from jaxrl_tab.envs.finite_horizon import FiniteHorizon
 from jaxrl_tab.exact import planning
 from jaxrl_tab.exact.model import Model
 
@@ -40,10 +41,13 @@ METHODS: list[tuple[tuple[type, ...], float, float]] = [
     ((DynaQ,), 60, 0),
     ((RMax,), 30, 0),
     ((UCBVI,), 60, 0),
-    ((PSRL,), 30, 60),
+    ((PSRL,), 30, 0),
     ((PrioritizedSweeping,), 30, 4),
     ((object,), 6, 0),
 ]
+# Nanoseconds of a number of a model that PSRL draws and solves in 100 sweeps: in all runs of a vector at once, or in
+# one of them, at the end of its episode, while the others wait.
+TOGETHER, ALONE = 30.0, 150.0
 LARGE, LARGEST = 0.002, 12.0  # nanoseconds more for each entry, as a large table is further away; and at most
 BY_XLA = 5  # times as long as by `lanes`
 ROW = 60  # nanoseconds of a row of the log
@@ -77,6 +81,8 @@ def typical(part: Part) -> Typical:
     states, entries = part.env.num_states, part.env.num_states * part.env.num_actions
     each, of_entry = next(x for kinds, *x in METHODS if issubclass(part.algorithm, kinds))
     step = each + of_entry * entries + min(LARGE * entries, LARGEST)
+    if issubclass(part.algorithm, PSRL):
+        step += float(np.mean([_drawing(part, config) for config in part.configs]))
     steps = budget.num_steps or (budget.num_episodes or 0) * episode_steps(part)
     rows = -(-(budget.num_steps or budget.num_episodes or 0) // budget.row)
     row, compiling, starting = float(ROW), COMPILING[by], STARTING[by]
@@ -87,6 +93,13 @@ def typical(part: Part) -> Typical:
         compiling, starting = compiling + EXACT[learns], starting + KEPT * EXACT[learns]
     of_steps = steps * step * (BY_XLA if by == "xla" else 1)
     return Typical(1e-9 * (of_steps + rows * row), compiling, starting)
+
+
+def _drawing(part: Part, config: Any) -> float:
+    """Nanoseconds of a step in which models are drawn and solved, on average over the steps."""
+    states, in_turn = part.env.num_states, isinstance(part.env, FiniteHorizon)
+    numbers = states**2 * part.env.num_actions * config.samples * config.sweeps / 100
+    return numbers * (TOGETHER / config.every + (TOGETHER if in_turn else ALONE) / episode_steps(part))
 
 
 @functools.lru_cache(maxsize=16)

@@ -17,7 +17,7 @@ from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.steps import Change, Steps
-from jaxrl_tab.core.types import Algorithm, Environment, available_actions, init_learner, restricted
+from jaxrl_tab.core.types import Algorithm, Environment, fitted, init_learner
 from jaxrl_tab.engine import stepwise
 from jaxrl_tab.engine.results import label, parameters
 from jaxrl_tab.engine.train import checked_pair, train
@@ -194,7 +194,7 @@ def _key(root_seed: int, seed: int) -> PRNGKeyArray:
 
 
 def _first_learner(algorithm: Any, env: Any) -> Any:
-    return init_learner(restricted(algorithm, available_actions(env)), env)
+    return init_learner(fitted(algorithm, env), env)
 
 
 def _episode(key: PRNGKeyArray, algorithm: Any, env: Any, at: int) -> tuple[np.ndarray, Steps, Any]:

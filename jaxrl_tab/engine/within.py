@@ -21,7 +21,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.types import Algorithm, Environment
+from jaxrl_tab.core.types import Algorithm, Environment, fitted, table_of
 from jaxrl_tab.engine import backend, by_lanes
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
@@ -94,7 +94,8 @@ class _Run:
         """What it gives, as JAX traces it."""
         data, _, (algorithm, _) = jax.tree.unflatten(self.tree, self.arguments(traced))
         learner, log = unchecked(rng.from_data(data), algorithm, self.env, None, self.budget)
-        return tuple(jax.tree.leaves(((learner.q, log), learner)))
+        table = table_of(fitted(algorithm, self.env), self.env, learner)
+        return tuple(jax.tree.leaves(((table, log), learner)))
 
     def kernel(self, runs: int) -> Kernel | None:
         """By which threads do so many of it; None where `lanes` does not compile it.

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from jaxrl_tab.core import memory, policies
 from jaxrl_tab.core.checks import check_pytree, first, foreign, is_distribution
 from jaxrl_tab.core.declared import of_environment
-from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.types import Available, Environment, FiniteEnvironment, available_actions, stand_ins
 
 T = TypeVar("T")
@@ -48,6 +48,8 @@ class Model(NamedTuple):
 
 def check_finite(env: Environment) -> None:
     """Raises InputError where `env` can only be sampled, so that nothing exact can be said about it."""
+    if isinstance(env, str):
+        raise InputError(f"env must be an environment such as make('windy-gridworld'), not {shown(env)}")
     if not isinstance(env, FiniteEnvironment):
         raise InputError(
             f"{name_of(env)} can only be sampled; exact values need one with `outcomes` and `initial`{foreign(env)}"

@@ -1,5 +1,6 @@
 """Results of experiments side by side: `compare`."""
 
+import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -88,9 +89,9 @@ def compare(first: Any, *others: Any, confidence: float = 0.95) -> "Comparison":
     found = []
     for i, (b, family) in enumerate(zip(rest, families, strict=True)):
         some, rows = rows[: len(family)], rows[len(family) :]
-        about = LETTERS[i + 1], b.name, differs(a, b), alone[i], unlike[i]
+        about = LETTERS[i + 1], b.name, differs(a, b, isinstance(rankings[i], Ranking)), alone[i], unlike[i]
         found.append(Beside(*about, some, b.notes, b.complete, rankings[i]))
-    return Comparison(a.name, a.notes, found, confidence)
+    return Comparison(a.name, a.notes, found, confidence, a.complete)
 
 
 def _ranking(a: Side, b: Side, confidence: float) -> "Ranking | str | None":
@@ -135,10 +136,12 @@ def _called_as_in(a: Side, b: Side) -> Side:
     return b._replace(datasets=called(b.datasets), fresh=called(b.fresh))
 
 
-def differs(a: Side, b: Side) -> dict[str, list[str]]:
-    """What is not the same in two results, as far as that is known of both."""
+def differs(a: Side, b: Side, ranked: bool = False) -> dict[str, list[str]]:
+    """What is not the same in two results, as far as that is known of both; of `ranked` methods that is not said here."""
     if a.experiment and b.experiment:
         experiment = difference(a.experiment, b.experiment)
+        if ranked:
+            experiment = [line for line in experiment if not re.fullmatch(r"method .* is (gone|new)", line)]
     else:
         experiment = _difference_of(a.datasets, b.datasets)
     was, now = ({} if x.session is None else _surroundings(x.session) for x in (a, b))

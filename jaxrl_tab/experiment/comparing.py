@@ -83,15 +83,8 @@ class Look(NamedTuple):
     @property
     def shards(self) -> dict[int, Shard]:
         """By their numbers."""
-        found = {}
-        for span in self.spans:
-            part = self.parts[span.name]
-            most = shard_runs(part)
-            firsts = range(0, part.runs, most)
-            block = Block(span.name, 0, np.array([0]), 0, part.runs, part)
-            pieces = [Shard(block, first, min(first + most, part.runs)) for first in firsts]
-            found |= dict(enumerate(pieces, span.number))
-        return found
+        modules.keep(self.job.files)
+        return _shards(self.job.experiment, self.spans)
 
     def setting(self, shard: Shard) -> int:
         """The number of the setting of a shard."""
@@ -115,6 +108,18 @@ def _parts(experiment: str, spans: tuple[Span, ...]) -> dict[str, Part]:
         )
         for span in spans
     }
+
+
+@functools.lru_cache(maxsize=4)
+def _shards(experiment: str, spans: tuple[Span, ...]) -> dict[int, Shard]:
+    found = {}
+    for span in spans:
+        part = _parts(experiment, spans)[span.name]
+        most = shard_runs(part)
+        block = Block(span.name, 0, np.array([0]), 0, part.runs, part)
+        pieces = [Shard(block, x, min(x + most, part.runs)) for x in range(0, part.runs, most)]
+        found |= dict(enumerate(pieces, span.number))
+    return found
 
 
 def candidates(job: Job, chosen: Mapping[str, int], all_settings: bool) -> list[Candidate]:

@@ -196,6 +196,12 @@ def check_formats(formats: Any) -> tuple[Format, ...]:
     return tuple(dict.fromkeys(formats))
 
 
+def drawn_as(records: Mapping[str, Any]) -> tuple[Format, ...]:
+    """The formats of the pictures that the last session was to draw, by the records of a folder."""
+    said = records["sessions"][-1].get("formats") if records["sessions"] else None
+    return tuple(x for x in FORMATS if x in said) if isinstance(said, list) else FORMATS[:1]
+
+
 class Pictures(NamedTuple):
     """Pictures that are being drawn.
 
@@ -313,7 +319,7 @@ def _about(
         "finished": timestamp(),
         **({"interrupted": f"{sessions - grown} times"} if sessions > grown else {}),
         **({"history": added} if grown > 1 else {}),
-        **({"mixed": mixture(computed)} if len(origins) > 1 else {}),
+        **({"mixed": mixed} if len(origins) > 1 and (mixed := mixture(computed)) else {}),
         "versions": {x: surroundings[x] for x in packages if x in surroundings}
         | {"python": session.get("python")},
         "XLA flags": surroundings["XLA_FLAGS"],

@@ -1,5 +1,6 @@
 """What an experiment will take: runs, shards, memory."""
 
+import heapq
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -8,6 +9,7 @@ import jax
 from jaxrl_tab.core import memory
 from jaxrl_tab.engine import room, speeds
 from jaxrl_tab.engine.part import Part
+from jaxrl_tab.experiment.shards import Job
 
 
 class PartPlan(NamedTuple):
@@ -114,6 +116,76 @@ def plan(parts: Mapping[str, Part], limit: int | None = None, devices: Sequence[
             plans[name] = plans[name]._replace(seconds=time.seconds, is_measured=time.is_measured)
     unit = "steps" if next(iter(parts.values())).budget.num_steps else "episodes"
     return Plan(plans, unit, f"{len(devices)} {kind}{'s' if len(devices) > 1 else ''}")
+
+
+STARTING = 4.0  # seconds until a worker has imported all
+# The process that hands out shards fetches, checks and writes them, about so fast (docs/scaling.md).
+HANDING, WRITING = 2e-3, 3e8  # seconds of each, and bytes in a second
+
+
+class OnWorkers(NamedTuple):
+    """How long shards take that are handed out to workers, to each the next one as soon as it has none.
+
+    Attributes:
+        workers: how many there are.
+        cores: of each.
+        shards: how many there are.
+        seconds: until all are done, about; None where nobody knows.
+        computing: of these seconds, those that a worker computes, on average; else it starts, compiles or waits.
+        writing: the seconds in which the results are fetched and written, one after another, in the meantime.
+        busy: how many workers have something to do at all.
+    """
+
+    workers: int
+    cores: int
+    shards: int
+    seconds: float | None
+    computing: float
+    writing: float
+    busy: int
+
+    def text(self) -> str:
+        """For people: a line, and one where there are more workers than work, or more work than one can write."""
+        head = f"{_count(self.shards, 'shard')} on {_count(self.workers, 'worker')} of {_count(self.cores, 'core')}"
+        if self.seconds is None:
+            return f"{head}: nobody knows how long such a worker takes"
+        share = f"{100 * self.computing / self.seconds:.0f} % of it is computing"
+        lines = [f"{head}: about {_duration(self.seconds)}; {share}"]
+        if self.busy < self.workers:
+            lines.append(f"there are shards for {_count(self.busy, 'worker')} only: more have nothing to do")
+        elif self.writing >= self.seconds:
+            lines.append(
+                f"the workers wait for the process that writes: {_duration(self.writing)} for all shards"
+            )
+        return "\n".join(lines)
+
+
+def on_workers(job: Job, workers: int, cores: int) -> OnWorkers:
+    """How long all shards of an experiment take on workers that are as fast as this machine; nothing is computed."""
+    known, parts = speeds.read(), job.parts
+    paces = {name: speeds.pace(part, known) for name, part in parts.items()}
+    if any(pace is None for pace in paces.values()):
+        return OnWorkers(workers, cores, len(job.shards), None, 0.0, 0.0, min(workers, len(job.shards)))
+    free = [(STARTING, i) for i in range(workers)]  # when each worker has nothing to do
+    made, computing, writing, end = set(), 0.0, 0.0, 0.0
+    for shard in job.shards.values():
+        begin, worker = heapq.heappop(free)
+        pace, program = paces[shard.part], (shard.part, shard.program)
+        assert pace
+        running = pace.running(shard.runs, cores)
+        ready = pace.ready(was_made=False) if (worker, program) not in made else 0.0
+        made.add((worker, program))
+        heapq.heappush(free, (begin + ready + running, worker))
+        computing, end = computing + running, max(end, begin + ready + running)
+        writing += (
+            HANDING + memory.size(parts[shard.part].needs[shard.program].results) * shard.runs / WRITING
+        )
+    busy = len({worker for worker, _ in made})
+    return OnWorkers(workers, cores, len(job.shards), max(end, writing), computing / busy, writing, busy)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
 def _duration(seconds: float) -> str:

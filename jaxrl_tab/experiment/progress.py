@@ -2,6 +2,7 @@
 
 import contextlib
 import time
+from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
@@ -56,7 +57,9 @@ class Meter:
         self._todo: dict[str, int] = {}  # runs of each part
         self._expected: dict[str, float] = {}  # seconds of a run of each part
         self._took: dict[str, tuple[int, float]] = {}  # how many of them are done, and in how many seconds
-        self._missing: dict[int, Shard] = {}
+        self._missing: OrderedDict[int, Shard] = (
+            OrderedDict()
+        )  # whose first is found at once after many have gone
 
     @contextlib.contextmanager
     def reporting(self, progress: Report | Literal[False] | None) -> Iterator[None]:
@@ -79,15 +82,16 @@ class Meter:
         for name, part in job.parts.items():
             if time_of_all := speeds.forecast(part, known):
                 self._expected[name] = time_of_all.seconds / part.runs
-        self._missing = {number: job.shards[number] for number in missing}
+        all_shards = job.shards
+        self._missing = OrderedDict((number, all_shards[number]) for number in missing)
         self._todo |= later
         self._todo |= {shard.part: 0 for shard in self._missing.values()}
         for shard in self._missing.values():
             self._todo[shard.part] += shard.runs
-        finished = [number for number in job.shards if number not in self._missing]
+        finished = [number for number in all_shards if number not in self._missing]
         self._state = self._state._replace(
-            done=sum(job.shards[number].runs for number in finished),
-            total=sum(shard.runs for shard in job.shards.values()) + sum(later.values()),
+            done=sum(all_shards[number].runs for number in finished),
+            total=sum(shard.runs for shard in all_shards.values()) + sum(later.values()),
             diverged=sum(store.shards[number].diverged for number in finished),
         )
         self._last = time.perf_counter()

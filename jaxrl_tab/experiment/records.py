@@ -40,8 +40,8 @@ class Origin(NamedTuple):
         if not others:
             return Origin(name, [], mixed)
         was = recorded(records, others)
-        lines = provenance.differences(was[0]["surroundings"], now) if was else [NOT_RECORDED]
-        return Origin(name, lines, mixed)
+        lines = [line for session in was for line in _changes(session["surroundings"], now)]
+        return Origin(name, list(dict.fromkeys(lines)) if was else [NOT_RECORDED], mixed)
 
     def check(self, path: Path) -> None:
         """Raises InputError where what is computed now would be numbers of another kind."""
@@ -78,10 +78,18 @@ def recorded(records: Mapping[str, Any], origins: Collection[str | None]) -> lis
 
 
 def mixture(sessions: Sequence[Mapping[str, Any]]) -> str:
-    """How the surroundings of these sessions differ, in one line."""
+    """How the surroundings of these sessions differ, in one line; empty where only libraries came to others."""
     first, *others = [session["surroundings"] for session in sessions] or [{}]
-    lines = [line for other in others for line in provenance.differences(first, other)]
-    return "; ".join(dict.fromkeys(lines)) or NOT_RECORDED
+    if not any(other != first for other in others):
+        return NOT_RECORDED
+    return "; ".join(dict.fromkeys(line for other in others for line in _changes(first, other)))
+
+
+def _changes(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What differs, a line for each; but no library from which no environment came before."""
+    return provenance.differences(
+        was, {name: x for name, x in now.items() if name in was or name not in ENVIRONMENT.libraries}
+    )
 
 
 def settings_of(store: Store, records: Mapping[str, Any]) -> contextlib.AbstractContextManager[None]:
@@ -121,11 +129,12 @@ def records_of(store: Store) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def session(
-    store: Store, records: dict[str, Any], command: str, libraries: Mapping[str, str]
+    store: Store, records: dict[str, Any], command: str, libraries: Mapping[str, str], formats: Sequence[str]
 ) -> Iterator[None]:
-    """Records this process as a session: when it began to compute, and when it ended."""
+    """Records this process as a session: when it began to compute and ended, and the formats of its pictures."""
     file = store.path / PROVENANCE
-    session = {"command": command, "started": timestamp(), "ended": None, **_machine(libraries)}
+    session = {"command": command, "started": timestamp(), "ended": None, "formats": [*formats]}
+    session |= _machine(libraries)
     records["sessions"].append(session)
     storage.write_json(file, records)
     try:

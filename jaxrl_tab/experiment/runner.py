@@ -9,6 +9,7 @@ however it grew. Where they would not be, as with another version of JAX, nothin
 """
 
 import contextlib
+import functools
 import json
 import os
 import shlex
@@ -35,7 +36,7 @@ from jaxrl_tab.experiment import comparing, growth, shards, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.comparing import Look, Looked
 from jaxrl_tab.experiment.executors import Executor, Local
-from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, write_files
+from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, drawn_as, write_files
 from jaxrl_tab.experiment.found import Found, find, grow, wished
 from jaxrl_tab.experiment.places import Source
 from jaxrl_tab.experiment.progress import Meter
@@ -47,7 +48,7 @@ from jaxrl_tab.experiment.records import (
     session,
     settings_of,
 )
-from jaxrl_tab.experiment.shards import FRESH, Job, Shard, runs, shard_runs
+from jaxrl_tab.experiment.shards import FRESH, Job, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report
@@ -110,7 +111,7 @@ def resume(
     memory: int | None = None,
     progress: Report | Literal[False] | None = None,
     ready: Callable[[Outcome], None] | None = None,
-    formats: Sequence[Format] = FORMATS[:1],
+    formats: Sequence[Format] | None = None,
     command: str | None = None,
     mixed: bool = False,
     looked: Looked | None = None,
@@ -132,7 +133,8 @@ def resume(
 
     Args:
         folder: the folder.
-        executor, memory, progress, ready, formats, command, looked: as in `run`.
+        executor, memory, progress, ready, command, looked: as in `run`.
+        formats: of the pictures, as in `run`; by default those that there were.
         mixed: go on also with other versions, or on another kind of processor, which may give numbers that
             differ in the last bits. The folder's provenance and report tell of it.
         experiment: what it is to be: all that it was, and more. By default it is what `experiment.toml` in the
@@ -146,7 +148,7 @@ def resume(
         RunError: as in `run`.
     """
     path = _folder(folder)
-    command, formats = _typed(command), check_formats(formats)
+    command, formats = _typed(command), formats if formats is None else check_formats(formats)
     given = {"seeds": seeds, "steps": steps, "episodes": episodes}
     more = {key: x for key, x in given.items() if x is not None}
     with storage.lock(path):
@@ -220,7 +222,7 @@ def _go_on(
     limit: int | None,
     progress: Report | Literal[False] | None,
     ready: Callable[[Outcome], None] | None,
-    formats: Sequence[Format],
+    formats: Sequence[Format] | None,
     command: str,
     keep: bool = True,
     mixed: bool = False,
@@ -230,6 +232,7 @@ def _go_on(
     experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
     _warn_of_damage(store)
     records = records_of(store)
+    formats = drawn_as(records) if formats is None else formats
     libraries = library_versions(experiment.data())
     job, meter = Job.of(experiment, limit, libraries, found.experiments[:-1]), Meter()
     with backend.using(experiment.backend), settings_of(store, records):
@@ -237,7 +240,7 @@ def _go_on(
             origin = Origin.of(store, records, mixed, libraries)
             if _missing(store, job):
                 origin.check(path)
-            with session(store, records, command, libraries):
+            with session(store, records, command, libraries, formats):
                 outcome, new = _results(store, job, experiment, executor or Local(), meter, origin, looked)
         writes = keep and (new or not store.files)
         with drawing(store, outcome, formats if writes else ()) as pictures:
@@ -324,11 +327,11 @@ def _compute(
     origin: Origin,
 ) -> bool:
     """Computes the shards that are not there; whether there were any. `later`: see `Meter.begin`."""
-    missing = _missing(store, job)
+    missing, all_shards, parts = _missing(store, job), job.shards, job.parts
     if missing:
         origin.check(store.path)
     for number in missing:
-        if number in store.shards and _is_of_setting(store, job, number):
+        if number in store.shards and store.shards[number].setting == job.setting(all_shards[number]):
             store.leave_out(number)
     _warn_of_damage(store)
     clock = speeds.Clock()
@@ -336,16 +339,17 @@ def _compute(
     # Where it stops, the workers do.
     with _heard(meter.underway), contextlib.closing(executor.run(job, missing)) as finished:
         for number, arrays in finished:
-            part, sums = job.parts[job.shards[number].part], (arrays["returns"], arrays["rewards"])
-            largest = part.largest_values[runs(part, job.shards[number]) // part.num_seeds]
+            shard, sums = all_shards[number], (arrays["returns"], arrays["rewards"])
+            part = parts[shard.part]
+            largest = part.largest_values[runs(part, shard) // part.num_seeds]
             diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
-            setting = job.setting(job.shards[number])
-            store.write(number, arrays, diverged, setting, origin.name)
+            store.write(number, arrays, diverged, job.setting(shard), origin.name)
             let_go()
             meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
             if isinstance(executor, Local):  # others may have other machines
-                shard = job.shards[number]
                 clock.finished(part, shard.program, shard.runs, *map(float, arrays["seconds"]))
+    if missing:
+        store.write_manifest()
     clock.keep()
     return bool(missing)
 
@@ -361,30 +365,27 @@ def _heard(underway: Callable[[int, int], None]) -> Iterator[None]:
 
 
 def _missing(store: Store, job: Job | Look) -> list[int]:
-    """The numbers of the shards that are to be computed."""
-    return [number for number, shard in job.shards.items() if not _has_shard(store, job, number, shard)]
+    """The numbers of the shards that are to be computed.
 
-
-def _has_shard(store: Store, job: Job | Look, number: int, shard: Shard) -> bool:
-    """Whether a shard is there, of the setting that is chosen now, and of the shapes that its runs give.
-
-    It may lack what an earlier version did not record.
+    Those that are there are of the setting that is chosen now, and of the shapes that their runs give. They may lack
+    what an earlier version did not record.
     """
-    if number not in store.shards or not _is_of_setting(store, job, number):
-        return False
-    expected, found = _shapes(job.parts[shard.part], shard), store.shapes(number)
-    return {**{name: expected[name] for name in LATER & expected.keys()}, **found} == expected
+    parts, missing = job.parts, []
+    shapes = functools.cache(lambda part, program, runs: _shapes(parts[part], program, runs))
+    for number, shard in job.shards.items():
+        if number not in store.shards or store.shards[number].setting != job.setting(shard):
+            missing.append(number)
+            continue
+        expected, found = shapes(shard.part, shard.program, shard.runs), store.shapes(number)
+        if found != expected and {**{x: expected[x] for x in LATER & expected.keys()}, **found} != expected:
+            missing.append(number)
+    return missing
 
 
-def _is_of_setting(store: Store, job: Job | Look, number: int) -> bool:
-    """Whether a shard that is there is of the setting that is chosen now, if it is one of fresh seeds."""
-    return store.shards[number].setting == job.setting(job.shards[number])
-
-
-def _shapes(part: Part, shard: Shard) -> dict[str, tuple[Any, Any]]:
-    """(shape, dtype) of each array of a shard."""
-    q, log = part.needs[shard.program].results
-    shapes = {name: ((shard.runs, *x.shape), x.dtype) for name, x in {"q": q, **log.named()}.items()}
+def _shapes(part: Part, program: int, runs: int) -> dict[str, tuple[Any, Any]]:
+    """(shape, dtype) of each array of a shard with so many runs of a program."""
+    q, log = part.needs[program].results
+    shapes = {name: ((runs, *x.shape), x.dtype) for name, x in {"q": q, **log.named()}.items()}
     return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
@@ -396,12 +397,15 @@ def _collect(
     What some shards of a part lack, which an earlier version wrote, the results lack.
     What does not fit in `room`, in bytes, is in temporary files; see `memory.Results`.
     """
-    datasets = {}
-    for name in names:
+    datasets, shards_of = {}, {name: {} for name in names}
+    for number, shard in job.shards.items():
+        if shard.part in shards_of:
+            shards_of[shard.part][number] = shard
+    for name, own in shards_of.items():
         part, results, seconds = job.parts[name], None, np.zeros(2)
-        own = {number: shard for number, shard in job.shards.items() if shard.part == name}
+        some = next(iter(own.values()))
         # Only these may be lacking: for others no shard is opened twice.
-        later = LATER & _shapes(part, next(iter(own.values()))).keys()
+        later = LATER & _shapes(part, some.program, some.runs).keys()
         lacking = {key for key in later if any(key not in store.shapes(number) for number in own)}
         for number, shard in own.items():
             arrays = {key: x for key, x in store.read(number).items() if key not in lacking}

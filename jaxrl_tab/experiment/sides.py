@@ -154,7 +154,8 @@ def _session(path: Path, manifest: Mapping[str, Any]) -> tuple[dict[str, Any] | 
     origins = {facts.get("surroundings") for facts in manifest["shards"].values()}
     sessions = [x for x in records["sessions"] if isinstance(x.get("surroundings"), dict)]
     computed = recorded({"sessions": sessions}, origins) or sessions
-    notes = [f"computed in different surroundings: {mixture(computed)}"] if len(origins) > 1 else []
+    mixed = mixture(computed) if len(origins) > 1 else ""
+    notes = [f"computed in different surroundings: {mixed}"] if mixed else []
     return (computed[0] if computed else None), notes
 
 

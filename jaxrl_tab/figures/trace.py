@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrl_tab.algorithms.traces import KEPT
+from jaxrl_tab.algorithms.traces import marked
 from jaxrl_tab.core import credited
 from jaxrl_tab.figures.figure import EXACT, Figure, Number
 
@@ -23,15 +23,15 @@ def _traces():
     """The traces that the error of each step finds, by their kinds."""
     import xarray as xr
 
-    z = [_trace(KEPT[kind](ALPHA)) for kind in LOOK]
+    z = [_trace(kind) for kind in LOOK]
     return xr.Dataset({"z": (("kind", "step"), z)}, {"kind": list(LOOK), "step": range(STEPS)})
 
 
-def _trace(kept):
+def _trace(kind):
     """The trace of state 0, float [STEPS], kept as all methods keep it; where it is not visited, state 1 is."""
 
     def step(values, s):
-        values = values.begun().learned(s, jnp.int32(0), kept, jnp.zeros(()))
+        values = marked(values.begun(), kind, ALPHA, s, jnp.int32(0), jnp.zeros(()))
         return values.faded(jnp.asarray(FADES)), values.z[0, 0]
 
     states = jnp.where(np.isin(np.arange(STEPS), VISITS), 0, 1)

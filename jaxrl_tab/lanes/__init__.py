@@ -11,6 +11,7 @@ Scalar code:
     code        values, loops, memory, and the builder that writes them
     scalars     the operations on single numbers, and what they mean at the edges
     functions   exp, log and others, in terms of these operations
+    versions    of JAX, on which some of that depends
     arrays      what an array of the jaxpr is while it is lowered: known, taken apart, in memory, or a rule
 
 From a jaxpr to scalar code:

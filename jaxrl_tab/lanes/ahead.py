@@ -34,6 +34,9 @@ CYCLES = {
 }  # that an operation on real numbers takes, about; others take 4, on whole ones 1
 
 
+CALLED = ("pow", "sin", "cos")  # functions of the C library, which take long
+
+
 class Depends(NamedTuple):
     """What a value depends on that changes from turn to turn.
 
@@ -120,7 +123,7 @@ class Ahead:
         """The same of an operation of the loop. What is a condition depends on itself, if on nothing that pays."""
         real = "f" in (x.dtype.kind, *(y.dtype.kind for y in x.args[-1:]))
         # A division of whole numbers stops the program where one by 0 is worked out, although nobody wants it.
-        if x.op not in scalars.OPERATIONS or x.op == "pow" or (x.op in ("div", "rem") and not real):
+        if x.op not in scalars.OPERATIONS or x.op in CALLED or (x.op in ("div", "rem") and not real):
             return _itself(x)
         args = [depends for y in self.names.operands(x) if (depends := self._of(y)) is not None]
         conditions = frozenset[Value]().union(*(y.conditions for y in args))

@@ -1,7 +1,8 @@
 """Functions that no instruction gives, in terms of those that do: the same steps as XLA's CPU backend takes.
 
-So they have the same bits. The approximations are those of Cephes (Moshier): `exp`, `log`, `log1p`; and of Giles
-(2012, Approximating the erfinv function). All are of 32 bits; numbers of 64 bits are not compiled.
+So they have the same bits; where a version of jaxlib takes other steps, those are here as well. The approximations are
+those of Cephes (Moshier): `exp`, `log`, `log1p`; and of Giles (2012, Approximating the erfinv function). All are of 32
+bits; numbers of 64 bits are not compiled.
 """
 
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from jaxrl_tab.lanes.code import Builder, Unsupported, Value
+from jaxrl_tab.lanes.versions import JAXLIB
 
 FUNCTIONS: dict[str, Callable[[Builder, Value], Value]] = {}
 
@@ -133,12 +135,19 @@ def _polynomial(x: Numbers, first: "Numbers | float", *rest: int) -> Numbers:
 
 @function("exp")
 def exp(x: Numbers) -> Numbers:
+    most, log_2, rest = (
+        (128.0, 0x3F317200, 0x35BFBE8E) if JAXLIB >= (0, 11) else (127.0, 0x3F318000, 0xB95E8083)
+    )
     x = x.at_least(-87.8).at_most(88.8)
-    n = (0.5 + x * _bits(0x3FB8AA3B)).apply("floor").at_least(-127.0).at_most(127.0)
-    r = x - _bits(0x3F318000) * n - _bits(0xB95E8083) * n
+    n = (0.5 + x * _bits(0x3FB8AA3B)).apply("floor").at_least(-127.0).at_most(most)
+    r = x - _bits(log_2) * n - _bits(rest) * n
     series = _polynomial(r, _bits(0x39506967), 0x3AB743CE, 0x3C088908, 0x3D2AA9C1, 0x3E2AAAAA, 0x3F000000)
     power = 1.0 + (r + series * (r * r))
     scale = (n.apply("convert", np.int32) + 127) << 23
+    if JAXLIB >= (0, 11):  # 2^128 is not a number: 2^127, and the power twice, in its bits
+        below = scale.at_most(0x7F000000)
+        power = (power.apply("bitcast", np.int32) + (scale - below)).apply("bitcast", np.float32)
+        scale = below
     return power * scale.apply("bitcast", np.float32)
 
 
@@ -220,6 +229,8 @@ def exp2(x: Numbers) -> Numbers:
 
 @function("expm1")
 def expm1(x: Numbers) -> Numbers:
+    if JAXLIB >= (0, 12):
+        raise Unsupported("expm1 of jaxlib 0.12 or newer is not compiled")
     half, power = x * 0.5, exp(x)
     found = x.apply("abs").compare("gt", 0.5).where(power - 1.0, tanh(half) * (power + 1.0))
     return half.compare("eq", 0.0).where(x, found)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxrl_tab.lanes import versions
 from jaxrl_tab.lanes.arrays import Array, Known, Parts, Plain, Stale, Stored, is_small, made_of, size_of
 from jaxrl_tab.lanes.choices import choose_operands
 from jaxrl_tab.lanes.code import Buffer, Unsupported
@@ -42,6 +43,10 @@ def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any], results: i
             return code
         except Stale as stale:
             copied |= {stale.site}
+        except Exception as error:
+            if isinstance(error, Unsupported) or not (newer := versions.newer()):
+                raise
+            raise Unsupported(f"{newer} ({type(error).__name__}: {error})") from error
 
 
 def _argument(code: Lowering, aval: Any, given: Any) -> Array:

@@ -256,7 +256,7 @@ WRITERS: dict[str, Callable[[Site], str]] = {
     **{name: _comparison(name) for name in ("eq", "ne", "lt", "le", "gt", "ge")},
     **{name: _extreme(name) for name in ("max", "min")},
     **{name: _division(name) for name in ("div", "rem")},
-    **{name: _function(name) for name in ("sqrt", "floor", "ceil", "pow")},
+    **{name: _function(name) for name in ("sqrt", "floor", "ceil", "pow", "sin", "cos")},
     "shift_left": _shift("shl"),
     "shift_right_logical": _shift("lshr"),
     "shift_right_arithmetic": _shift("ashr"),

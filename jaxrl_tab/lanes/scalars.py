@@ -66,6 +66,11 @@ def _converted(dtype: np.dtype, x: Any) -> Any:
     return x.astype(dtype)
 
 
+def _rounded(function: Callable[[Any], Any]) -> Callable[..., Any]:
+    """A function by its float64, rounded: NumPy's own of float32 is another one than that of the C library."""
+    return lambda dtype, x: function(x.astype(np.float64)).astype(dtype)
+
+
 def _same_dtype(_: Any, dtype: np.dtype, args: Any) -> Any:
     return args[0] if args[0].dtype == dtype else None
 
@@ -147,4 +152,5 @@ OPERATIONS: dict[str, Operation] = {
     "convert": Operation(_converted, _same_dtype),
     "bitcast": Operation(lambda dtype, x: x.view(dtype), _same_dtype),
     "pow": Operation(lambda dtype, x, y: np.power(x, np.asarray(y, dtype))),
+    **{name: Operation(_rounded(function)) for name, function in (("sin", np.sin), ("cos", np.cos))},
 }

@@ -134,12 +134,14 @@ class Comparison:
         notes: what a reader must know of them, a sentence each.
         others: what was laid beside them.
         confidence: of all comparisons together.
+        complete: whether all is there that belongs to the experiment of the first.
     """
 
     name: str
     notes: list[str]
     others: list[Beside]
     confidence: float
+    complete: bool
 
     @property
     def worse(self) -> list[Compared]:
@@ -149,7 +151,7 @@ class Comparison:
     @property
     def whole(self) -> bool:
         """Whether all that the first results have could be compared with all others."""
-        return all(other.whole for other in self.others)
+        return self.complete and all(other.whole for other in self.others)
 
     @property
     def sentences(self) -> list[str]:
@@ -188,7 +190,12 @@ class Comparison:
             }
             for other in self.others
         ]
-        about = {"first": self.name, "notes": self.notes, "confidence": self.confidence}
+        about = {
+            "first": self.name,
+            "notes": self.notes,
+            "confidence": self.confidence,
+            "complete": self.complete,
+        }
         found = {"worse": len(self.worse), "whole": self.whole, "sentences": self.sentences}
         return about | found | {"others": others}
 

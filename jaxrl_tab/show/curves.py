@@ -210,8 +210,11 @@ def sensitivity(
         chosen.pop(parameter, None)
         label = label_of(name, stats.named(ds, chosen))
         score = score_named(ds, measure)
-        interval, usual = interval_of(Flat(ds), score, own), score.key == "score"
-        parts = [part.sel(chosen) for part in (*interval, (own.unfinished > 0) & usual)]
+        interval = interval_of(Flat(ds), score, own)
+        cut_off = (
+            score.key == "score" and not own.among.continuing
+        )  # a task that does not end ends no episode
+        parts = [part.sel(chosen) for part in (*interval, (own.unfinished > 0) & cut_off)]
         ds = ds.sel(chosen)
         if name not in drawn and parameter not in ds.dims:
             if parameter not in stats.fixed(ds):
@@ -291,7 +294,7 @@ def _lines(
             j = values.index(value)
             parts[f"{name}, {words.symbol(color_by)} = {written(value)}"] = ds.sel({color_by: value})
             styles.append({"color": colors[j], "marker": MARKERS[(i + j) % len(MARKERS)], "ls": dash})
-    return Methods(parts), styles
+    return Methods(parts, methods.env), styles
 
 
 def _places(ax: Axes, tried: list[np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:

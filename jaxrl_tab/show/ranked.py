@@ -3,13 +3,12 @@
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 from jaxrl_tab.show import over_tasks
-from jaxrl_tab.show.words import counted, decimals_for, number, title_of
+from jaxrl_tab.show.words import counted, number, title_of
 from jaxrl_tab.stats.ranking import Place, Ranking
 
 HEAD = ["environment", "score", "95% interval", "rank", "better than", "worse than", "best of the others"]
+DECIMALS = 3  # of normalised scores
 
 
 def sentences(ranking: Ranking) -> Iterator[str]:
@@ -49,20 +48,19 @@ def beside(ranking: Ranking) -> str | None:
 def rows(ranking: Ranking, method: str) -> list[list[str]]:
     """How a new method does in each environment: the cells below `HEAD`."""
     own = [place for place in ranking.places if place.method == method]
-    digits = decimals_for(np.array([(place.high - place.low) / 2 for place in own]), 2)
-    return [_cells(place, digits) for place in own]
+    return [_cells(place) for place in own]
 
 
-def _cells(place: Place, digits: int) -> list[str]:
+def _cells(place: Place) -> list[str]:
     best, score = place.first
     return [
         title_of(place.environment),
-        number(place.score, digits),
-        f"{number(place.low, digits)} to {number(place.high, digits)}",
+        number(place.score, DECIMALS),
+        f"{number(place.low, DECIMALS)} to {number(place.high, DECIMALS)}",
         str(place.rank),
         str(place.better),
         str(place.worse),
-        f"{title_of(best)}, {number(score, digits)}",
+        f"{title_of(best)}, {number(score, DECIMALS)}",
     ]
 
 

@@ -23,6 +23,7 @@ from scipy import special
 
 from jaxrl_tab.core.checks import FRACTION, check_within
 from jaxrl_tab.core.errors import InputError, shown, whole
+from jaxrl_tab.core.notebook import table
 from jaxrl_tab.stats.comparisons import paired_difference
 from jaxrl_tab.stats.intervals import least_of, unseen
 from jaxrl_tab.stats.measures import diverged_runs, earned, has_errors, last_tenth, mean_error
@@ -165,6 +166,14 @@ class Verdict:
     same: float
     confidence: float
     diverged: Mapping[str, int]
+
+    def __repr__(self) -> str:
+        return f"<Verdict: {self.sentence}>"
+
+    def _repr_html_(self) -> str:
+        head = ("first", "second", "verdict", "seeds", "difference", "low", "high")
+        rows = [[x if isinstance(x, str) else f"{x:.4g}" for x in pair[: len(head)]] for pair in self.pairs]
+        return table(f"{self.sentence}.", head, rows)
 
     def renamed(self, name: Callable[[str], str]) -> "Verdict":
         """The same with other names for the methods."""

@@ -8,6 +8,7 @@ import xarray as xr
 
 from jaxrl_tab.core.checks import FRACTION, check_within
 from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.exact import planning
 from jaxrl_tab.exact.values import any_action
@@ -36,6 +37,21 @@ class Tasks(NamedTuple):
     mean_rank: Interval
     improvement: Interval
     left_out: dict[str, str]
+
+    def __repr__(self) -> str:
+        methods, environments = (
+            ", ".join(map(str, self.scores[dim].values)) for dim in ("method", "environment")
+        )
+        return f"<Tasks: {methods} over {environments}>"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name in self.scores["method"].values:
+            parts = [
+                [float(x.sel({"method": name})) for x in part[:3]] for part in (self.iqm, self.mean_rank)
+            ]
+            rows.append([str(name), *(f"{x:.4g} ({low:.4g} to {high:.4g})" for x, low, high in parts)])
+        return table(repr(self)[1:-1], ("method", "interquartile mean", "mean rank"), rows)
 
 
 def random_value(env: Environment, gamma: float = 1.0) -> float:

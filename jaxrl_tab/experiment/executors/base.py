@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from jaxrl_tab.core.errors import InputError, RunError
-from jaxrl_tab.engine import by_xla, provenance
+from jaxrl_tab.engine import by_xla, programs, provenance
 
 Arrays = Mapping[str, np.ndarray]
 Work = Callable[[int], Arrays]
@@ -65,17 +65,19 @@ class Job(NamedTuple):
         cores: how many cores of another process become JAX devices; None: all that it may use.
         settings: JAX's, of the process that sends it.
         surroundings: of that process, see `provenance`.
+        keeps: whether what is compiled is kept for other processes, as in that process, see `programs`.
     """
 
     work: Work
     cores: int | None
     settings: dict[str, Any]
     surroundings: dict[str, Any]
+    keeps: bool = False
 
     @staticmethod
     def of(work: Work, cores: int | None = None) -> "Job":
         settings = provenance.settings() | {"jax_platforms": jax.default_backend()}
-        return Job(work, cores, settings, provenance.surroundings())
+        return Job(work, cores, settings, provenance.surroundings(), programs.are_kept())
 
     def __call__(self, task: int) -> Arrays | Failed:
         """What `work` gives. Its errors are values: another process may be unable to load what was raised."""
@@ -97,6 +99,8 @@ class Job(NamedTuple):
         else:
             with suppress(RuntimeError):  # JAX has started, for an earlier task
                 jax.config.update("jax_num_cpu_devices", self.cores)
+        if self.keeps and not programs.are_kept():
+            programs.keep()
         self._compare(provenance.surroundings())
 
     def _compare(self, of_this_process: Mapping[str, Any]) -> None:

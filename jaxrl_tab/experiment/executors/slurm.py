@@ -1,9 +1,13 @@
 """Many machines through SLURM: the shards as a job array, handed in and fetched by submitit."""
 
 import contextlib
+import itertools
+import os
+import pickle
 import shutil
 import tempfile
 import time
+from collections import deque
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,8 +24,9 @@ _DEFAULTS = {"name": "jaxrl-tab", "timeout_min": 60}
 class Slurm:
     """As an array of SLURM jobs, among which the shards are dealt out.
 
-    A job that dies is handed in again, with all its shards. One that reaches its time limit is not, for it
-    would reach it again: the shards that it had finished are given, and the next one has failed.
+    Each shard is given as soon as it is finished: a job leaves it in a file. A job that dies is handed in again, with
+    the shards that it had not finished. One that reaches its time limit is not, for it would reach it again: the next
+    of its shards has failed.
 
     Attributes:
         folder: Where the jobs' files go, seen by all machines. They are removed at the end, but for those of
@@ -30,7 +35,7 @@ class Slurm:
             (60 by default), cpus_per_task, mem_gb, slurm_partition, slurm_account, slurm_array_parallelism ...
         max_jobs: How many jobs at most: SLURM limits arrays, to 1001 by default, and each job imports and
             compiles for some ten seconds before it computes.
-        max_retries: How often a job that died is handed in again.
+        max_retries: How often a job that died is handed in again, without having finished a shard.
         cluster: "slurm", or "local" for processes of this machine instead of jobs, to try it out.
 
     Raises:
@@ -53,19 +58,28 @@ class Slurm:
         Path(self.folder).mkdir(parents=True, exist_ok=True)
         folder = Path(tempfile.mkdtemp(prefix="jobs-", dir=self.folder)).resolve()
         executor, job = self._executor(folder), Job.of(work)
-        shares = [tasks[i :: self.max_jobs] for i in range(min(self.max_jobs, len(tasks)))]
+        shares = [deque(tasks[i :: self.max_jobs]) for i in range(min(self.max_jobs, len(tasks)))]
         with executor.batch():
-            handed_in = [executor.submit(_several, job, share) for share in shares]
+            handed_in = [executor.submit(_several, job, list(share), folder) for share in shares]
         under_way = {submitted: (share, 0) for submitted, share in zip(handed_in, shares, strict=True)}
         try:
             while under_way:
-                for submitted in [submitted for submitted in under_way if submitted.done()]:
+                ended = {submitted for submitted in under_way if submitted.done()}
+                # Not asked for by name: on shared disks a name that was not there then may stay unseen for a while.
+                there = set(os.listdir(folder))
+                for submitted, (share, deaths) in list(under_way.items()):
+                    left = len(share)
+                    while share and (submitted in ended or _name(share[0]) in there):
+                        if (result := _taken(folder / _name(share[0]))) is None:
+                            break
+                        yield result_of(share.popleft(), result)
+                    under_way[submitted] = share, deaths if len(share) == left else 0
+                for submitted in ended:
                     share, deaths = under_way.pop(submitted)
-                    results = self._fetch(submitted, share, deaths + 1)
-                    if results is None:
-                        under_way[executor.submit(_several, job, share)] = share, deaths + 1
-                    while results:  # none is held any longer than it takes to give it
-                        yield result_of(*results.pop(0))
+                    if share:
+                        self._check_may_go_on(submitted, share, deaths + 1)
+                        again = executor.submit(_several, job, list(share), folder)
+                        under_way[again] = share, deaths + 1
                 if under_way:
                     time.sleep(_SECONDS)
         except _JobError:
@@ -90,36 +104,53 @@ class Slurm:
             raise InputError(f"slurm: {str(error).splitlines()[0]}") from error
         return executor
 
-    def _fetch(self, job: Any, share: Sequence[int], deaths: int) -> list[tuple[int, Arrays | Failed]] | None:
-        """What a job that has ended gave; None where it died, for the `deaths`-th time: try again."""
+    def _check_may_go_on(self, job: Any, share: Sequence[int], deaths: int) -> None:
+        """Raises _JobError where a job that has ended with shards left is not to be handed in again."""
         from submitit.core.utils import FailedJobError, UncompletedJobError
 
         try:
-            results = job.result()
+            job.result()
+        except FailedJobError as error:  # our function was not even begun
+            how, cause = "failed", error
         except UncompletedJobError as error:
-            failed = isinstance(error, FailedJobError)  # our function was not even begun
-            if not failed and deaths <= self.max_retries:
-                return None
-            how = "failed" if failed else f"died {deaths} times"
-            raise _JobError(
-                f"the job of shards {', '.join(map(str, share))} {how}: what it said is in {job.paths.stderr}"
-            ) from error
-        job.paths.result_pickle.unlink()
-        return results
+            how, cause = f"died {deaths} times", error
+            if deaths <= self.max_retries:
+                return
+        else:
+            how, cause = "left no results", None
+        named = ", ".join([*map(str, itertools.islice(share, 5)), *(["..."] if len(share) > 5 else [])])
+        raise _JobError(f"the job of shards {named} {how}: what it said is in {job.paths.stderr}") from cause
 
 
 class _JobError(RunError):
     """A job failed as a whole, and not in one of its shards."""
 
 
-def _several(job: Job, tasks: Sequence[int]) -> list[tuple[int, Arrays | Failed]]:
-    """What a job does: its tasks, up to the first that fails."""
-    results = []
+def _several(job: Job, tasks: Sequence[int], folder: Path) -> None:
+    """What a job does: its tasks, up to the first that fails, each into a file."""
     for task in tasks:
-        results.append((task, job(task)))
-        if isinstance(results[-1][1], Failed):
-            break
-    return results
+        result, file = job(task), folder / _name(task)
+        unfinished = file.with_suffix(".unfinished")
+        with unfinished.open("wb") as opened:
+            pickle.dump(result, opened, protocol=pickle.HIGHEST_PROTOCOL)
+        unfinished.replace(file)
+        if isinstance(result, Failed):
+            return
+
+
+def _taken(file: Path) -> Arrays | Failed | None:
+    """What is in the file, which is gone then; None where there is none."""
+    try:
+        with file.open("rb") as opened:
+            result = pickle.load(opened)
+    except FileNotFoundError:
+        return None
+    file.unlink()
+    return result
+
+
+def _name(task: int) -> str:
+    return f"{task}.result"
 
 
 def _remove(folder: Path) -> None:

@@ -1,7 +1,7 @@
 """Loops and branches: while, scan, cond."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -43,8 +43,9 @@ def while_(code: Lowering, equation: Any, *args: Array) -> list[Array]:
 @rule("scan", of_parts=True)
 def scan(code: Lowering, equation: Any, *args: Array) -> list[Array]:
     p = equation.params
-    consts, first, rows = _split(args, p["num_consts"], p["num_carry"])
-    length, closed, count = p["length"], p["jaxpr"], p["num_carry"]
+    of_consts, count = _counts(p)
+    consts, first, rows = _split(args, of_consts, count)
+    length, closed = p["length"], p["jaxpr"]
     stacked = [_stack(code, length, v.aval) for v in closed.jaxpr.outvars[count:]]
 
     def body(carried: list[Any]) -> list[Array]:
@@ -154,6 +155,14 @@ def _gives_back(branch: Any, places: dict[int, int]) -> bool:
     """Whether a branch gives back its arguments, where the results lie already."""
     invars = branch.jaxpr.invars
     return all(k in places and v is invars[places[k]] for k, v in enumerate(branch.jaxpr.outvars))
+
+
+def _counts(params: Mapping[str, Any]) -> tuple[int, int]:
+    """How many of the arguments of a scan are the same in each turn, and how many after them it carries."""
+    if "num_consts" in params:  # JAX 0.10
+        return params["num_consts"], params["num_carry"]
+    consts, carried, _ = params["ft_in"].unpack()
+    return len(consts), len(carried)
 
 
 def _split(xs: Sequence[Any], *counts: int) -> list[list[Any]]:

@@ -1,0 +1,63 @@
+"""Beyond the table: values that are functions of features of a state (book, chapters 9 to 12).
+
+    observed        what all features have in common: their range, and how they become those of a task
+    features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis
+    semi_gradient   what the semi-gradient methods share
+    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
+    prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
+    mountain_car    a task whose states cannot be counted
+
+They are used in Python, wherever a method or an environment is:
+
+    method = rl.approx.SemiGradientSarsa(features="tile-coding(8, 8)", alpha=0.5, per_tiling=True, epsilon=0)
+    state, log = rl.train(key, method, rl.approx.MountainCar(), num_episodes=500)
+"""
+
+from jaxrl_tab.approx.control import (
+    SemiGradientExpectedSarsa,
+    SemiGradientNStepSarsa,
+    SemiGradientQLearning,
+    SemiGradientSarsa,
+    SemiGradientSarsaLambda,
+    SemiGradientTrueOnlineSarsaLambda,
+)
+from jaxrl_tab.approx.features import (
+    FEATURES,
+    Aggregation,
+    Fourier,
+    OneHot,
+    Polynomial,
+    RadialBasis,
+    TileCoding,
+)
+from jaxrl_tab.approx.mountain_car import MountainCar
+from jaxrl_tab.approx.observed import Features, Rows
+from jaxrl_tab.approx.prediction import (
+    SemiGradientNStepTD,
+    SemiGradientTD,
+    SemiGradientTDLambda,
+    SemiGradientTrueOnlineTDLambda,
+)
+
+__all__ = [
+    "FEATURES",
+    "Aggregation",
+    "Features",
+    "Fourier",
+    "MountainCar",
+    "OneHot",
+    "Polynomial",
+    "RadialBasis",
+    "Rows",
+    "SemiGradientExpectedSarsa",
+    "SemiGradientNStepSarsa",
+    "SemiGradientNStepTD",
+    "SemiGradientQLearning",
+    "SemiGradientSarsa",
+    "SemiGradientSarsaLambda",
+    "SemiGradientTD",
+    "SemiGradientTDLambda",
+    "SemiGradientTrueOnlineSarsaLambda",
+    "SemiGradientTrueOnlineTDLambda",
+    "TileCoding",
+]

@@ -1,0 +1,238 @@
+"""Features of a state: the numbers of which approximate values are a linear function (book, section 9.5).
+
+Each is a frozen object, given as it is or as text: `TileCoding(8, 8)`, "tile-coding(8, 8)". Sweeps, files and results
+have the text.
+"""
+
+import inspect
+import itertools
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrl_tab.approx.observed import Features, Ranged, Rows, check_tuple
+from jaxrl_tab.core.errors import InputError, nearest, reason, shown
+from jaxrl_tab.core.linear import Active, X
+from jaxrl_tab.core.optax import read_call
+from jaxrl_tab.core.pytree import checked_dataclass, static
+
+
+@checked_dataclass
+class OneHot(Features):
+    """The table itself: a feature for each state, which is 1 there and 0 elsewhere."""
+
+    name = "one-hot"
+
+    active = 1
+    needs_range = False
+
+    def fitted(self, env: Any) -> Features:
+        if not env.num_states:
+            raise InputError(
+                f"the states of {type(env).__name__} cannot be counted: take other features, such as tile-coding",
+                who=type(self).__name__,
+            )
+        return self
+
+    def __call__(self, observed: Any) -> X:
+        """The number of a state stands for its features."""
+        return observed
+
+    @property
+    def unit(self) -> Float[np.ndarray, " 1"]:
+        return np.ones(1)  # as many as there are states, which the method is told
+
+    @property
+    def nowhere(self) -> X:
+        return jnp.int32(0)
+
+
+@checked_dataclass
+class Aggregation(Ranged):
+    """Groups of neighbouring states with one value each: the range of each number in equal parts (section 9.3)."""
+
+    name = "aggregation"
+
+    groups: tuple[int, ...] | int = static(default=10, help="How many groups; or how many along each number.")
+
+    active = 1
+
+    def __post_init__(self):
+        super().__post_init__()
+        check_tuple(self, "groups", "whole numbers of at least 1", 1)
+
+    @property
+    def size(self) -> int:
+        return math.prod(_along(self, "groups"))
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        index = jnp.int32(0)
+        for u, n in zip(self.scaled(observed), _along(self, "groups"), strict=True):
+            index = index * n + jnp.minimum(jnp.floor(u * n).astype(jnp.int32), n - 1)
+        return index
+
+
+def _along(features: Any, name: str) -> tuple[int, ...]:
+    """Whole numbers along each number that is observed: one goes for all of them."""
+    counts = getattr(features, name)
+    if len(counts) not in (1, features.dimensions):
+        problem = f"{name} are {len(counts)} numbers, and {features.dimensions} are observed of a state"
+        raise InputError(problem, who=type(features).__name__, field=name)
+    return counts if len(counts) == features.dimensions else counts * features.dimensions
+
+
+@checked_dataclass
+class TileCoding(Ranged):
+    """Grids of tiles, each moved a little against the others: in each of them one tile is 1 (section 9.5.4).
+
+    A tile of a tiling is as wide as the range of a number divided by `tiles`. Tiling t = 0, 1, ... is moved by t times
+    the odd numbers 1, 3, 5, ... along the first, second, third number, in units of a tile's width divided by the number
+    of tilings, which is asymmetric as in the book. So that a moved tiling still covers the range, it has a tile more
+    along each number. Each tile has an index of its own; nothing is hashed.
+    """
+
+    name = "tile-coding"
+
+    tilings: int = static(default=8, at_least=1, help="How many tilings.")
+    tiles: tuple[int, ...] | int = static(
+        default=8, help="How many tiles there are along the range of a number; or for each of them."
+    )
+
+    def __post_init__(self):
+        super().__post_init__()
+        check_tuple(self, "tiles", "whole numbers of at least 1", 1)
+
+    @property
+    def active(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.tilings
+
+    @property
+    def size(self) -> int:
+        return self.tilings * math.prod(n + 1 for n in _along(self, "tiles"))
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        # In units of a tile's width divided by the number of tilings, so that a shift is a whole number.
+        fine = [
+            jnp.floor(u * (n * self.tilings)).astype(jnp.int32)
+            for u, n in zip(self.scaled(observed), _along(self, "tiles"), strict=True)
+        ]
+        ones = []
+        for tiling in range(self.tilings):
+            index = jnp.int32(tiling)
+            for i, (x, n) in enumerate(zip(fine, _along(self, "tiles"), strict=True)):
+                shift = tiling * (2 * i + 1) % self.tilings
+                index = index * (n + 1) + (x + shift) // self.tilings
+            ones.append(index)
+        return Active(jnp.stack(ones))
+
+
+@checked_dataclass
+class Polynomial(Ranged):
+    """Products of powers of the numbers, each scaled to [0, 1]: (n + 1)^d of them (equation 9.17)."""
+
+    name = "polynomial"
+
+    order: int = static(default=5, at_least=0, help="n, the largest power of a number.")
+
+    @property
+    def size(self) -> int:
+        return (self.order + 1) ** self.dimensions
+
+    @property
+    def unit(self) -> Float[np.ndarray, " n"]:
+        return _first(self.size)
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        u = self.scaled(observed)
+        powers = itertools.product(range(self.order + 1), repeat=self.dimensions)
+        one = jnp.ones_like(u[0])
+        return jnp.stack([math.prod((u[i] ** k for i, k in enumerate(ks) if k), start=one) for ks in powers])
+
+
+@checked_dataclass
+class Fourier(Ranged):
+    """Cosines of the numbers, each scaled to [0, 1]: cos(pi s . c), (n + 1)^d of them (equation 9.18)."""
+
+    name = "fourier"
+
+    order: int = static(default=5, at_least=0, help="n, the highest frequency along a number, in half waves.")
+
+    @property
+    def size(self) -> int:
+        return (self.order + 1) ** self.dimensions
+
+    @property
+    def unit(self) -> Float[np.ndarray, " n"]:
+        return _first(self.size)
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        u = self.scaled(observed)
+        waves = itertools.product(range(self.order + 1), repeat=self.dimensions)
+        return jnp.stack(
+            [jnp.cos(np.pi * sum((c * u[i] for i, c in enumerate(cs)), 0 * u[0])) for cs in waves]
+        )
+
+
+@checked_dataclass
+class RadialBasis(Ranged):
+    """Bells around the points of a grid: exp(-|s - c|^2 / (2 width^2)), numbers scaled to [0, 1] (section 9.5.5)."""
+
+    name = "radial-basis"
+
+    centres: tuple[int, ...] | int = static(
+        default=5, help="How many points along each number, its ends among them."
+    )
+    width: float = static(default=0.25, greater_than=0, help="sigma, in units of the range.")
+
+    def __post_init__(self):
+        super().__post_init__()
+        check_tuple(self, "centres", "whole numbers of at least 2", 2)
+
+    @property
+    def size(self) -> int:
+        return math.prod(_along(self, "centres"))
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        u = self.scaled(observed)
+        points = itertools.product(*(np.linspace(0, 1, n) for n in _along(self, "centres")))
+        distances = [
+            sum((u[i] - float(c)) * (u[i] - float(c)) for i, c in enumerate(point)) for point in points
+        ]
+        return jnp.exp(jnp.stack(distances) * (-0.5 / self.width**2))
+
+
+def _first(size: int) -> Float[np.ndarray, " n"]:
+    """Weights that are 0 but for that of the first feature, which is 1 everywhere."""
+    return np.eye(1, size)[0]
+
+
+FEATURES: dict[str, type[Features]] = {
+    cls.name: cls for cls in (OneHot, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
+}
+
+
+def read(written: Any) -> Features:
+    """Features from what is written: themselves; their name with their numbers, "tile-coding(8, tiles=8)"; or a matrix.
+
+    Raises:
+        InputError: they are none; the message says what would be right.
+    """
+    if isinstance(written, Features):
+        return written
+    if not isinstance(written, str):
+        return Rows(written)
+    text = written if written.endswith(")") else f"{written}()"
+    what = "features with their numbers in parentheses, such as tile-coding(8, tiles=8)"
+    plain = text.replace("-", "_", text.partition("(")[0].count("-"))
+    name, numbers, keywords = read_call(plain, what, takes_more=True)
+    name = name.replace("_", "-")
+    if name not in FEATURES:
+        raise InputError(f"there are no features {shown(name)}; {nearest(name, FEATURES)}")
+    try:
+        return FEATURES[name](*numbers, **keywords)
+    except TypeError as error:
+        takes = ", ".join(inspect.signature(FEATURES[name]).parameters)
+        raise InputError(f"{shown(written)}: {reason(error)}; {name} takes {takes}") from None

@@ -1,0 +1,138 @@
+"""What the semi-gradient methods share: values that are linear in features of a state (book, chapters 9, 10 and 12).
+
+A method of control reads and changes Q through three things alone: what stands for a state (`x`), what is learned
+before the first step (`initial`), and the step size. So with these a method whose Q is a table becomes one whose Q is
+a linear function, and its update stays what it is: each step moves the weights along the gradient of Q(S, A), which is
+x(S), and takes the target as given, though it depends on the weights, too. Hence "semi-gradient".
+"""
+
+import dataclasses
+from typing import Any, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrl_tab.algorithms.control import Learner
+from jaxrl_tab.algorithms.prediction import Prediction, ValueState
+from jaxrl_tab.algorithms.td import TDControl
+from jaxrl_tab.approx.features import OneHot, read
+from jaxrl_tab.approx.observed import Features
+from jaxrl_tab.core import policies, tables
+from jaxrl_tab.core.checks import assign, concrete
+from jaxrl_tab.core.clock import goes_by_visit
+from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.linear import X
+from jaxrl_tab.core.policies import EpsilonGreedy
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Available, Environment, State, Transition
+
+OF_FEATURES = (
+    "The features of a state of which values are a linear function, such as tile-coding(8, tiles=8): see "
+    "`approx.features`; in Python also a matrix of them [S, n]."
+)
+PER_TILING = (
+    "Whether alpha is divided by the number of features that are 1 at once, so that it is the part of an error that an "
+    "update takes away, as on the axes of figures 10.3 and 10.4."
+)
+
+
+@pytree
+class Linear:
+    """What a method has whose values are linear in features."""
+
+    features: Features | str = static(default="one-hot", help=OF_FEATURES)
+    per_tiling: bool = static(default=False, help=PER_TILING)
+
+    def __post_init__(self):
+        try:
+            assign(self, features=read(self.features))
+        except InputError as error:
+            raise error.renamed(type(self).__name__, "features") from None
+        assert isinstance(self.features, Features)
+        if self.per_tiling and self.features.active is None:
+            problem = f"features {self.features} are not 1 or 0, so alpha cannot be divided by how many are 1"
+            raise InputError(problem, who=type(self).__name__, field="per_tiling")
+        super().__post_init__()  # pyright: ignore[reportAttributeAccessIssue]
+
+    def fitted_to(self, env: Environment) -> Self:
+        """The method where its features are those of the states of an environment.
+
+        Raises:
+            InputError: they cannot be; or what the method needs a table for.
+        """
+        own: Any = self
+        features = own.features.fitted(env)
+        initial = concrete(own.v0 if hasattr(own, "v0") else own.q0)
+        if features.unit is None and initial is not None and np.any(initial != 0):
+            problem = (
+                f"no weights of the features {features} give every state the value {initial}: leave it at 0"
+            )
+            raise InputError(problem, who=type(self).__name__, field="v0" if hasattr(own, "v0") else "q0")
+        return dataclasses.replace(own, features=features)
+
+
+@pytree
+class SemiGradientControl(Linear, TDControl):
+    """Control whose Q is linear in features of the state, with weights of their own for each action.
+
+    q(s, a) = x(s) . w(., a)      (book, section 9.4)
+    """
+
+    def fitted_to(self, env: Environment) -> Self:
+        rates = [*self.rates, *(getattr(p, "epsilon", None) for p in self.all_policies)]
+        if not env.num_states and (
+            any(map(goes_by_visit, rates)) or any(p.by_visit for p in self.all_policies)
+        ):
+            raise InputError(
+                f"what goes by visits needs states that can be counted, and those of {type(env).__name__} cannot: "
+                "count steps or episodes",
+                who=type(self).__name__,
+            )
+        return super().fitted_to(env)
+
+    def restricted_to(self, available: Available, **more: Any) -> Self:
+        if not isinstance(self.selection, EpsilonGreedy):
+            raise InputError(
+                "where states do not have every action it acts by an epsilon-greedy policy alone",
+                who=type(self).__name__,
+                field="behaviour",
+            )
+        return super().restricted_to(available, q0=self.q0, **more)
+
+    def initial(self, num_states: int, num_actions: int) -> Float[Array, "n A"]:
+        features: Any = self.features
+        if isinstance(features, OneHot):
+            return super().initial(num_states, num_actions)
+        unit = np.zeros(features.size) if features.unit is None else features.unit
+        w = jnp.asarray(self.q0, float) * jnp.asarray(unit, float)
+        return jnp.broadcast_to(w[:, None], (features.size, num_actions))
+
+    def x(self, s: State) -> X:
+        features: Any = self.features
+        return features(s)
+
+    @property
+    def nowhere(self) -> X:
+        features: Any = self.features
+        return features.nowhere
+
+    def row(self, state: Any, s: State) -> Float[Array, " A"]:
+        row = super().row(state, s)
+        if (available := self.available) is None:
+            return row
+        return jnp.where(tables.row(jnp.asarray(available, float), s) > 0, row, policies.UNAVAILABLE)
+
+    def step_size(self, state: Learner, t: Transition) -> Float[Array, ""] | float:
+        features: Any = self.features
+        alpha = super().step_size(state, t)
+        return alpha / features.active if self.per_tiling else alpha
+
+
+@pytree
+class SemiGradientPrediction(Linear, Prediction):
+    """Prediction whose V is linear in features of the state: v(s) = x(s) . w      (book, section 9.4)."""
+
+    def everywhere(self, state: ValueState, num_states: int) -> Float[Array, " S"]:
+        return jax.vmap(self.row, (None, 0))(state, jnp.arange(num_states, dtype=jnp.int32))[:, 0]
