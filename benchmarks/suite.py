@@ -208,10 +208,12 @@ def check(share: float, seed: int, files: Files, say: Callable[[str], None]) -> 
     if sum(Sizes(*size).runs for size in about["parts"].values()) != len(bits):
         return [f"{files.bits.name} is not of the runs that {files.about.name} tells of"]
     was = about["session"]["surroundings"]
-    for line in provenance.differences(was, {k: x for k, x in provenance.surroundings().items() if k in was}):
-        say(f"not as it was: {line}")
+    settings = {name: was[name] for name in provenance.settings() if name in was}
     wrong, count = [], 0
-    with backend.using(experiment.backend):
+    with backend.using(experiment.backend), provenance.using(settings):
+        now = provenance.surroundings()
+        for line in provenance.differences(was, {name: now.get(name) for name in was}):
+            say(f"not as it was: {line}")
         for some in drawn(about, bits, share, seed):
             part = experiment.parts()[some.name]
             size = Sizes(*about["parts"][some.name])

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import jaxrl_tab as rl
 from benchmarks import suite
 from jaxrl_tab import plot, report, stats
 from jaxrl_tab.cli import main
+from jaxrl_tab.engine import provenance
 from jaxrl_tab.experiment import compare, files, scores, tasks
 from jaxrl_tab.stats.columns import Methods
 from jaxrl_tab.stats.ranking import ranking
@@ -224,3 +226,39 @@ def test_every_run_comes_out_again_with_the_same_bits(made, tmp_path):
     assert suite.check(0.3, 0, copy, told.append) == [
         "tasks.toml is not the experiment whose results are kept"
     ]
+
+
+# --- the public results ------------------------------------------------------------------------------
+def test_the_public_results_are_of_the_file_and_on_the_page():
+    """Sizes, names, and the numbers of the first table."""
+    files, page = suite.SUITE, (Path(__file__).parents[1] / "docs/suite.md").read_text(encoding="utf-8")
+    experiment, about = rl.Experiment.load(files.toml), json.loads(files.about.read_text(encoding="utf-8"))
+    names = [f"{e['label']}/{m['label']}" for e in experiment.environment for m in experiment.method]
+    assert experiment.fingerprint == about["fingerprint"] and len(names) == 400
+    fresh, data, _ = scores.load(files.scores)
+    assert list(fresh) == names == list(about["parts"]) and data == experiment.data()
+    assert (
+        sum(suite.Sizes(*x).runs for x in about["parts"].values())
+        == len(np.load(files.bits)["bits"])
+        == 290_000
+    )
+    methods = about["over_environments"]["methods"]
+    shown = {x for line in page.splitlines() if line.startswith("| ") for x in line.split(" | ")}
+    assert len(methods) == 20
+    for own in methods.values():
+        assert "{:.3f} ({:.3f} to {:.3f})".format(*own["iqm"]) in shown
+        assert "{:.2f} ({:.2f} to {:.2f})".format(*own["mean_rank"]) in shown
+
+
+@pytest.mark.slow
+def test_some_of_the_public_results_come_out_again():
+    """Six of all runs, where versions and the kind of the processor are those of the results."""
+    about = json.loads(suite.SUITE.about.read_text(encoding="utf-8"))
+    was = {k: x for k, x in about["session"]["surroundings"].items() if "digest" not in k}
+    with provenance.using({name: was[name] for name in provenance.settings() if name in was}):
+        now = provenance.surroundings()
+    if others := provenance.differences(was, {k: now.get(k) for k in was}):
+        pytest.skip(f"bits may be others: {'; '.join(others)}")
+    told = []
+    assert suite.check(6 / 290_000, 3, suite.SUITE, told.append) == []
+    assert told[-1].startswith("6 of 6 runs")

@@ -137,7 +137,7 @@ def _called_as_in(a: Side, b: Side) -> Side:
 
 
 def differs(a: Side, b: Side, ranked: bool = False) -> dict[str, list[str]]:
-    """What is not the same in two results, as far as that is known of both; of `ranked` methods that is not said here."""
+    """What is not the same in two results, as far as that is known of both; but for methods that are `ranked`."""
     if a.experiment and b.experiment:
         experiment = difference(a.experiment, b.experiment)
         if ranked:
