@@ -92,7 +92,8 @@ from jaxrl_tab.exact import importance, planning
 from jaxrl_tab.experiment import executors
 from jaxrl_tab.experiment.compare import compare
 from jaxrl_tab.experiment.reading import read
-from jaxrl_tab.experiment.runner import explain, resume, run
+from jaxrl_tab.experiment.runner import explain, resume, run, search
+from jaxrl_tab.experiment.search import Search
 from jaxrl_tab.experiment.spec import Experiment
 
 # Imported when they are first used, because they take a second: name -> where it is.
@@ -178,6 +179,7 @@ __all__ = [
     "Sarsa",
     "SarsaLambda",
     "SarsaLambdaForward",
+    "Search",
     "ShortCorridor",
     "SweepResult",
     "TargetQLearning",
@@ -220,6 +222,7 @@ __all__ = [
     "resume",
     "run",
     "schedules",
+    "search",
     "static",
     "sweep",
     "tables",

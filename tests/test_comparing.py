@@ -16,6 +16,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import plot, report, stats
 from jaxrl_tab.cli import main
 from jaxrl_tab.cli.screen import show_outcome
+from jaxrl_tab.engine.part import compute
 from jaxrl_tab.experiment import comparing, shards
 from jaxrl_tab.experiment.resolve import UntilDecided
 
@@ -77,7 +78,7 @@ def test_looks_go_on_where_the_last_one_ended(undisturbed):
     assert [env for env, _ in seen] == [ENV] * 5
     assert [verdict.seeds["quick"] for _, verdict in seen] == [8, 12, 16, 24, 32]
     part = shards.again(outcome.parts[LEARNS], outcome.chosen[LEARNS], 32)
-    np.testing.assert_array_equal(outcome.fresh[LEARNS].q, comparing.compute(part).q)
+    np.testing.assert_array_equal(outcome.fresh[LEARNS].q, compute(part).q)
     assert outcome.fresh[LEARNS].seed.values.tolist() == list(range(32))
     assert outcome.fresh[LEARNS].attrs["fresh_seeds"] == 1
 

@@ -28,6 +28,7 @@ MODULES = {
     "solve": "solve",
     "watch": "watch",
     "sweep": "sweep",
+    "search": "search",
     "resume": "sweep",
     "explain": "explain",
     "seeds": "seeds",
@@ -52,6 +53,7 @@ commands:
   solve     the exact values and an optimal policy of an environment
   watch     an episode of a method, step by step, while it learns
   sweep     methods x hyperparameters x seeds: a table, the data, and pictures
+  search    good settings of each method, without running all of them to the end
   resume    go on with a sweep: one that was interrupted, or that is to have more
   explain   where the methods of a sweep lose what they earn less than the best policy
   compare   results beside others: the same bits, or better, or worse
@@ -70,6 +72,7 @@ examples:
   {PROG} watch windy-gridworld sarsa --alpha 0.5
   {PROG} sweep windy-gridworld sarsa q-learning expected-sarsa --out runs/windy
   {PROG} sweep --write-template experiment.toml
+  {PROG} search windy-gridworld sarsa --epsilon 0.01:0.3 --draws 27 --out runs/best
   {PROG} resume runs/windy
   {PROG} explain runs/windy
   {PROG} compare runs/last-month runs/today
@@ -165,5 +168,5 @@ def _load(name: str) -> ModuleType:
 
 def _draws(name: str, argv: Sequence[str]) -> bool:
     """Whether a command may draw the pictures of an experiment."""
-    into_folder = name == "resume" or (name == "sweep" and "--out" in argv)
+    into_folder = name == "resume" or (name in ("sweep", "search") and "--out" in argv)
     return into_folder and not {"--dry-run", "--no-pictures"} & set(argv)

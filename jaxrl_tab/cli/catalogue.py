@@ -36,6 +36,7 @@ COMMANDS = {
         "Sweep",
         {"hyperparameters": ("methods", "methods"), "environment": ("grids", "env"), "executor": _EXECUTOR},
     ),
+    "search": ("search", "Search", {"hyperparameters": ("ranges", "methods"), "environment": _ENVIRONMENT}),
     "resume": ("sweep", "Resume", {"executor": _EXECUTOR}),
     "moments": (
         "moments",
@@ -56,7 +57,7 @@ class Catalogue(NamedTuple):
     Attributes:
         commands: by their names.
         groups: "environments", "grids" (of environments), "methods", "one method" (of which each option has one value),
-            "exact methods" (of `moments`) and "executors".
+            "exact methods" (of `moments`), "ranges" (of methods, for `search`) and "executors".
         listed: for `list`: "environments", "methods" (of control) and "prediction" -> name -> entry, with the
             defaults of the classes.
         facts: the same as JSON: name -> summary, parameters, those included that cannot be typed, and of methods the
@@ -106,6 +107,7 @@ def live() -> Catalogue:
     from jaxrl_tab.algorithms.prediction import PREDICTION
     from jaxrl_tab.cli.common import ENVIRONMENT, ENVIRONMENTS, EXECUTOR, HYPERPARAMETERS, OF_ONE_METHOD
     from jaxrl_tab.cli.moments import EXACT
+    from jaxrl_tab.cli.search import RANGES
     from jaxrl_tab.cli.typed import Classes, command_of
     from jaxrl_tab.core import names
     from jaxrl_tab.envs import ENVS, GYMNASIUM
@@ -125,6 +127,7 @@ def live() -> Catalogue:
             "methods": HYPERPARAMETERS.group,
             "one method": OF_ONE_METHOD.group,
             "exact methods": EXACT.group,
+            "ranges": RANGES.group,
             "executors": EXECUTOR.group,
         },
         {kind: dict(Classes(registry, "").group.entries) for kind, registry in registries.items()},

@@ -19,6 +19,7 @@ from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import words
 from jaxrl_tab.experiment import files, storage
+from jaxrl_tab.show import searched
 from jaxrl_tab.show.words import (
     DOES_NOT_END,
     cell,
@@ -66,10 +67,13 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         summary = {"folder": folder and str(folder), "summary": _records(outcome.summary)}
         chosen = {"selection": _records(outcome.selection)} if outcome.fresh else {}
         decided = {"verdicts": _verdicts(outcome)} if outcome.verdicts else {}
-        print_json(summary | chosen | decided | _tasks_as_json(outcome))
+        searched = {"search": _records(outcome.search)} if outcome.tried else {}
+        print_json(searched | summary | chosen | decided | _tasks_as_json(outcome))
         return
     if options.quiet:
         return
+    if outcome.tried:
+        _print_search(outcome)
     for environment, methods in outcome.methods.items():
         with busy("summing up"):
             _work_out(methods)
@@ -84,6 +88,18 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
         why = "a number became infinite, or NaN, or grew beyond any possible return."
         console().print(f"{diverged} of {runs} runs diverged: {why}")
+
+
+def _print_search(outcome: files.Outcome) -> None:
+    """What the search tried, rung by rung, and what it found."""
+    out, view = console(), Table(*searched.head(outcome.tried))
+    for row in searched.rows(outcome.tried):
+        view.add_row(*map(escape, row))
+    out.print("[bold]search[/]")
+    out.print(view)
+    for line in searched.notes(outcome.tried):
+        out.print(line, markup=False)
+    out.print("What was found ran again, on fresh seeds, which had no part in the choice:\n")
 
 
 def _tasks_as_json(outcome: files.Outcome) -> dict[str, Any]:
@@ -276,7 +292,8 @@ def _notes(methods: "Methods", choice: bool, digits: Any) -> Iterator[str]:
             f"Of {len(rows)} settings only the best of each method is shown: summary.csv, the report and --json have "
             "all."
         )
-    if choice and _several(rows):
+    of_methods = [[row for row in rows if row.method == method] for method in methods]
+    if choice and any(map(_several, of_methods)):
         yield (
             "* This setting is the best of its method on these seeds. It was chosen for its mean, which flatters it."
         )

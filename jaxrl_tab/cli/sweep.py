@@ -18,14 +18,19 @@ from jaxrl_tab.cli.common import (
     prepare,
     start_jax,
 )
-from jaxrl_tab.cli.interrupt import interruptible
 from jaxrl_tab.cli.options import Typed, checked_name, environments_first
-from jaxrl_tab.cli.screen import busy, say_where, show_look, show_outcome
+from jaxrl_tab.cli.running import (
+    Where,
+    is_typed_as_file,
+    length_typed,
+    methods_typed,
+    say_where_of,
+    watched,
+)
+from jaxrl_tab.cli.screen import busy
 from jaxrl_tab.cli.streams import PROG, print_json
-from jaxrl_tab.cli.typed import OPTIONAL, Classes, parse, several_of, values, values_of, word
-from jaxrl_tab.core import memory
+from jaxrl_tab.cli.typed import OPTIONAL, Classes, parse, several_of, values_of, word
 from jaxrl_tab.core.errors import InputError, one_line
-from jaxrl_tab.core.names import is_from_outside
 from jaxrl_tab.core.pytree import checked_dataclass, field
 from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.backend import Backend
@@ -33,40 +38,21 @@ from jaxrl_tab.engine.by_lanes import threads
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.executors import Executor
-from jaxrl_tab.experiment.files import FORMATS, Outcome, check_formats
 from jaxrl_tab.experiment.plan import OnWorkers, on_workers, plan
 from jaxrl_tab.experiment.shards import Job
 from jaxrl_tab.experiment.spec import Experiment, template
 
 
 @checked_dataclass
-class Where:
-    """Where a sweep is computed, and how much of it is shown.
+class Anywhere(Where):
+    """The same, and where a sweep is computed.
 
     Attributes:
         executor: local (all cores of this machine), ray, slurm, or distributed (jax.distributed); see
             docs/scaling.md.
-        memory: How much memory a method may take, such as 4GB; results that do not fit go to temporary files.
-            By default it is half of what is free.
-        formats: Of the pictures: png, svg, pdf, or several of them.
-        pictures: Draw no pictures. (The report shows the same, and more.)
-        json: Print the summary, or what would be run, as JSON.
-        quiet: Show no progress and no table.
     """
 
     executor: str = "local"
-    memory: str | None = None
-    formats: tuple[str, ...] = FORMATS[:1]
-    pictures: bool = True
-    json: bool = False
-    quiet: bool = False
-
-    def __post_init__(self):
-        _ = self.bytes, check_formats(self.formats)  # raises InputError before anything is computed
-
-    @property
-    def bytes(self) -> int | None:
-        return None if self.memory is None else memory.parse(self.memory)
 
 
 @contextlib.contextmanager
@@ -90,7 +76,7 @@ def _executor(options: Any, typed: Typed, out: Path | None, is_used: bool = True
 
 
 @checked_dataclass
-class Sweep(Where):
+class Sweep(Anywhere):
     """Every method with every combination of hyperparameters, each over the same seeds.
 
     What is run is said by options; or by a file, which can say more: several environments, random draws, and
@@ -244,9 +230,9 @@ def _conduct(
         if options.dry_run:
             return 0
     about = {"memory": options.bytes, "command": shlex.join([PROG, *command])}
-    with _watched(options, options.out) as watch:
+    with watched(options, options.out) as watch:
         outcome = runner.run(experiment, options.out, executor=executor, **about, **watch)
-    _say_where(outcome, options.out, options)
+    say_where_of(outcome, options.out, options)
     return 0
 
 
@@ -254,13 +240,7 @@ def _experiment(
     options: Sweep, typed: Mapping[str, Typed], hyperparameters: Classes, environment: Classes
 ) -> Experiment:
     """The experiment that is in a file, or was typed."""
-    is_file = options.env.endswith(".toml") or Path(options.env).is_file()
-    if is_file and options.env not in ENVS and not is_from_outside(options.env):
-        own = [option for option in OF_EXPERIMENT if option in typed["options"]]
-        if beside := [*options.methods, *typed["environment"], *typed["hyperparameters"], *own]:
-            raise InputError(
-                f"{beside[0]} cannot be given together with a file: {options.env} alone says what is run"
-            )
+    if is_typed_as_file(options, typed, OF_EXPERIMENT):
         return Experiment.load(options.env)
     envs, names = environments_first(options.env, options.methods, ENVS)
     for env in envs:
@@ -269,20 +249,12 @@ def _experiment(
     names = names or ("",)
     for name in names:
         find(hyperparameters, name)
-    grids = values(names, typed["hyperparameters"], hyperparameters)
-    alone_or_listed = lambda tried: tried[0] if len(tried) == 1 else tried
-    methods = [
-        {"name": name} | {k: alone_or_listed(tried) for k, tried in grids[name].items()} for name in names
-    ]
-    if options.episodes is not None and "--steps" in typed["options"]:
-        raise InputError("give --steps or --episodes, not both")
     return Experiment(
         environments,
-        methods,
+        methods_typed(names, typed["hyperparameters"], hyperparameters),
+        **length_typed(options, typed["options"]),
         seeds=options.seeds,
         first_seed=options.first_seed,
-        steps=options.steps if options.episodes is None else None,
-        episodes=options.episodes,
         log_every=options.log_every,
         seed=options.seed,
         exact=options.exact,
@@ -324,7 +296,7 @@ def _write_template(file: str) -> int:
 
 
 @checked_dataclass
-class Resume(Where):
+class Resume(Anywhere):
     """Goes on with a sweep that was interrupted, or that is to have more: computes what is missing, and nothing else.
 
     The results are the same, to the last bit, as if nothing had happened. Where they would not be, as with
@@ -376,9 +348,9 @@ def resume_command(argv: list[str]) -> int:
         about = {"memory": limit, "command": shlex.join([PROG, "resume", *argv]), "mixed": options.mixed}
         about |= {key: getattr(options, key) for key in ("seeds", "steps", "episodes")}
         about |= {"experiment": Experiment.load(options.file) if options.file else None}
-        with _watched(options, folder, argv) as watch:
+        with watched(options, folder, argv) as watch:
             outcome = runner.resume(folder, executor=executor, **about, **watch)
-        _say_where(outcome, folder, options)
+        say_where_of(outcome, folder, options)
         return 0
 
 
@@ -390,45 +362,3 @@ def _show_history(folder: Path, options: Resume) -> int:
         for time, what, command in lines:
             print(f"{time}  {what}\n    {command}")
     return 0
-
-
-@contextlib.contextmanager
-def _watched(options: Where, folder: Path | None, again: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-    """How a run is watched, as arguments of `run`: its progress by a bar, and its results as soon as they are there.
-
-    Where it is interrupted, it says how to go on: with all that `again` has, for the folder need not know it yet. That
-    nobody reads the results any more does not interrupt it: the files are written first.
-    """
-    import pandas  # noqa: F401  Now, while there is nothing yet that Ctrl-C could wait for.
-
-    unread: list[BaseException] = []
-
-    def show(outcome: Outcome) -> None:
-        try:
-            show_outcome(outcome, folder, options)
-            sys.stdout.flush()
-        except (OSError, SystemExit) as error:  # rich ends the process where a pipe is broken
-            unread.append(error)
-
-    try:
-        with interruptible():
-            formats = (options.formats or None) if options.pictures else ()
-            looked = None if options.quiet else show_look
-            shown = {"progress": False if options.quiet else None, "ready": show, "looked": looked}
-            yield {**shown, "formats": formats}
-    except InputError:
-        raise
-    except BaseException as stop:
-        if folder and folder.is_dir():
-            command = shlex.join([PROG, "resume", *(again or [str(folder)])])
-            stop.add_note(f"what is finished is kept, `{command}` goes on")
-        raise
-    for error in unread:
-        raise error
-
-
-def _say_where(outcome: Outcome, folder: Path | None, options: Where) -> None:
-    """Names the files, and how the data are read; where a person reads."""
-    if folder and not options.json and not options.quiet:
-        name = next(iter(outcome.datasets))
-        say_where(folder, name if len(outcome.envs) > 1 else name.partition("/")[2])

@@ -7,6 +7,7 @@ parameters of theirs.
 import contextlib
 import dataclasses
 import inspect
+import re
 import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -30,11 +31,13 @@ from jaxrl_tab.cli.options import (
 from jaxrl_tab.core import clock, describe, names, policies, schedules
 from jaxrl_tab.core.checks import KINDS, build, but_none
 from jaxrl_tab.core.errors import InputError, shown
+from jaxrl_tab.engine import axes
 from jaxrl_tab.envs import drawing
 
 PAIRS = Mapping[str, Any]  # the type of a parameter that is typed as KEY=VALUE ...
 OPTIONAL = bool | float  # the type of a parameter that is on, and may have a number
 FILE = str | Path | None  # the type of a parameter that names a file
+RANGE = re.compile(r"([-+.\deE]+):([-+.\deE]+)(:log)?")  # such as 0.01:1:log
 METAVARS = {
     int: "N",
     float: "X",
@@ -59,6 +62,8 @@ class Classes(NamedTuple):
         parts: what people call parts of the registry -> the names in it.
         spelled: parameter -> what it is called on the command line, where that is not its name.
         noun: what one of them is called, with its article, where no kind says it.
+        ranges: whether an option also takes a range from which values are drawn: 0.01:0.3, 0.01:1:log, of whole numbers
+            1:8.
     """
 
     registry: Mapping[str, type]
@@ -69,6 +74,7 @@ class Classes(NamedTuple):
     parts: Mapping[str, Collection[str]] = MappingProxyType({})
     spelled: Mapping[str, str] = MappingProxyType({})
     noun: str = ""
+    ranges: bool = False
 
     @property
     def group(self) -> Group:
@@ -183,9 +189,41 @@ def _values(
     }
     for flag in typed:
         if parameter := by_flag.get(flag):
+            if classes.ranges and (one := _range(flag, typed[flag], parameter)):
+                chosen[parameter.name] = [one]
+                continue
             read = [_value(flag, text, parameter) for text in typed[flag]]
             chosen[parameter.name] = read or [not parameter.default]  # a switch, or what stands alone
     return chosen
+
+
+def _range(flag: str, texts: Sequence[str], parameter: describe.Parameter) -> axes.Random | None:
+    """What was typed as a range from which values are drawn; None where it is none."""
+    matches = [RANGE.fullmatch(text) for text in texts]
+    if not any(matches):
+        return None
+    if len(texts) > 1:
+        raise InputError(f"{flag}: a range stands alone, and here are {shown(' '.join(texts))}")
+    assert matches[0]
+    low, high, log = matches[0].groups()
+    kind = describe.kind(parameter)
+    if kind not in (int, float):
+        raise InputError(f"{flag} takes no range of numbers, such as {texts[0]}")
+    if kind is int and log:
+        raise InputError(f"{flag} takes a range of whole numbers, such as 1:8, not {texts[0]}")
+    cls: Any = axes.Integers if kind is int else axes.LogUniform if log else axes.Uniform
+    read = whole_number if kind is int else float
+    try:
+        ends = [read(text) for text in (low, high)]
+    except ValueError:
+        raise InputError(
+            f"{flag}: {texts[0]} is no range; it is typed 0.01:0.3, 0.01:1:log, or 1:8"
+        ) from None
+    options.check_words(flag, option_of(parameter, parameter.name, parameter.default), [low, high])
+    try:
+        return cls(*ends)
+    except InputError as error:
+        raise error.renamed(flag) from None
 
 
 def _value(flag: str, text: str, parameter: describe.Parameter) -> Any:
@@ -261,6 +299,8 @@ def words(value: Any) -> str:
         return "on" if value else "off"
     if isinstance(value, tuple):
         return " ".join(words(x) for x in value)
+    if isinstance(value, axes.Uniform):
+        return f"{value.low:g}:{value.high:g}{':log' if value.logarithmic else ''}"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -5,6 +5,7 @@ Its modules, from the ground up:
     budget      how long a run is, and what is recorded of it
     log         what is recorded of a run, row by row
     loop        step after step of an agent in its environment
+    onward      a method with a run of it that goes on
     traced      one run as a function that is traced
     backend     by what runs are compiled: by `lanes`, or by XLA
     provenance  what the bits of a result depend on beside the experiment

@@ -19,6 +19,7 @@ from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.by_lanes import ByLanes
 from jaxrl_tab.engine.by_xla import ByXLA
+from jaxrl_tab.engine.onward import Onward, split
 from jaxrl_tab.engine.runs import Runs
 from jaxrl_tab.lanes.code import Unsupported
 
@@ -32,7 +33,7 @@ class Seconds(NamedTuple):
 
 def run(
     env: Environment,
-    algorithms: Algorithm,
+    algorithms: Algorithm | Onward,
     root: jax.Array,
     seeds: np.ndarray,
     budget: Budget,
@@ -76,7 +77,7 @@ def _compiled(runs: Runs, room: int, devices: Sequence[Any] | None) -> ByLanes |
         try:
             return ByLanes(runs, room, devices)
         except Unsupported as reason:
-            backend.fall_back(runs.algorithms, runs.env, reason)
+            backend.fall_back(split(runs.algorithms).method, runs.env, reason)
     elif backend.asked() == "auto" and not backend.is_installed() and jax.default_backend() == "cpu":
         backend.tell(
             "XLA compiles the runs, which makes them slower than lanes, which needs llvmlite: pip install llvmlite"

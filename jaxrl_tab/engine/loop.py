@@ -98,9 +98,14 @@ Measures: TypeAlias = tuple[Measure, ...]
 
 
 def run(
-    stream: rng.Stream, algorithm: Algorithm, env: Environment, budget: Budget, measures: Measures
-) -> tuple[Any, Log]:
-    """What a method learned in an environment, and what happened.
+    stream: rng.Stream,
+    algorithm: Algorithm,
+    env: Environment,
+    budget: Budget,
+    measures: Measures,
+    begun: Run | None = None,
+) -> tuple[Run, Log]:
+    """Where a run of a method in an environment is in the end, and what happened.
 
     Args:
         stream: from which the random words of the run come.
@@ -108,16 +113,16 @@ def run(
         env: the environment.
         budget: how long the run is.
         measures: what is measured at the end of rows; at most one of every row, and one of fewer.
+        begun: where the run is, which goes on for as long as the budget says; None: at time 0. After a number of
+            episodes it is at the beginning of one.
     """
     start = _make_start(algorithm, env)
     step = _make_step(algorithm, env, start)
-    at_start = _start(stream, algorithm, env, start)
+    first = _start(stream, algorithm, env, start) if begun is None else begun
     if budget.num_steps is not None:
-        end, log = _run_steps(stream, step, at_start, budget.num_steps, budget.row, measures)
-    else:
-        assert budget.num_episodes is not None
-        end, log = _run_episodes(stream, step, at_start, budget.num_episodes, budget.row, measures)
-    return end.learner, log
+        return _run_steps(stream, step, first, budget.num_steps, budget.row, measures)
+    assert budget.num_episodes is not None
+    return _run_episodes(stream, step, first, budget.num_episodes, budget.row, measures)
 
 
 def empty_log(dtype: Any, budget: Budget, measured: dict[str, Any]) -> Log:

@@ -15,6 +15,8 @@ from jaxrl_tab.core.types import Algorithm, Environment
 from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.loop import Run
+from jaxrl_tab.engine.onward import Onward
 from jaxrl_tab.engine.room import Needs, needs_of, plan
 from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
@@ -30,11 +32,13 @@ class Computed(NamedTuple):
         q: their final tables, float [n, S, A].
         log: what happened, [n, rows] each; see `log.Log`.
         seconds: how long it took.
+        ends: where the runs are in the end, [n, ...] each, of runs that may go on; else None.
     """
 
     q: np.ndarray
     log: Log
     seconds: batch.Seconds
+    ends: Run | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -57,6 +61,9 @@ class Part:
         seed: the root seed.
         budget: how long each run is and what it records.
         fresh: whether the seeds are fresh ones, of the root that is kept for them.
+        goes_on: whether it is wanted where the runs are in the end, so that they can go on.
+        begun: where they are, [runs, ...] each, as the `ends` of `Computed`: they go on for as long as the budget
+            says. By default they begin at time 0.
     """
 
     env: Environment
@@ -68,6 +75,8 @@ class Part:
     seed: int
     budget: Budget
     fresh: bool = False
+    goes_on: bool = False
+    begun: Run | None = None
 
     @property
     def root(self) -> Any:
@@ -114,8 +123,9 @@ class Part:
     @functools.cached_property
     def needs(self) -> list[Needs]:
         """What one run of each program needs of memory. Raises InputError where the method does not fit the task."""
-        root = self.root
+        root, one = self.root, jax.tree.map(lambda x: x[0], self.begun)
         instances = (leaves_as_arrays(self.configs[members[0]]) for members in self.programs)
+        instances = (Onward(x, one) if self.goes_on else x for x in instances)
         return [needs_of(self.env, algorithm, root, self.budget) for algorithm in instances]
 
 
@@ -155,6 +165,9 @@ def compute(
         leaves = (leaves_as_arrays(part.configs[i]) for i in members)
         # [members, 1]: broadcast to [members, seeds], which `batch.run` numbers in C order.
         stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *leaves)
+        if part.goes_on:
+            by_setting = lambda x, of=members: x.reshape(-1, part.num_seeds, *x.shape[1:])[of]
+            stacked: Any = Onward(stacked, jax.tree.map(by_setting, part.begun))
         seeds = part.first_seed + np.arange(part.num_seeds, dtype=np.uint32)
         seeds = np.broadcast_to(seeds, (len(members), part.num_seeds))
         # `members` ascends, so this is the place of each configuration among them.
@@ -163,8 +176,8 @@ def compute(
         report = lambda n, done=done: progress(done + n, steps)
         seconds = batch.run(part.env, stacked, root, seeds, part.budget, keep, report, room, runs=within)
         done, running, compiling = done + len(at), running + seconds.running, compiling + seconds.compiling
-    q, log = results.arrays
-    return Computed(q, log, batch.Seconds(running, compiling))
+    q, log, *ends = results.arrays
+    return Computed(q, log, batch.Seconds(running, compiling), *ends)
 
 
 def leaves_as_arrays(algorithm: Algorithm) -> Algorithm:

@@ -14,6 +14,7 @@ from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, fitted, table_of
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.onward import Onward, split
 from jaxrl_tab.engine.traced import gives, in_full, unchecked
 from jaxrl_tab.exact import planning
 
@@ -164,7 +165,7 @@ def program_arguments(budget: Budget, root: Any, seed: Any, algorithm: Any, env:
     Where `seed` is None, `root` is the key of the one run.
     """
     full = in_full if budget.exact else lambda _: None
-    return jax.random.key_data(root), seed, (algorithm, full(algorithm)), (env, full(env))
+    return jax.random.key_data(root), seed, (algorithm, full(split(algorithm).method)), (env, full(env))
 
 
 class Signature(NamedTuple):
@@ -209,7 +210,7 @@ class Needs(NamedTuple):
     program: str
 
 
-def needs_of(env: Environment, algorithm: Algorithm, root: jax.Array, budget: Budget) -> Needs:
+def needs_of(env: Environment, algorithm: Algorithm | Onward, root: jax.Array, budget: Budget) -> Needs:
     """What one run of this method needs of memory. Its hyperparameters are arrays, whose values do not matter."""
     needs = needs_of_program(budget, signature(program_arguments(budget, root, np.uint32(0), algorithm, env)))
     return needs._replace(call=needs.call._replace(shared=needs.call.shared + _tables(env)))
@@ -233,15 +234,21 @@ def needs_of_program(budget: Budget, signature: Signature) -> Needs:
 
 @functools.lru_cache(maxsize=64)
 def traced_program(budget: Budget, signature: Signature) -> Any:
-    """One run, traced: what `program_arguments` gives -> ((table, Log), state of the learner)."""
+    """One run, traced: what `program_arguments` gives -> ((table, Log), state of the learner).
+
+    Of a method that is `Onward` it is ((table, Log, where the run is), None).
+    """
 
     def one(root, seed, algorithms, envs):
         (algorithm, exact_algorithm), (env, exact_env) = algorithms, envs
         full = (exact_algorithm, exact_env) if budget.exact else None
         key = rng.from_data(root)
         key = key if seed is None else jax.random.fold_in(key, seed)
-        state, log = unchecked(key, algorithm, env, full, budget)
-        return (table_of(fitted(algorithm, env), env, state), log), state
+        end, log = unchecked(key, algorithm, env, full, budget)
+        method, _, goes_on = split(algorithm)
+        learner = end.learner if goes_on else end
+        table = table_of(fitted(method, env), env, learner)
+        return ((table, log, end), None) if goes_on else ((table, log), learner)
 
     return jax.jit(one).trace(*signature.arguments)
 

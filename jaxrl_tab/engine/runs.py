@@ -9,6 +9,7 @@ from jaxtyping import Int
 
 from jaxrl_tab.core.types import Algorithm, Environment
 from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.onward import Onward
 from jaxrl_tab.engine.room import Needs, needs_of, program_arguments
 
 
@@ -26,7 +27,7 @@ class Runs:
     """
 
     env: Environment
-    algorithms: Algorithm
+    algorithms: Algorithm | Onward
     root: jax.Array
     seeds: np.ndarray
     budget: Budget

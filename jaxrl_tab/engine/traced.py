@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.checks import concrete
@@ -18,6 +18,7 @@ from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.log import Log, record_of, recorded
 from jaxrl_tab.engine.loop import Measure
+from jaxrl_tab.engine.onward import split
 from jaxrl_tab.exact import planning
 from jaxrl_tab.lanes.outside import prepared
 
@@ -34,24 +35,30 @@ def unchecked(
     full: Any,
     budget: Budget,
 ) -> tuple[Any, Log]:
-    """`train.train` without its checks. `full` is `in_full((algorithm, env))` for exact values, or None."""
+    """`train.train` without its checks. `full` is `in_full((algorithm, env))` for exact values, or None.
+
+    Of a method that is `Onward` it gives where the run is in the end, in place of the state of the learner.
+    """
     stream = rng.stream(key)
+    algorithm, begun, goes_on = split(algorithm)
     if (problem := problem_of(stream, env)) is not env:
         env = problem
         full = full and (full[0], env)  # it is drawn in the precision of the program
     measures = tuple(_make_measure(what, algorithm, env, full) for what in _measured(algorithm, budget))
     algorithm = fitted(algorithm, env)
-    return loop.run(stream, algorithm, env, budget, measures)
+    end, log = loop.run(stream, algorithm, env, budget, measures, begun)
+    return (end if goes_on else end.learner), log
 
 
-def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], Any, Any]:
+def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Any, ...], Any, Any]:
     """Arrays of the shapes of what a run gives, and of what it carries beside. No step and no exact value is traced.
 
     Returns:
-        (table, Log); what else is in the state of the learner; and states of it that wait to be measured, with what
-        its update works with.
+        (table, Log), and where the run is in the end of a method that is `Onward`; what else is in the state of the
+        learner; and states of it that wait to be measured, with what its update works with.
     """
-    algorithm = fitted(algorithm, env)
+    method, _, goes_on = split(algorithm)
+    algorithm = fitted(method, env)
     learner = init_learner(algorithm, env)
     q = table_of(algorithm, env, learner)  # some methods work it out
     others = [x for x in jax.tree.leaves(learner) if x is not q]
@@ -65,7 +72,9 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Array, Log], 
         waiting = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), learner)
     works_with = of_method(algorithm).works_with
     beside = (waiting, None if works_with is None else works_with(learner))
-    return (q, loop.empty_log(q.dtype, budget, measured)), others, beside
+    any_stream = rng.stream(rng.key(0))
+    end = (loop.at_start(any_stream, algorithm, problem_of(any_stream, env)),) if goes_on else ()
+    return (q, loop.empty_log(q.dtype, budget, measured), *end), others, beside
 
 
 def problem_of(stream: rng.Stream, env: Any) -> Any:

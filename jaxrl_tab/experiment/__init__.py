@@ -8,15 +8,19 @@ Its modules, from the ground up:
     sources    the copies of the files that somebody's own classes and tables are in
     resolve    from what a person wrote to environments, methods and values
     spec       an experiment as data: environments x methods x hyperparameters x seeds
+    search     a search as data: an experiment of which only the best settings are run to the end
+    samplers   who proposes the settings of a search
     growth     which runs an experiment has that those before it in its folder had not
     shards     an experiment in pieces that are computed and kept one by one
     plan       what an experiment will take: runs, shards, memory
+    searching  a search, rung after rung
     comparing  methods compared on as many fresh seeds as it takes
     storage    shards on disk and their manifest
     records    what a folder says about the sessions that computed it
     found      the experiment that is found in a folder, and what it was before it grew
     progress   how far an experiment is, and how long it will go on
     executors  where shards are computed: in this process, or in others, here or on other machines
+    computing  the shards that are missing are computed, and results collected
     again      settings run again, to record what was learned on the way
     painter    a process beside this one that draws pictures
     files      the files of results in the folder

@@ -15,11 +15,11 @@ import numpy as np
 
 from jaxrl_tab.core import modules
 from jaxrl_tab.engine.axes import DRAW
-from jaxrl_tab.engine.part import Part, compute
+from jaxrl_tab.engine.part import Part
 from jaxrl_tab.engine.results import label
 from jaxrl_tab.experiment import storage
 from jaxrl_tab.experiment.growth import Block
-from jaxrl_tab.experiment.shards import Job, Shard, again, progress, runs, shard_runs
+from jaxrl_tab.experiment.shards import Job, Shard, again, arrays_of, shard_runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import Store
 
@@ -94,9 +94,7 @@ class Look(NamedTuple):
         """What the runs of a shard give, and what is raised: as `Job` has it."""
         self.job.check_libraries()
         shard = self.shards[number]
-        part = self.parts[shard.part]
-        computed = compute(part, runs(part, shard), memory=self.job.memory, progress=progress.get())
-        return {"q": computed.q, **computed.log.named(), "seconds": np.array(computed.seconds)}
+        return arrays_of(self.parts[shard.part], shard, self.job.memory)
 
 
 @functools.lru_cache(maxsize=4)

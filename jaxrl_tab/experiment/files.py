@@ -19,13 +19,23 @@ from jaxrl_tab.engine import provenance
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import painter, storage
 from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp
-from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, SELECTION, SUMMARY, VERDICT, Store
+from jaxrl_tab.experiment.storage import (
+    AS_WRITTEN,
+    DATA,
+    FRESH_DATA,
+    SEARCH,
+    SELECTION,
+    SUMMARY,
+    VERDICT,
+    Store,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
     from jaxrl_tab.engine.part import Part
+    from jaxrl_tab.experiment.searching import Tried
     from jaxrl_tab.show.explained import Explanation
     from jaxrl_tab.show.explorer.over_time import Again
     from jaxrl_tab.show.report import Page
@@ -44,6 +54,7 @@ class Outcome:
         envs: the environments by their names.
         parts: what was run, by the same names as the datasets.
         verdicts: what was decided in each environment, where methods were compared until all was.
+        tried: what a search tried, where one found the settings.
     """
 
     datasets: "dict[str, xr.Dataset]"
@@ -51,6 +62,7 @@ class Outcome:
     envs: dict[str, Environment]
     parts: "Mapping[str, Part]" = field(default_factory=dict)
     verdicts: "dict[str, Verdict]" = field(default_factory=dict)
+    tried: "tuple[Tried, ...]" = ()
 
     def __repr__(self) -> str:
         return f"<Outcome: {one_line(', '.join(self.datasets))}>"
@@ -167,6 +179,24 @@ class Outcome:
         return pd.DataFrame(rows, columns=[*(name for name in names if name not in scores), *scores])
 
     @property
+    def search(self) -> "pd.DataFrame":
+        """What a search tried, a row for each setting in each rung.
+
+        Returns:
+            A frame with the columns of `searching.Tried`, where each hyperparameter that was searched has one of its
+            own; empty where there was no search.
+        """
+        import pandas as pd
+
+        names = dict.fromkeys(name for one in self.tried for name in one.setting)
+        rows = [one._asdict() | {name: one.setting.get(name) for name in names} for one in self.tried]
+        first, last = (
+            ["method", "trial"],
+            ["round", "rung", "length", "seeds", "by", "score", "lost", "goes_on"],
+        )
+        return pd.DataFrame(rows, columns=[*first, *names, *last])
+
+    @property
     def verdict(self) -> "pd.DataFrame":
         """What is known of each two methods that were compared until all was decided.
 
@@ -249,6 +279,8 @@ def write_files(
         if outcome.fresh:
             files.append(_write_data(folder / FRESH_DATA, outcome.fresh, outcome, about))
             files.append(_write_table(folder / SELECTION, outcome.selection))
+        if outcome.tried:
+            files.append(_write_table(folder / SEARCH, outcome.search))
         if outcome.verdicts:
             files.append(_write_table(folder / VERDICT, outcome.verdict))
         about_all = _about(store, records, history)

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
 from jaxrl_tab.engine import speeds
-from jaxrl_tab.experiment.comparing import Look
-from jaxrl_tab.experiment.shards import Job, Shard
+from jaxrl_tab.experiment.shards import Shard, Sharded
 from jaxrl_tab.experiment.storage import Store
 from jaxrl_tab.show.progress import Progress, Report, reporting
 
@@ -70,7 +69,7 @@ class Meter:
     def begin(
         self,
         store: Store,
-        job: Job | Look,
+        job: Sharded,
         missing: Sequence[int],
         later: Mapping[str, int],
         known: speeds.Known,

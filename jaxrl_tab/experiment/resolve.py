@@ -136,7 +136,7 @@ def _values_of_environment(key: str, written: Any, parameter: describe.Parameter
     """The values of a parameter of an environment that are to be tried."""
     if is_array(written):
         return [written]
-    written = _axis(key, written)
+    written = axis(key, written)
     if isinstance(written, axes.Random):
         raise InputError(f"{key}: an environment can have grids, but nothing random")
     written = _listed(written.values() if isinstance(written, axes.Grid) else written)
@@ -216,7 +216,7 @@ def grid_of(table: Mapping[str, Any], cls: type, seed: int) -> dict[str, Any]:
     written = {}
     for key, x in own.items():
         with at(key):
-            written[key] = _axis(key, x)
+            written[key] = axis(key, x)
     with at("draws"):
         grid = axes.spread(written, written.pop("draws", None), seed, table["label"])
     trials = grid.pop(DRAW, [])
@@ -337,7 +337,7 @@ def _own(
     return {key: table[key] for key in allowed if key in table}
 
 
-def _axis(key: str, written: Any) -> Any:
+def axis(key: str, written: Any) -> Any:
     """What is written; as a grid in steps or a distribution where it is a dict, {"log": [0.01, 1], "points": 5}."""
     if not isinstance(written, Mapping):
         return written

@@ -9,32 +9,26 @@ however it grew. Where they would not be, as with another version of JAX, nothin
 """
 
 import contextlib
-import functools
 import json
 import os
 import shlex
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import jax
-import numpy as np
-
 from jaxrl_tab.core import names
 from jaxrl_tab.core.errors import InputError, as_path, one_line, shown
-from jaxrl_tab.core.memory import Results, free, let_go, size, words
-from jaxrl_tab.engine import backend, batch, speeds
-from jaxrl_tab.engine.log import LATER, Log
+from jaxrl_tab.core.memory import free, size, words
+from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.part import Computed, Part
-from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.engine.sweep import result
-from jaxrl_tab.experiment import comparing, growth, shards, sources, storage
+from jaxrl_tab.experiment import comparing, growth, searching, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.comparing import Look, Looked
+from jaxrl_tab.experiment.computing import collect, collected, compute, missing, warn_of_damage
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.files import FORMATS, Format, Outcome, check_formats, drawing, drawn_as, write_files
 from jaxrl_tab.experiment.found import Found, find, grow, wished
@@ -48,7 +42,9 @@ from jaxrl_tab.experiment.records import (
     session,
     settings_of,
 )
-from jaxrl_tab.experiment.shards import FRESH, Job, runs, shard_runs
+from jaxrl_tab.experiment.samplers import check_installed, versions
+from jaxrl_tab.experiment.search import Search
+from jaxrl_tab.experiment.shards import FRESH, Job, shard_runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report
@@ -149,6 +145,12 @@ def resume(
     """
     path = _folder(folder)
     command, formats = _typed(command), formats if formats is None else check_formats(formats)
+    if searching.is_unfinished(path):
+        if experiment or seeds or steps or episodes:
+            raise InputError(f"the search in {path} is not finished: resume it first, and then ask for more")
+        with storage.lock(path):
+            found = _found(path, memory, progress, command, mixed)
+            return _go_on(path, found, executor, memory, progress, ready, formats, command, mixed=mixed)
     given = {"seeds": seeds, "steps": steps, "episodes": episodes}
     more = {key: x for key, x in given.items() if x is not None}
     with storage.lock(path):
@@ -158,6 +160,52 @@ def resume(
             found = _grown(path, found, new, memory, command, mixed)
         how = {"mixed": mixed, "looked": looked}
         return _go_on(path, found, executor, memory, progress, ready, formats, command, **how)
+
+
+def search(
+    search: Search,
+    folder: str | Path | None = None,
+    *,
+    memory: int | None = None,
+    progress: Report | Literal[False] | None = None,
+    ready: Callable[[Outcome], None] | None = None,
+    formats: Sequence[Format] = FORMATS[:1],
+    command: str | None = None,
+) -> Outcome:
+    """Searches for the best setting of each method, and runs what it found on fresh seeds.
+
+    In the folder is then the experiment of these settings, as `run` leaves it, and in `search/` what the search
+    computed. Where it is interrupted, `resume` goes on with the same bits. The search itself is computed in this
+    process.
+
+    Args:
+        search: what to search, and how.
+        folder, memory, progress, ready, formats, command: as in `run`.
+
+    Raises:
+        InputError, RunError: as in `run`.
+    """
+    if not isinstance(search, Search):
+        raise InputError(f"search takes a Search, not {shown(search)}")
+    if search.halving.is_optuna:
+        check_installed()
+    command, formats = _typed(command), check_formats(formats)
+    with contextlib.ExitStack() as stack:
+        keep = folder is not None
+        if folder is None:
+            path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "experiment"
+        else:
+            path = _path(folder)
+        with storage.new_folder(path) as new:
+            own = new / searching.FOLDER
+            own.mkdir()
+            _write(own, search.experiment, keep)
+            searching.begin(own, search)
+            if source := search.experiment.source:
+                storage.write(own / searching.AS_WRITTEN, source.text)
+        stack.enter_context(storage.lock(path))
+        found = _found(path, memory, progress, command)
+        return _go_on(path, found, None, memory, progress, ready, formats, command, keep)
 
 
 def explain(folder: str | Path) -> "Explanation":
@@ -173,11 +221,11 @@ def explain(folder: str | Path) -> "Explanation":
         found = find(path)
         experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
         job = Job.of(experiment, None, library_versions(experiment.data()), found.experiments[:-1])
-        if missing := _missing(store, job):
+        if lacking := missing(store, job):
             raise InputError(
-                f"{len(missing)} of {len(job.shards)} shards are missing in {path}: resume it first"
+                f"{len(lacking)} of {len(job.shards)} shards are missing in {path}: resume it first"
             )
-        datasets, _ = _collect(store, job, list(job.parts), free() // 2)
+        datasets, _ = collect(store, job, list(job.parts), free() // 2)
         envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
         with backend.using(experiment.backend), settings_of(store, records_of(store)):
             return Outcome(datasets, {}, envs, job.parts).explain()
@@ -210,7 +258,11 @@ def _folder(folder: Any) -> Path:
     if not os.path.isdir(path):
         name = one_line(str(path))
         raise InputError(f"{name} is not a folder" if os.path.exists(path) else f"there is no folder {name}")
-    if not os.path.lexists(path / AS_WRITTEN) and not os.path.lexists(path / RESOLVED):
+    is_there = [
+        os.path.lexists(path / name)
+        for name in (AS_WRITTEN, RESOLVED, f"{searching.FOLDER}/{searching.PLAN}")
+    ]
+    if not any(is_there):
         raise InputError(f"there is no experiment in {path}: neither {AS_WRITTEN} nor {RESOLVED}")
     return path
 
@@ -230,7 +282,7 @@ def _go_on(
 ) -> Outcome:
     """All that is still to be done in a folder."""
     experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
-    _warn_of_damage(store)
+    warn_of_damage(store)
     records = records_of(store)
     formats = drawn_as(records) if formats is None else formats
     libraries = library_versions(experiment.data())
@@ -238,7 +290,7 @@ def _go_on(
     with backend.using(experiment.backend), settings_of(store, records):
         with meter.reporting(progress):
             origin = Origin.of(store, records, mixed, libraries)
-            if _missing(store, job):
+            if missing(store, job):
                 origin.check(path)
             with session(store, records, command, libraries, formats):
                 outcome, new = _results(store, job, experiment, executor or Local(), meter, origin, looked)
@@ -265,7 +317,7 @@ def _grown(path: Path, found: Found, new: Experiment, limit: int | None, command
     """
     old, libraries = found.experiment, library_versions(new.data())
     store = Store(path, old.fingerprint, found.entries)
-    _warn_of_damage(store)
+    warn_of_damage(store)
     records = records_of(store)
     with backend.using(new.backend), settings_of(store, records):
         Origin.of(store, records, mixed, libraries).check(path)
@@ -295,16 +347,16 @@ def _results(
     """What the experiment gives, of which the missing shards are computed; and whether there were any."""
     fresh_seeds = experiment.select["fresh_seeds"] if experiment.select else 0
     later = {FRESH + name: fresh_seeds for name in job.parts if fresh_seeds}
-    new = _compute(store, job, executor, meter, later, origin)
-    datasets, room = _collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
+    new = compute(store, job, executor, meter, later, origin)
+    datasets, room = collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
     envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
-    outcome = Outcome(datasets, {}, envs, job.parts)
+    outcome = Outcome(datasets, {}, envs, job.parts, tried=searching.history(store.path))
     if experiment.until_decided:
         own = comparing.open_store(store.path, experiment, outcome.chosen)
 
         def computed(look: Look) -> "tuple[dict[str, xr.Dataset], bool]":
-            new = _compute(own, look, executor, meter, {}, origin)
-            return _collect(own, look, list(look.parts), room)[0], new
+            new = compute(own, look, executor, meter, {}, origin)
+            return collect(own, look, list(look.parts), room)[0], new
 
         verdicts, fresh, more = comparing.compare(job, experiment, outcome.chosen, computed, looked)
         outcome.verdicts.update(verdicts)
@@ -312,115 +364,10 @@ def _results(
         new |= more
     elif fresh_seeds:
         job = job._replace(chosen=json.dumps(outcome.chosen))
-        new |= _compute(store, job, executor, meter, {}, origin)
-        fresh, _ = _collect(store, job, list(later), room)
+        new |= compute(store, job, executor, meter, {}, origin)
+        fresh, _ = collect(store, job, list(later), room)
         outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
     return outcome, new
-
-
-def _compute(
-    store: Store,
-    job: Job | Look,
-    executor: Executor,
-    meter: "Meter",
-    later: Mapping[str, int],
-    origin: Origin,
-) -> bool:
-    """Computes the shards that are not there; whether there were any. `later`: see `Meter.begin`."""
-    missing, all_shards, parts = _missing(store, job), job.shards, job.parts
-    if missing:
-        origin.check(store.path)
-    for number in missing:
-        if number in store.shards and store.shards[number].setting == job.setting(all_shards[number]):
-            store.leave_out(number)
-    _warn_of_damage(store)
-    clock = speeds.Clock()
-    meter.begin(store, job, missing, later, clock.known)
-    # Where it stops, the workers do.
-    with _heard(meter.underway), contextlib.closing(executor.run(job, missing)) as finished:
-        for number, arrays in finished:
-            shard, sums = all_shards[number], (arrays["returns"], arrays["rewards"])
-            part = parts[shard.part]
-            largest = part.largest_values[runs(part, shard) // part.num_seeds]
-            diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
-            store.write(number, arrays, diverged, job.setting(shard), origin.name)
-            let_go()
-            meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
-            if isinstance(executor, Local):  # others may have other machines
-                clock.finished(part, shard.program, shard.runs, *map(float, arrays["seconds"]))
-    if missing:
-        store.write_manifest()
-    clock.keep()
-    return bool(missing)
-
-
-@contextlib.contextmanager
-def _heard(underway: Callable[[int, int], None]) -> Iterator[None]:
-    """Within the block `underway` hears how far the shard is that is computed in this process."""
-    token = shards.progress.set(underway)
-    try:
-        yield
-    finally:
-        shards.progress.reset(token)
-
-
-def _missing(store: Store, job: Job | Look) -> list[int]:
-    """The numbers of the shards that are to be computed.
-
-    Those that are there are of the setting that is chosen now, and of the shapes that their runs give. They may lack
-    what an earlier version did not record.
-    """
-    parts, missing = job.parts, []
-    shapes = functools.cache(lambda part, program, runs: _shapes(parts[part], program, runs))
-    for number, shard in job.shards.items():
-        if number not in store.shards or store.shards[number].setting != job.setting(shard):
-            missing.append(number)
-            continue
-        expected, found = shapes(shard.part, shard.program, shard.runs), store.shapes(number)
-        if found != expected and {**{x: expected[x] for x in LATER & expected.keys()}, **found} != expected:
-            missing.append(number)
-    return missing
-
-
-def _shapes(part: Part, program: int, runs: int) -> dict[str, tuple[Any, Any]]:
-    """(shape, dtype) of each array of a shard with so many runs of a program."""
-    q, log = part.needs[program].results
-    shapes = {name: ((runs, *x.shape), x.dtype) for name, x in {"q": q, **log.named()}.items()}
-    return shapes | {"seconds": ((2,), np.dtype(float))}
-
-
-def _collect(
-    store: Store, job: Job | Look, names: Sequence[str], room: int
-) -> "tuple[dict[str, xr.Dataset], int]":
-    """The results of some parts from their shards, which are all there; and how much of `room` is left.
-
-    What some shards of a part lack, which an earlier version wrote, the results lack.
-    What does not fit in `room`, in bytes, is in temporary files; see `memory.Results`.
-    """
-    datasets, shards_of = {}, {name: {} for name in names}
-    for number, shard in job.shards.items():
-        if shard.part in shards_of:
-            shards_of[shard.part][number] = shard
-    for name, own in shards_of.items():
-        part, results, seconds = job.parts[name], None, np.zeros(2)
-        some = next(iter(own.values()))
-        # Only these may be lacking: for others no shard is opened twice.
-        later = LATER & _shapes(part, some.program, some.runs).keys()
-        lacking = {key for key in later if any(key not in store.shapes(number) for number in own)}
-        for number, shard in own.items():
-            arrays = {key: x for key, x in store.read(number).items() if key not in lacking}
-            seconds += arrays.pop("seconds")
-            if results is None:
-                like = {key: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for key, x in arrays.items()}
-                needed = size(like) * part.runs
-                results = Results(like, part.runs, on_disk=needed > room)
-                room -= needed if needed <= room else 0
-            results.write(runs(part, shard), arrays)
-        assert results is not None
-        log = Log.of(results.arrays)
-        computed = Computed(results.arrays["q"], log, batch.Seconds(*seconds.tolist()))
-        datasets[name] = result(part, computed).to_xarray()
-    return datasets, room
 
 
 def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = True) -> Found:
@@ -430,20 +377,62 @@ def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = T
     """
     source = experiment.source
     with storage.new_folder(path) as new:
-        if keep:
-            sources.write(new, experiment.references)
-        # The classes are taken from the copies now, as `resume` will take them.
-        if keep and experiment.files:
-            names.forget(experiment.files)
-            experiment = Experiment(**experiment.data(), source=source)
         _check_room(experiment.parts(), limit, new)
-        text = source.text if source else experiment.to_toml()
-        storage.write(new / AS_WRITTEN, text)
-        storage.write_json(new / RESOLVED, experiment.data())
-        records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
-        storage.write_json(new / PROVENANCE, records)
-        Store.begin(new, experiment.fingerprint)
+        experiment, text = _write(new, experiment, keep, source)
     return Found(experiment, Source(path / AS_WRITTEN, text))
+
+
+def _write(
+    folder: Path, experiment: Experiment, keep: bool = True, source: Source | None = None
+) -> tuple[Experiment, str]:
+    """Writes into a folder what its experiment is, and a manifest without shards.
+
+    Gives the experiment, where the folder is kept with the classes that are in the copies there, and its text.
+    """
+    if keep:
+        sources.write(folder, experiment.references)
+    # The classes are taken from the copies now, as `resume` will take them.
+    if keep and experiment.files:
+        names.forget(experiment.files)
+        experiment = Experiment(**experiment.data(), source=source)
+    text = source.text if source else experiment.to_toml()
+    records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
+    storage.write_json(folder / PROVENANCE, records)
+    Store.begin(folder, experiment.fingerprint)
+    storage.write_json(folder / RESOLVED, experiment.data())
+    storage.write(folder / AS_WRITTEN, text)
+    return experiment, text
+
+
+def _found(
+    path: Path,
+    limit: int | None,
+    progress: Report | Literal[False] | None,
+    command: str,
+    mixed: bool = False,
+) -> Found:
+    """Goes on with the search in a folder, to its end; the experiment of what it found, which is then in the folder."""
+    folder = path / searching.FOLDER
+    storage.check_no_link(folder)
+    searched = find(folder, other_source=True).experiment
+    search, store = searching.read(folder, searched), Store(folder, searched.fingerprint)
+    warn_of_damage(store)
+    records, libraries = records_of(store), library_versions(searched.data()) | versions(search.halving)
+    room = free() // 2 if limit is None else limit
+    meter = Meter()
+    with backend.using(searched.backend), settings_of(store, records), meter.reporting(progress):
+        origin = Origin.of(store, records, mixed, libraries)
+
+        def computed(stage: searching.Stage) -> Computed:
+            compute(store, stage, Local(), meter, {}, origin)
+            return collected(store, stage.part, stage.shards, room)[0]
+
+        under_way = searching.Searching(search, folder, limit, computed)
+        with session(store, records, command, libraries, ()):
+            under_way.run()
+    searching.keep(folder, under_way.tried)
+    found, text = _write(path, search.found({x.label: x.config for x in under_way.winners}))
+    return Found(found, Source(path / AS_WRITTEN, text))
 
 
 def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path, there: int = 0) -> None:
@@ -459,9 +448,3 @@ def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path, ther
             f"the results need {words(more)} on the disk, and there is room for {words(room)} in "
             f"{folder.parent}: take fewer seeds, or a larger log_every"
         )
-
-
-def _warn_of_damage(store: Store) -> None:
-    """Warns of what was damaged or missing, once."""
-    while store.problems:
-        warn(store.problems.pop(0))

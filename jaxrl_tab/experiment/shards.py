@@ -6,17 +6,17 @@ import json
 import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 from weakref import WeakValueDictionary
 
 import jax
 import numpy as np
 
-from jaxrl_tab.core import modules
+from jaxrl_tab.core import memory, modules
 from jaxrl_tab.core.errors import InputError
-from jaxrl_tab.engine import provenance, room
-from jaxrl_tab.engine.log import recorded_shapes
-from jaxrl_tab.engine.part import Part, compute
+from jaxrl_tab.engine import batch, provenance, room
+from jaxrl_tab.engine.log import Log, recorded_shapes
+from jaxrl_tab.engine.part import Computed, Part, compute
 from jaxrl_tab.experiment.growth import Block, Fresh, Generation, generations
 from jaxrl_tab.experiment.records import library_versions
 from jaxrl_tab.experiment.spec import Experiment
@@ -25,6 +25,7 @@ SHARD_STEPS = 2**27  # of all runs in a shard together, about: a few seconds on 
 SHARD_BYTES = 2**26  # of the results in a shard, at most, unless one block of lanes gives more
 EPISODE_STEPS = 100  # the assumed length of an episode, where episodes are the budget
 FRESH = "fresh seeds/"  # before the name of a part that runs a chosen setting again
+END = "end."  # before the number of an array that says where runs are in the end
 _read: WeakValueDictionary[str, Experiment] = WeakValueDictionary()  # by their data
 
 
@@ -117,9 +118,41 @@ class Job(NamedTuple):
         """
         self.check_libraries()
         shard = self.shards[number]
-        part = self.parts[shard.part]
-        computed = compute(part, runs(part, shard), memory=self.memory, progress=progress.get())
-        return {"q": computed.q, **computed.log.named(), "seconds": np.array(computed.seconds)}
+        return arrays_of(self.parts[shard.part], shard, self.memory)
+
+
+@runtime_checkable
+class Sharded(Protocol):
+    """What is computed and kept shard by shard: a function of a shard's number, as `Job` is."""
+
+    @property
+    def parts(self) -> Mapping[str, Part]: ...
+
+    @property
+    def shards(self) -> Mapping[int, Shard]: ...
+
+    def setting(self, shard: Shard) -> int | None: ...
+
+    def __call__(self, number: int) -> Mapping[str, np.ndarray]: ...
+
+
+def arrays_of(part: Part, shard: Shard, memory: int | None) -> dict[str, np.ndarray]:
+    """What the runs of a shard of a part give, by name, and the `seconds` it took; errors as `part.compute`."""
+    computed = compute(part, runs(part, shard), memory=memory, progress=progress.get())
+    ends = () if computed.ends is None else (computed.ends,)
+    return named(computed.q, computed.log, *ends) | {"seconds": np.array(computed.seconds)}
+
+
+def named(q: Any, log: Log, *ends: Any) -> dict[str, Any]:
+    """What runs give, and where they are in the end if that is wanted, by names of which no two are the same."""
+    return {"q": q, **log.named()} | {f"{END}{i}": x for i, x in enumerate(jax.tree.leaves(ends))}
+
+
+def computed_of(part: Part, arrays: Mapping[str, np.ndarray], seconds: batch.Seconds) -> Computed:
+    """What runs of a part gave, from what `named` made of it."""
+    structure = jax.tree.structure(part.needs[0].results[2:])
+    ends = jax.tree.unflatten(structure, [arrays[f"{END}{i}"] for i in range(structure.num_leaves)])
+    return Computed(arrays["q"], Log.of(arrays), seconds, *ends)
 
 
 def _experiment(data: str) -> Experiment:
@@ -144,9 +177,9 @@ def _generations(experiment: str, before: tuple[str, ...]) -> tuple[list[Generat
 def _shards(experiment: str, chosen: str | None, before: tuple[str, ...] = ()) -> dict[int, Shard]:
     parts, found, number = _parts(experiment, chosen), {}, 0
     for generation in _generations(experiment, before)[0]:
-        shards = [shard for block in generation.blocks for shard in _split(block)]
+        shards = [shard for block in generation.blocks for shard in split(block)]
         fresh = [x for x in generation.fresh if generation.of_use and chosen is not None]
-        shards_of_fresh = [shard for x in fresh for shard in _split(_fresh_block(parts[FRESH + x.part], x))]
+        shards_of_fresh = [shard for x in fresh for shard in split(_fresh_block(parts[FRESH + x.part], x))]
         if generation.of_use:
             found |= enumerate([*shards, *shards_of_fresh], number)
         # What is added later has numbers that do not depend on what is chosen here.
@@ -172,7 +205,7 @@ def _fresh_block(part: Part, fresh: Fresh) -> Block:
     return Block(FRESH + fresh.part, 0, np.array([0]), fresh.first, fresh.last - fresh.first, part)
 
 
-def _split(block: Block) -> Iterator[Shard]:
+def split(block: Block) -> Iterator[Shard]:
     """The shards of a block. They depend on nothing but its part: neither on the machine nor on the time."""
     most = shard_runs(block.planned)
     for first in range(0, block.runs, most):
@@ -191,6 +224,7 @@ def shard_runs(part: Part) -> int:
     # A table; and in each row some 7 numbers (sums, and exact values), and those of the recorder. They are 8 with
     # `policy_value`; but what is split otherwise than it was cannot be put together with what folders have.
     bytes_per_run = 4 * (states * part.env.num_actions + rows * (7 + recorded))
+    bytes_per_run += max(memory.size(needs.results[2:]) for needs in part.needs) if part.goes_on else 0
     return max(1, min(SHARD_STEPS // steps, SHARD_BYTES // bytes_per_run) // room.LANES) * room.LANES
 
 

@@ -190,25 +190,12 @@ class Experiment:
         Raises:
             InputError: the file cannot be read, or something in it is wrong; with its name and the line.
         """
-        path = as_path("the file of an experiment", path)
-        try:
-            with path.open("rb") as file:
-                content = file.read(MOST_BYTES + 1)
-            text = content.decode("utf-8-sig")
-        except OSError as error:
-            raise InputError(f"{one_line(str(path))} cannot be read: {error.strerror}") from None
-        except UnicodeDecodeError:
-            raise InputError(f"{one_line(str(path))} is not UTF-8 text") from None
-        if len(content) > MOST_BYTES:
-            raise InputError(
-                f"{one_line(str(path))} is larger than {memory.words(MOST_BYTES)}: that is not an experiment"
-            )
-        return cls.from_source(Source(path, text.replace("\r\n", "\n"), pinned or {}))
+        return cls.from_source(source_of(path, pinned))
 
     @classmethod
     def from_source(cls, source: Source) -> Self:
         """The experiment that stands in a text; see `load` for what is raised."""
-        return cls.from_data(_read(source), source)
+        return cls.from_data(read_source(source), source)
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any], source: Source | None = None) -> Self:
@@ -368,7 +355,25 @@ def _toml(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)  # of these TOML's form is JSON's
 
 
-def _read(source: Source) -> dict[str, Any]:
+def source_of(path: str | Path, pinned: Mapping[str, Mapping[str, Any]] | None = None) -> Source:
+    """The text of a file of an experiment; see `Experiment.load` for the arguments, and for what is raised."""
+    path = as_path("the file of an experiment", path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+        text = content.decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{one_line(str(path))} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{one_line(str(path))} is not UTF-8 text") from None
+    if len(content) > MOST_BYTES:
+        raise InputError(
+            f"{one_line(str(path))} is larger than {memory.words(MOST_BYTES)}: that is not an experiment"
+        )
+    return Source(path, text.replace("\r\n", "\n"), pinned or {})
+
+
+def read_source(source: Source) -> dict[str, Any]:
     """What the file says. Raises InputError, with the line, where it is no TOML or nested beyond reason."""
     statements = split_statements(source)
     try:

@@ -635,7 +635,7 @@ def _exists(path: Path) -> str:
 
 AS_WRITTEN, RESOLVED, PROVENANCE = "experiment.toml", "resolved.json", "provenance.json"
 DATA, FRESH_DATA, SUMMARY, SELECTION = "results.nc", "fresh.nc", "summary.csv", "selection.csv"
-VERDICT = "verdict.csv"
+VERDICT, SEARCH = "verdict.csv", "search.csv"
 
 
 def warn(line: str) -> None:

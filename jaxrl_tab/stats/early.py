@@ -124,8 +124,25 @@ def pace(ds: xr.Dataset) -> xr.DataArray:
     How many ended, or, where episodes were the budget, minus the steps that they took: a number for every run, also for
     one in which none ended. NaN where a run diverged.
     """
+    return _pace(ds, first_tenth(ds))
+
+
+def _pace(ds: xr.Dataset, rows: slice) -> xr.DataArray:
     name, sign = ("episodes", 1.0) if "num_steps" in ds.attrs else ("steps", -1.0)
-    return sound_runs(sign * _sum(ds, name, first_tenth(ds)), ds)
+    return sound_runs(sign * _sum(ds, name, rows), ds)
+
+
+def promise(ds: xr.Dataset) -> xr.DataArray:
+    """How well a run did in the second half of it, so that one can tell whether a longer one is worth while.
+
+    Where an episode is worth the more the shorter it is, it is how many ended there, as `pace` has it; else what
+    `score` says, of that half: float64 [*hyperparameters, seed], NaN where a run diverged. Of prediction it is `score`.
+    In a short run the last tenth, of which `score` is, says little, and flatters runs in which no episode ended there.
+    """
+    if has_errors(ds):
+        return mean_error(ds)
+    rows = slice(ds.sizes["row"] // 2, None)
+    return _pace(ds, rows) if by_length(ds) else earned(ds, rows)
 
 
 def early_score(ds: xr.Dataset) -> xr.DataArray:

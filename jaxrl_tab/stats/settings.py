@@ -74,9 +74,14 @@ class Settings:
     @cached_property
     def best(self) -> dict[str, Any]:
         """The best setting, fit for `ds.sel`: see the function of this name."""
-        mean = self.merit.mean("seed").where(self.lost == self.lost.min()).fillna(-np.inf)
-        place = dict(zip(mean.dims, np.unravel_index(np.argmax(mean.values), mean.shape), strict=True))
+        place = dict(zip(self.lost.dims, np.unravel_index(self.order[0], self.lost.shape), strict=True))
         return {name: self.ds[name].values.tolist()[place[name]] for name in hyperparameters(self.ds)}
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """The numbers of all settings in C order, from the best to the worst, as the rule of `best` has it."""
+        mean = self.merit.mean("seed").transpose(*self.lost.dims).fillna(-np.inf)
+        return np.lexsort((-mean.values.ravel(), self.lost.values.ravel()))
 
     @cached_property
     def at_best(self) -> "Settings":
