@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.console import Console
 
-from benchmarks import command, growth, machine, problems, report
+from benchmarks import command, growth, machine, problems, report, suite
 from benchmarks.rounds import Task, cores_in_words, measure
 from benchmarks.tasks import FULL, QUICK, ROWS, SLOW
 
@@ -22,6 +22,8 @@ WIDTH = 160  # of the table where nobody looks at it in a terminal
 
 
 def main() -> int:
+    if sys.argv[1:2] == ["suite"]:
+        return suite.main(sys.argv[2:])
     args = _arguments()
     cores = min(2, len(os.sched_getaffinity(0)))
     size = QUICK if args.quick else FULL
@@ -86,7 +88,8 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description="How fast it is beside others, as ratios within rounds in which all take turns. The exit "
-        "code is 1 where two parties do not learn the same.",
+        "code is 1 where two parties do not learn the same. `python -m benchmarks suite --help` is another: the public "
+        "results.",
     )
     parser.add_argument(
         "--only", nargs="+", choices=ROWS, metavar="NAME", help=f"only these rows, of {', '.join(ROWS)}"

@@ -31,11 +31,12 @@ class QSigma(TDControl):  # has alpha, epsilon, gamma, q0, behaviour, and all bu
         return self.learn(state, t, delta), a_next  # Q(S, A) <- Q(S, A) + alpha delta; the action to take
 
 
-env = rl.make("windy-gridworld")
-sigmas = [0.0, 0.25, 0.5, 0.75, 1.0]
-grid = {"sigma": sigmas, "alpha": 0.8}
-ds = rl.sweep(env, QSigma, grid, num_seeds=50, num_steps=8000).to_xarray()
-mean, low, high, _ = stats.mean_interval(stats.score(ds))
-print("windy gridworld, 8000 steps, 50 seeds, alpha 0.8: mean return at the end; at best -15\n")
-for i, sigma in enumerate(sigmas):
-    print(f"  sigma {sigma:4.2f}: {mean[i]:7.2f}   ({low[i]:.2f} to {high[i]:.2f})")
+if __name__ == "__main__":  # so that an experiment can name it: examples/my_method.py:QSigma
+    env = rl.make("windy-gridworld")
+    sigmas = [0.0, 0.25, 0.5, 0.75, 1.0]
+    grid = {"sigma": sigmas, "alpha": 0.8}
+    ds = rl.sweep(env, QSigma, grid, num_seeds=50, num_steps=8000).to_xarray()
+    mean, low, high, _ = stats.mean_interval(stats.score(ds))
+    print("windy gridworld, 8000 steps, 50 seeds, alpha 0.8: mean return at the end; at best -15\n")
+    for i, sigma in enumerate(sigmas):
+        print(f"  sigma {sigma:4.2f}: {mean[i]:7.2f}   ({low[i]:.2f} to {high[i]:.2f})")

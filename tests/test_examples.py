@@ -20,7 +20,7 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 
 def run_example(name, capsys):
     """The names that the script defines, once it has run, and the numbers of each line that it printed."""
-    names = runpy.run_path(str(EXAMPLES / f"{name}.py"))
+    names = runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     lines = (re.findall(r" (-?\d+\.\d+)", line) for line in capsys.readouterr().out.splitlines())
     return names, [[float(x) for x in line] for line in lines if line]
 

@@ -8,15 +8,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from jaxrl_tab.cli.printed import print_table
+from jaxrl_tab.cli.fitting import print_fitting, print_over_tasks
 from jaxrl_tab.cli.screen import busy
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import FILE, parse, word
 from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.pytree import checked_dataclass
 from jaxrl_tab.experiment import compare, storage
+from jaxrl_tab.show import ranked
 from jaxrl_tab.show.compared import Beside, Comparison, cells, decimals, head, title_of_part, where
 from jaxrl_tab.show.words import title_of
+from jaxrl_tab.stats.ranking import Ranking
 from jaxrl_tab.stats.versus import Compared
 
 STYLES = {"worse": "bold red", "better": "green", "same": "dim"}
@@ -34,10 +36,11 @@ ROWS = 60  # of a table for people, at most: those that are the same go first
 class Compare:
     """Results beside others: what differs, what is the same to the last bit, and what is better or worse.
 
-    A is the first folder; each of the others is compared with it. Of settings that both have it counts the runs that
-    are the same to the last bit, as they should be where only the machine, the executor or the backend is another one.
-    Where they are not, scores are compared on the seeds that both have, seed by seed, and all comparisons are corrected
-    together (Holm). Of a sweep that is not finished what is there is compared. Folders are only looked at.
+    Methods that only the others have are ranked among those of A, over the environments that both have. A is the first
+    folder; each of the others is compared with it. Of settings that both have it counts the runs that are the same to
+    the last bit, as they should be where only the machine, the executor or the backend is another one. Where they are
+    not, scores are compared on the seeds that both have, seed by seed, and all comparisons are corrected together
+    (Holm). Of a sweep that is not finished what is there is compared. Folders are only looked at.
 
     Exit code with --fail-if-worse: 1 where anything is worse than in A; else 2 where something of A could not be
     compared; else 0.
@@ -47,9 +50,11 @@ class Compare:
       jaxrl-tab compare runs/last-month runs/today --fail-if-worse
       jaxrl-tab compare runs/a runs/b runs/c --html compared.html
       jaxrl-tab compare runs/a/results.nc runs/b --json
+      jaxrl-tab compare benchmarks/suite.npz runs/mine
 
     Attributes:
-        folders: Two or more folders of sweeps: what --out named; their results.nc; or tables as `read` takes them.
+        folders: Two or more folders of sweeps: what --out named; their results.nc; tables as `read` takes them; or
+            scores that were kept (.npz).
         fail_if_worse: End with exit code 1 where anything is worse than in the first folder.
         html: New file for a page that shows all of it.
         json: Print JSON.
@@ -105,6 +110,8 @@ def _print(comparison: Comparison) -> None:
         out.print()
         for line in _differs(other):
             out.print(line, markup=False, soft_wrap=True)
+        if other.ranked:
+            _print_ranking(out, other.ranked)
         for environment, rows in other.by_environment.items():
             out.print(f"[bold]{escape(title_of(environment))}[/]")
             _print_table(out, head(other), rows)
@@ -124,17 +131,31 @@ def _differs(other: Beside) -> Iterator[str]:
             yield f"{what}: {'; '.join(lines)}"
 
 
+def _print_ranking(out: Console, ranking: "Ranking") -> None:
+    """New methods among the others: over all environments, and in each."""
+    tasks, beside = ranking.tasks, ranked.beside(ranking)
+    print_over_tasks(out, tasks, beside, [title_of(name) for name in ranking.new])
+    for name in ranking.new:
+        out.print(f"[bold]{escape(title_of(name))}[/]")
+        rows = ranked.rows(ranking, name)
+        print_fitting(
+            out, lambda shown, rows=rows: _plain_table(ranked.HEAD, rows, shown), ranked.HEAD, (2, 6)
+        )
+    for line in ranked.notes(ranking):
+        out.print(line, markup=False)
+
+
+def _plain_table(names: list[str], rows: list[list[str]], shown: list[int]) -> Table:
+    table = Table(*(names[i] for i in shown))
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for row in rows:
+        table.add_row(*(escape(row[i]) for i in shown))
+    return table
+
+
 def _print_table(out: Console, names: list[str], rows: list[Compared]) -> None:
-    """The table, with as many columns as the window has room for."""
-    shown, left_out = list(range(len(names))), []
-    for column in NARROW:
-        if _table(names, rows, shown).__rich_measure__(out, out.options).maximum <= out.width:
-            break
-        shown.remove(column)
-        left_out.append(names[column])
-    print_table(out, _table(names, rows, shown))
-    if left_out:
-        out.print(f"In a wider window the table has: {'; '.join(left_out)}.", markup=False)
+    print_fitting(out, lambda shown: _table(names, rows, shown), names, NARROW)
 
 
 def _table(names: list[str], every: list[Compared], shown: list[int]) -> Table:

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from jaxrl_tab.cli.fitting import print_over_tasks
 from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import words
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from jaxrl_tab.stats.columns import Methods, Row
     from jaxrl_tab.stats.deciding import Verdict
 
+MOST_ROWS = 100  # of a table for people: of more settings only the best of each method is shown
 PATIENCE = 2.0  # seconds of silence, at most
 # Where a window is too narrow, these columns go, one after another, until the others fit.
 FIRST_TO_GO = (
@@ -135,13 +137,8 @@ def _print_tasks(outcome: files.Outcome) -> None:
         tasks = outcome.tasks
     if tasks is None:
         return
-    out, view = console(), Table(*over_tasks.head(tasks))
-    for column in view.columns[1:]:
-        column.justify = "right"
-    for row in over_tasks.rows(tasks):
-        view.add_row(*map(escape, row))
-    out.print(f"[bold]over {tasks.scores.sizes['environment']} environments[/]")
-    print_table(out, view)
+    out = console()
+    print_over_tasks(out, tasks)
     for line in over_tasks.notes(tasks, outcome.fresh.keys() == outcome.datasets.keys()):
         out.print(line, markup=False)
 
@@ -262,6 +259,8 @@ def _table(methods: "Methods", varied: Sequence[str], columns: "Mapping[str, Col
         own_rows = [row for row in methods.rows if row.method == method]
         choice = _several(own_rows)
         for row in own_rows:
+            if len(methods.rows) > MOST_ROWS and not row["best"]:
+                continue
             star = choice and row["best"]
             cells = {name: _cells(column, row[name], digits) for name, column in columns.items()}
             cells["score"][1] += " !" if row.doubtful else ""
@@ -288,12 +287,17 @@ def _notes(methods: "Methods", choice: bool, digits: Any) -> Iterator[str]:
         )
     elif methods.by_length:
         yield "Steps an episode: all steps that the runs took there, over all episodes that ended there."
+    if len(rows) > MOST_ROWS:
+        yield (
+            f"Of {len(rows)} settings only the best of each method is shown: summary.csv, the report and --json have "
+            "all."
+        )
     of_methods = [[row for row in rows if row.method == method] for method in methods]
     if choice and any(map(_several, of_methods)):
         yield (
             "* This setting is the best of its method on these seeds. It was chosen for its mean, which flatters it."
         )
-        if any(row["tied"] and not row["best"] for row in rows):
+        if len(rows) <= MOST_ROWS and any(row["tied"] and not row["best"] for row in rows):
             yield (
                 "~ This setting is not told apart from the best: these seeds do not say which of the two is better."
             )

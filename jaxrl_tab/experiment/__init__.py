@@ -4,6 +4,7 @@ Its modules, from the ground up:
 
     places     where in a TOML file something is wrong
     instances  environments and methods that are given as instances
+    tasks      what an environment has of its own: the length of its runs, and gamma
     sources    the copies of the files that somebody's own classes and tables are in
     resolve    from what a person wrote to environments, methods and values
     spec       an experiment as data: environments x methods x hyperparameters x seeds
@@ -24,6 +25,7 @@ Its modules, from the ground up:
     painter    a process beside this one that draws pictures
     files      the files of results in the folder
     reading    results that other tools computed
+    scores     the scores of an experiment in one small file, by which others are ranked
     sides      results that are to be compared, from wherever they are
     compare    results of experiments side by side
     runner     an experiment in a folder: `run` and `resume`

@@ -198,7 +198,7 @@ def _edited(source: Source, numbers: Mapping[str, int]) -> Source:
     """What somebody wrote, with other numbers; those that are not there come first."""
     text = source.text
     for key, number in numbers.items():
-        text, count = re.subn(rf"(?m)^({key}\s*=\s*)\d[\d_]*", rf"\g<1>{number}", text)
+        text, count = re.subn(rf"(?m)^({key}\s*=\s*)\d[\d_]*", rf"\g<1>{number}", text, count=1)
         if not count and key != "fresh_seeds":
             text = f"{key} = {number}\n{text}"
     return source._replace(text=text)

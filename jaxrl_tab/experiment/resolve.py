@@ -24,6 +24,7 @@ from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.budget import RECORDER
 from jaxrl_tab.engine.sweep import configurations
 from jaxrl_tab.envs import ENVIRONMENT
+from jaxrl_tab.experiment import tasks
 from jaxrl_tab.experiment.instances import is_array, made, table_of
 from jaxrl_tab.experiment.places import DEEPEST, Source, at, blame
 
@@ -88,8 +89,9 @@ def _environment(table: Mapping[str, Any], cls: type, others: int, base: Path | 
     """
     label, about = table["label"], {key: table[key] for key in ABOUT if key in table}
     parameters = {p.name: p for p in describe.parameters(cls)}
+    of_runs, rest = tasks.split(table, cls)
     tried = {}
-    for key, written in _own(table, parameters).items():
+    for key, written in _own(rest, parameters).items():
         with at(key):
             if parameters[key].type == describe.Lines:
                 tried[key] = _texts(key, written, base)
@@ -104,7 +106,7 @@ def _environment(table: Mapping[str, Any], cls: type, others: int, base: Path | 
         own = [f"{key}={_short(value, tried[key])}" for key, value in values.items() if len(tried[key]) > 1]
         data = {key: values.get(key, _listed(p.default)) for key, p in parameters.items()}
         data = {key: value for key, value in data.items() if value is not None}
-        resolved.append(about | {"label": ",".join([label, *own])} | data)
+        resolved.append(about | {"label": ",".join([label, *own])} | of_runs | data)
     return resolved
 
 

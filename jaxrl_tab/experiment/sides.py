@@ -22,7 +22,7 @@ from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import SweepResult
 from jaxrl_tab.engine.sweep import result
-from jaxrl_tab.experiment import sources, storage
+from jaxrl_tab.experiment import scores, sources, storage
 from jaxrl_tab.experiment.files import Outcome
 from jaxrl_tab.experiment.found import HISTORY
 from jaxrl_tab.experiment.reading import TABLES, Readings, is_of_runs, read
@@ -71,13 +71,15 @@ def side(results: Any) -> Side:
         return _of_others(repr(results), results)
     if not isinstance(results, str | os.PathLike):
         raise InputError(
-            "compare takes folders of results, results.nc, tables, or what run, resume and read return, "
+            "compare takes folders of results, results.nc, scores (.npz), tables, or what run, resume and read return, "
             f"not {shown(results)}"
         )
     path = Path(os.path.normpath(as_path("the folder", results)))
     name = one_line(str(path))
     if path.suffix in TABLES and path.is_file():
         return _of_others(name, read(path))
+    if path.suffix == scores.SUFFIX and path.is_file():
+        return _of_scores(path, name)
     if path.is_file():
         return Side(name, in_file(path, None), {}, None, None, [])
     if not path.is_dir():
@@ -90,6 +92,14 @@ def _of_others(name: str, found: Readings) -> Side:
         f"{label}/{own}": ds for label, methods in found.methods.items() for own, ds in methods.items()
     }
     return Side(name, datasets, {}, None, None, found.notes)
+
+
+def _of_scores(path: Path, name: str) -> Side:
+    fresh, experiment, session = scores.load(path)
+    if not _is_experiment(experiment):
+        raise InputError(f"{name} is damaged: it does not say what was computed")
+    own = session if session and isinstance(session.get("surroundings"), dict) else None
+    return Side(name, {}, fresh, experiment, own, [])
 
 
 def _in_folder(path: Path, name: str) -> Side:

@@ -43,6 +43,7 @@ from jaxrl_tab.engine.log import recorded_shapes
 from jaxrl_tab.engine.part import Part
 from jaxrl_tab.engine.sweep import prepare
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.experiment import tasks
 from jaxrl_tab.experiment.instances import made
 from jaxrl_tab.experiment.places import Source, at, located, split_statements
 from jaxrl_tab.experiment.resolve import (
@@ -74,7 +75,8 @@ class Experiment:
         environment: one or several, each a name (also "mine.py:MyEnv", see `core.names`), a class, an
             instance, or a dict of `name` (which may be a class or an instance, too), parameters, and a `label`
             where it is not called by its name. Where a parameter is given as a list (of lists, where it is a
-            list itself), each combination is an environment of its own.
+            list itself), each combination is an environment of its own. Also what holds in this one alone, instead
+            of what holds for all: `steps` or `episodes`, `log_every`, and the `gamma` of the methods.
         method: one or several, each a name, a class, an instance, whose fields are fixed, or a dict of `name`,
             hyperparameters, `label`, and `draws`: how many trials of what is random. A hyperparameter is a
             value, a list, or, as in `axes`, a grid in steps or a distribution: {"log": [0.01, 1], "points": 5}
@@ -129,6 +131,8 @@ class Experiment:
             count = len(self.environment)
             self._set("method", methods(self.method, source, references, self.seed, count))
             classes = [references[method["name"]].cls for method in self.method]
+            with at("environment"):
+                tasks.check(self.environment, self._environments, self.method, self.steps)
             prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
             self._set("exact", self.exact or self.exact_every is not None or prediction)
             with at("record"):
@@ -161,8 +165,15 @@ class Experiment:
     def in_words(self) -> str:
         """What it is, in a line: methods, environments, seeds and the length of runs."""
         names = [", ".join(table["label"] for table in x) for x in (self.method, self.environment)]
-        length = f"{self.steps} steps" if self.steps is not None else f"{self.episodes} episodes"
-        return one_line(f"{names[0]} in {names[1]}; {self.seeds} seeds, {length}")
+        unit = "steps" if self.steps is not None else "episodes"
+        lengths = {table.get(unit, getattr(self, unit)) for table in self.environment}
+        length = " to ".join(map(str, sorted({min(lengths), max(lengths)})))
+        return one_line(f"{names[0]} in {names[1]}; {self.seeds} seeds, {length} {unit}")
+
+    @property
+    def _environments(self) -> list[type]:
+        """The classes of the environments."""
+        return [self.references[table["name"]].cls for table in self.environment]
 
     def _set(self, name: str, value: Any) -> None:
         # The class is frozen for all others.
@@ -233,16 +244,15 @@ class Experiment:
         budget = Budget(self.steps, self.episodes, self.log_every, self.exact, record, self.exact_every)
         with located(self.source):
             for environment in self.environment:
-                values = {key: x for key, x in environment.items() if key not in ABOUT}
-                env = made(self.references[environment["name"]].cls, environment["label"], values)
+                env, own = environment_of(environment, self.references)
                 for i, method in enumerate(self.method):
                     with at("method", i):
                         cls = self.references[method["name"]].cls
                         part = prepare(
                             env,
                             cls,
-                            grid_of(method, cls, self.seed),
-                            budget,
+                            grid_of(own.method(method), cls, self.seed),
+                            own.budget(budget),
                             num_seeds=self.seeds,
                             seed=self.seed,
                             first_seed=self.first_seed,
@@ -264,6 +274,13 @@ class Experiment:
     def to_toml(self) -> str:
         """The data as a file, which `load` reads as the same experiment."""
         return as_toml(self.data())
+
+
+def environment_of(table: Mapping[str, Any], references: References) -> tuple[Any, tasks.Own]:
+    """The environment that a resolved table describes, and what it has of its own."""
+    cls = references[table["name"]].cls
+    own, values = tasks.split(_without(table, ABOUT), cls)
+    return made(cls, table["label"], values), tasks.Own(**own)
 
 
 def as_toml(data: Mapping[str, Any]) -> str:

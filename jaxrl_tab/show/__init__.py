@@ -25,6 +25,7 @@ Its modules, from the ground up:
     explained where methods lose what they earn less than the best policy, in numbers and in words
     loss_maps pictures of that
     over_tasks methods over several environments, in a table and in words
+    ranked    new methods among others over several environments, in a table and in words
     searched  what a search tried, in a table and in words
     compared  results beside other results, in numbers and in words
     heat      what the report shows of that

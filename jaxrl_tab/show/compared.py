@@ -9,7 +9,9 @@ import numpy as np
 
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.version import __version__
+from jaxrl_tab.show import ranked
 from jaxrl_tab.show.words import counted, decimals_for, in_words, number, title_of
+from jaxrl_tab.stats.ranking import Ranking
 from jaxrl_tab.stats.versus import FEWEST, Compared
 
 if TYPE_CHECKING:
@@ -44,6 +46,8 @@ class Beside:
         rows: what was compared.
         notes: what a reader must know of these results, a sentence each.
         complete: whether all is there that belongs to their experiment.
+        ranking: methods that only these have, among those of the first; or why there is no such ranking; None where
+            there is nothing to rank.
     """
 
     letter: str
@@ -54,6 +58,11 @@ class Beside:
     rows: list[Compared]
     notes: list[str]
     complete: bool
+    ranking: Ranking | str | None = None
+
+    @property
+    def ranked(self) -> Ranking | None:
+        return None if isinstance(self.ranking, str) else self.ranking
 
     @property
     def whole(self) -> bool:
@@ -73,8 +82,13 @@ class Beside:
     def sentences(self) -> Iterator[str]:
         """What was found, in whole sentences."""
         rows, it = self.rows, self.letter
+        if isinstance(self.ranking, str):
+            yield f"No ranking: {self.ranking}."
+        elif self.ranking:
+            yield from ranked.sentences(self.ranking)
         if not rows:
-            yield f"{it} has nothing that can be compared with A."
+            if not self.ranked:
+                yield f"{it} has nothing that can be compared with A."
             return
         if len(same := self.of("same")) == len(rows):
             runs = sum(row.same or 0 for row in rows)
@@ -97,7 +111,7 @@ class Beside:
         for row in self.of("worse"):
             yield f"{it} is worse than A: {said_of(row)}."
         for what, names in zip(("A has", f"{it} has"), self.alone, strict=True):
-            if names:
+            if names and not self.ranked:
                 yield f"Only {what} {', '.join(map(title_of_part, names))}."
         if self.not_alike:
             names = ", ".join(map(title_of_part, self.not_alike))
@@ -171,6 +185,7 @@ class Comparison:
                 "not_alike": other.not_alike,
                 "notes": other.notes,
                 "complete": other.complete,
+                "ranking": None if other.ranked is None else ranked.to_dict(other.ranked),
                 "comparisons": [_plain(asdict(row) | {"first": _place(row)}) for row in other.rows],
             }
             for other in self.others
@@ -325,7 +340,8 @@ def _chapter(other: Beside) -> dict[str, Any]:
                 "prediction": all(row.prediction for row in rows),
             }
         )
-    return {"other": other, "sentences": [*other.sentences()], "tables": tables}
+    about = {"other": other, "sentences": [*other.sentences()], "tables": tables}
+    return about | {"ranking": ranked.chapter(other.ranked) if other.ranked else None}
 
 
 def _mark(row: Compared, reach: float) -> dict[str, float] | None:

@@ -12,22 +12,26 @@ from jaxrl_tab.stats.tasks import Tasks
 HEAD = ["method", "interquartile mean", "95% interval", "mean rank", "95% interval"]
 
 
-def head(tasks: Tasks) -> list[str]:
+def head(tasks: Tasks, beside: str | None = None) -> list[str]:
     """The heads of the columns of `rows`."""
-    first, *others = _order(tasks)
-    return [*HEAD, f"beats {title_of(first)}", "95% interval"] if others else HEAD
+    if tasks.scores.sizes["method"] < 2:
+        return HEAD
+    return [*HEAD, f"beats {title_of(beside or order(tasks)[0])}", "95% interval"]
 
 
-def rows(tasks: Tasks) -> list[list[str]]:
-    """A row for each method, that with the best mean rank first; the last two cells compare the others with it."""
-    names = _order(tasks)
+def rows(tasks: Tasks, beside: str | None = None) -> list[list[str]]:
+    """A row for each method, that with the best mean rank first.
+
+    The last two cells compare the others with `beside`, or with the first.
+    """
+    names = order(tasks)
     scores, ranks = (_cells(part, names) for part in (tasks.iqm, tasks.mean_rank))
     found = [[title_of(name), *scores[i], *ranks[i]] for i, name in enumerate(names)]
     if len(names) > 1:
-        beats = [
-            ["–", "–"],
-            *_cells(Interval(*(x.sel(other=names[0]) for x in tasks.improvement)), names[1:]),
-        ]
+        one = beside or names[0]
+        others = [name for name in names if name != one]
+        beats = _cells(Interval(*(x.sel(other=one) for x in tasks.improvement)), others)
+        beats.insert(names.index(one), ["–", "–"])
         found = [[*row, *pair] for row, pair in zip(found, beats, strict=True)]
     return found
 
@@ -62,9 +66,10 @@ def to_dict(tasks: Tasks) -> dict[str, Any]:
     return {"methods": numbers, "left_out": tasks.left_out}
 
 
-def _order(tasks: Tasks) -> list[str]:
-    order = np.argsort(tasks.mean_rank.estimate.values, kind="stable")
-    return [str(tasks.scores.method.values[i]) for i in order]
+def order(tasks: Tasks) -> list[str]:
+    """The names of the methods, that with the best mean rank first."""
+    places = np.argsort(tasks.mean_rank.estimate.values, kind="stable")
+    return [str(tasks.scores.method.values[i]) for i in places]
 
 
 def _cells(interval: Interval, names: list[str]) -> list[list[str]]:

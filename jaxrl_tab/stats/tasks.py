@@ -17,6 +17,8 @@ from jaxrl_tab.stats.bootstrap import RESAMPLES, bootstrap_interval, iqm_interva
 from jaxrl_tab.stats.columns import Methods
 from jaxrl_tab.stats.measures import optimum
 
+CUT_OFF = 1e-3  # how much what comes after the time limit of a task without an end may count, gamma^max_steps
+
 
 class Tasks(NamedTuple):
     """Methods over several tasks, each at its best setting in each.
@@ -83,7 +85,8 @@ def across_tasks(methods: Mapping[str, Methods], confidence: float = 0.95) -> Ta
     The tasks are those that there are, and not drawn from any: intervals tell of other seeds, not of other tasks. The
     settings were chosen on these seeds, which flatters methods with many of them; of fresh seeds (`select`) they are
     not. What is called random is exact, as the optimum is. `performance_profile(tasks.scores, thresholds,
-    within="environment")` has the whole distribution.
+    within="environment")` has the whole distribution. Of a task that does not end the return is that of an episode up
+    to its time limit, where what comes later hardly counts: gamma^max_steps is at most a thousandth.
 
     Args:
         methods: the methods of each environment, such as `Outcome.methods` or `Outcome.fresh_methods`.
@@ -96,12 +99,15 @@ def across_tasks(methods: Mapping[str, Methods], confidence: float = 0.95) -> Ta
     scores: dict[str, dict[str, xr.DataArray]] = {}
     left_out = {}
     for label, own in methods.items():
-        if own.env is None or own.prediction or own.continuing:
+        if (env := own.env) is None or own.prediction:
             left_out[label] = "it has no returns from the start to an end, or is not known"
+            continue
+        if why := _cut_off(own, env):
+            left_out[label] = why
             continue
         for name, settings in own.settings.items():
             best = float(optimum(settings.ds.sel(settings.best)))
-            random = random_value(own.env, float(settings.chosen.get("gamma", 1.0)))
+            random = random_value(env, float(settings.chosen.get("gamma", 1.0)))
             try:
                 scaled = normalised(settings.score.sel(settings.best), random, best)
             except InputError as error:
@@ -133,6 +139,17 @@ def across_tasks(methods: Mapping[str, Methods], confidence: float = 0.95) -> Ta
         mean_rank(x, "seed", "environment", confidence),
         mean_improvement(x, "seed", "environment", confidence),
         left_out,
+    )
+
+
+def _cut_off(own: Methods, env: Environment) -> str | None:
+    """Why the exact values of the start are no scale for the returns of a task without an end; None where they are."""
+    gammas = [float(settings.chosen.get("gamma", 1.0)) for settings in own.settings.values()]
+    if not own.continuing or max(gammas, default=1.0) ** env.max_steps <= CUT_OFF:
+        return None
+    return (
+        f"it has no end, and what comes after its {env.max_steps} steps counts: take a smaller gamma, or larger "
+        "max_steps"
     )
 
 

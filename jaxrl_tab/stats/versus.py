@@ -121,7 +121,7 @@ def versus(
 
     Args:
         first, second: the settings by the names "ENVIRONMENT/METHOD", which both have.
-        fresh: of some of these names the chosen settings on fresh seeds.
+        fresh: of some of these names, or of others, the chosen settings on fresh seeds.
     """
     found = []
     for name, own in first.items():
@@ -130,6 +130,9 @@ def versus(
             once, again = fresh[name]
             pairs.append(_pair("fresh", once, again, once.best, again.best, 1, own, second[name]))
         found += [(name, own.prediction, pair) for pair in pairs]
+    for name, (once, again) in fresh.items():
+        if name not in first:
+            found.append((name, once.prediction, _pair("fresh", once, again, {}, {}, 1)))
     return found
 
 
