@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.core import credited
+from jaxrl_tab.core import credited, linear
 from jaxrl_tab.core.clock import Clock, end_step
 from jaxrl_tab.core.credited import Credited
 from jaxrl_tab.core.linear import X
@@ -39,9 +39,11 @@ def marked(
     Its trace grows by 1; or it is 1 (replacing; Singh and Sutton 1996); or it grows by 1 - alpha z (dutch; van Seijen
     and Sutton 2014).
     """
-    kept = 0.0 if trace == "replacing" else 1.0
-    by = 1 - alpha * values.trace(x, a) if trace == "dutch" else 1.0
-    return values.learned(x, a, kept, by, step)
+    if trace != "dutch":
+        return values.learned(x, a, 0.0 if trace == "replacing" else 1.0, 1.0, step)
+    if linear.is_number(x):  # z + 1 - alpha z, and z is that of the one pair that is marked
+        return values.learned(x, a, 1 - alpha, 1.0, step)
+    return values.learned(x, a, 1.0, 1 - alpha * values.trace(x, a), step)
 
 
 @pytree

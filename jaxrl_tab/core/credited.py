@@ -81,7 +81,7 @@ class Credited(NamedTuple):
         self,
         x: X,
         a: Int[Array, ""],
-        kept: float,
+        kept: Float[Array, ""] | float,
         by: Float[Array, ""] | float,
         step: Float[Array, ""],
     ) -> "Credited":

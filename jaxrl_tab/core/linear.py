@@ -37,6 +37,11 @@ X: TypeAlias = Int[Array, ""] | Active | Float[Array, " n"]
 """What stands for a state: its number, the features that are active, or all features, float [n]."""
 
 
+def is_number(x: X) -> bool:
+    """Whether it is the number of a state, or of the one feature that is active."""
+    return not isinstance(x, Active) and x.ndim == 0
+
+
 def row(w: Shaped[Array, "n A"], x: X) -> Shaped[Array, " A"]:
     """The values of all actions, x . w(., a), [A]."""
     if isinstance(x, Active):
