@@ -130,49 +130,54 @@ class TileCoding(Ranged):
 
 
 @checked_dataclass
-class Polynomial(Ranged):
+class OfOrders(Ranged):
+    """A function of the numbers for each choice of a whole number 0 to `order` along each: (order + 1)^d of them.
+
+    The first, with 0 along all, is 1 everywhere.
+    """
+
+    order: int = static(
+        default=5, at_least=0, help="n, the largest power, or the most half waves, along a number."
+    )
+
+    @property
+    def size(self) -> int:
+        return (self.order + 1) ** self.dimensions
+
+    @property
+    def unit(self) -> Float[np.ndarray, " n"]:
+        return np.eye(1, self.size)[0]
+
+    @property
+    def orders(self) -> list[tuple[int, ...]]:
+        """The whole numbers along each number, of each function."""
+        return list(itertools.product(range(self.order + 1), repeat=self.dimensions))
+
+
+@checked_dataclass
+class Polynomial(OfOrders):
     """Products of powers of the numbers, each scaled to [0, 1]: (n + 1)^d of them (equation 9.17)."""
 
     name = "polynomial"
 
-    order: int = static(default=5, at_least=0, help="n, the largest power of a number.")
-
-    @property
-    def size(self) -> int:
-        return (self.order + 1) ** self.dimensions
-
-    @property
-    def unit(self) -> Float[np.ndarray, " n"]:
-        return _first(self.size)
-
     def __call__(self, observed: Float[Array, " d"]) -> X:
         u = self.scaled(observed)
-        powers = itertools.product(range(self.order + 1), repeat=self.dimensions)
         one = jnp.ones_like(u[0])
-        return jnp.stack([math.prod((u[i] ** k for i, k in enumerate(ks) if k), start=one) for ks in powers])
+        return jnp.stack(
+            [math.prod((u[i] ** k for i, k in enumerate(ks) if k), start=one) for ks in self.orders]
+        )
 
 
 @checked_dataclass
-class Fourier(Ranged):
+class Fourier(OfOrders):
     """Cosines of the numbers, each scaled to [0, 1]: cos(pi s . c), (n + 1)^d of them (equation 9.18)."""
 
     name = "fourier"
 
-    order: int = static(default=5, at_least=0, help="n, the highest frequency along a number, in half waves.")
-
-    @property
-    def size(self) -> int:
-        return (self.order + 1) ** self.dimensions
-
-    @property
-    def unit(self) -> Float[np.ndarray, " n"]:
-        return _first(self.size)
-
     def __call__(self, observed: Float[Array, " d"]) -> X:
         u = self.scaled(observed)
-        waves = itertools.product(range(self.order + 1), repeat=self.dimensions)
         return jnp.stack(
-            [jnp.cos(np.pi * sum((c * u[i] for i, c in enumerate(cs)), 0 * u[0])) for cs in waves]
+            [jnp.cos(np.pi * sum((c * u[i] for i, c in enumerate(cs)), 0 * u[0])) for cs in self.orders]
         )
 
 
@@ -202,11 +207,6 @@ class RadialBasis(Ranged):
             sum((u[i] - float(c)) * (u[i] - float(c)) for i, c in enumerate(point)) for point in points
         ]
         return jnp.exp(jnp.stack(distances) * (-0.5 / self.width**2))
-
-
-def _first(size: int) -> Float[np.ndarray, " n"]:
-    """Weights that are 0 but for that of the first feature, which is 1 everywhere."""
-    return np.eye(1, size)[0]
 
 
 FEATURES: dict[str, type[Features]] = {

@@ -11,6 +11,7 @@ them, once, in float64.
 """
 
 import dataclasses
+import functools
 import hashlib
 import math
 from numbers import Real
@@ -224,14 +225,8 @@ class Rows(Features):
     @classmethod
     def of(cls, features: Features, env: Any) -> "Rows":
         """The features of the states of a task."""
-        with jax.ensure_compile_time_eval(), jax.enable_x64():
-            rows = jax.vmap(features)(jnp.asarray(observations(env)))
-            if isinstance(rows, Active):
-                return cls(np.asarray(rows.ones), features.size, features)
-            rows = np.asarray(rows)
-            return (
-                cls(rows[:, None], features.size, features) if rows.ndim == 1 else cls(rows, None, features)
-            )
+        observed = observations(env)
+        return _worked_out(features, observed.tobytes(), observed.shape)
 
     @property
     def size(self) -> int:
@@ -279,3 +274,14 @@ class Rows(Features):
 
     def __repr__(self) -> str:
         return f"Rows({self}, {self._digest})"
+
+
+@functools.lru_cache(maxsize=64)  # a sweep has the same in all settings but those of its features
+def _worked_out(features: Features, observed: bytes, shape: tuple[int, int]) -> Rows:
+    """The features of states, from what is observed of each, float64 [S, d] as bytes."""
+    with jax.ensure_compile_time_eval(), jax.enable_x64():
+        rows = jax.vmap(features)(jnp.asarray(np.frombuffer(observed).reshape(shape)))
+        if isinstance(rows, Active):
+            return Rows(np.asarray(rows.ones), features.size, features)
+        rows = np.asarray(rows)
+        return Rows(rows[:, None], features.size, features) if rows.ndim == 1 else Rows(rows, None, features)
