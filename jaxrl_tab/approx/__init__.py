@@ -4,9 +4,12 @@
     features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis,
                     or several of them together
     semi_gradient   what the semi-gradient methods share
+    optimized       where an optimiser of optax may change the weights, in place of alpha
     control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
     monte_carlo     gradient Monte Carlo
+    network         a small neural network
+    deep            Q-learning and Sarsa by such a network, with experience replay and a target copy
     mountain_car    a task whose states cannot be counted
 
 They are used in Python, wherever a method or an environment is:
@@ -23,11 +26,13 @@ from jaxrl_tab.approx.control import (
     SemiGradientSarsaLambda,
     SemiGradientTrueOnlineSarsaLambda,
 )
+from jaxrl_tab.approx.deep import DeepQNetwork, DeepSarsa
 from jaxrl_tab.approx.features import (
     FEATURES,
     Aggregation,
     Concatenate,
     Fourier,
+    Observation,
     OneHot,
     Polynomial,
     RadialBasis,
@@ -35,6 +40,7 @@ from jaxrl_tab.approx.features import (
 )
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.mountain_car import MountainCar
+from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features, Rows
 from jaxrl_tab.approx.prediction import (
     SemiGradientNStepTD,
@@ -45,12 +51,16 @@ from jaxrl_tab.approx.prediction import (
 
 __all__ = [
     "FEATURES",
+    "MLP",
     "Aggregation",
     "Concatenate",
+    "DeepQNetwork",
+    "DeepSarsa",
     "Features",
     "Fourier",
     "GradientMonteCarlo",
     "MountainCar",
+    "Observation",
     "OneHot",
     "Polynomial",
     "RadialBasis",

@@ -55,6 +55,20 @@ class OneHot(Features):
 
 
 @checked_dataclass
+class Observation(Ranged):
+    """The numbers that are observed themselves, each scaled to [-1, 1]; none of them is 1 everywhere."""
+
+    name = "observation"
+
+    @property
+    def size(self) -> int:
+        return self.dimensions
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        return 2 * jnp.stack(self.scaled(observed)) - 1
+
+
+@checked_dataclass
 class Aggregation(Ranged):
     """Groups of neighbouring states with one value each: the range of each number in equal parts (section 9.3)."""
 
@@ -290,7 +304,7 @@ def _not_too_many(features: Concatenate) -> Concatenate:
 
 
 FEATURES: dict[str, type[Features]] = {
-    cls.name: cls for cls in (OneHot, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
+    cls.name: cls for cls in (OneHot, Observation, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
 }
 PLUS = re.compile(r"\+(?![^()]*\))")  # between features; within parentheses it belongs to a number
 
