@@ -173,6 +173,10 @@ def test_xla_compiles_it():
         rl.sweep(CLIFF, approx.DeepSarsa, {}, num_seeds=1, num_steps=1, backend="lanes", progress=False)
 
 
+def train(method, env=CLIFF):
+    return rl.train(KEY, method, env, num_steps=3)
+
+
 REFUSED = {
     "DeepQNetwork: network: 'mpl(3)' is not a network with the widths of its hidden layers, such as mlp(64, 64)": (
         lambda: approx.DeepQNetwork(network="mpl(3)")
