@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 from jaxrl_tab.core.checks import is_list
 from jaxrl_tab.core.errors import InputError, RunError, check_choice, one_line, unfit
 from jaxrl_tab.core.memory import words
-from jaxrl_tab.core.netcdf import save
+from jaxrl_tab.core.netcdf import save_all
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
@@ -318,8 +318,10 @@ def _write_data(file: Path, datasets: "Mapping[str, xr.Dataset]", outcome: Outco
             f"{words(room)}"
         )
     with storage.writing(file) as unfinished:
-        for name, ds in datasets.items():
-            save(ds, name if len(outcome.envs) > 1 else name.partition("/")[2], unfinished, about)
+        groups = (
+            datasets if len(outcome.envs) > 1 else {x.partition("/")[2]: ds for x, ds in datasets.items()}
+        )
+        save_all(groups, unfinished, about)
     return file
 
 
