@@ -69,6 +69,7 @@ __all__ = [
     "SemiGradientExpectedSarsa",
     "SemiGradientNStepSarsa",
     "SemiGradientNStepTD",
+    "SemiGradientOffPolicyTD",
     "SemiGradientQLearning",
     "SemiGradientSarsa",
     "SemiGradientSarsaLambda",

@@ -34,21 +34,25 @@ class LeastSquaresState(NamedTuple):
 class _LeastSquares(SemiGradientControl):
     """What `LSTD` learns with: one action."""
 
-    ridge: float = field(default=0.1, greater_than=0, help="What A is at the start, times the identity matrix.")
+    ridge: float = field(
+        default=0.1, greater_than=0, help="What A is at the start, times the identity matrix."
+    )
 
     def init(self, num_states: int, num_actions: int) -> LeastSquaresState:
         w, clock = super().init(num_states, num_actions)
-        return LeastSquaresState(w, clock, jnp.eye(len(w), dtype=w.dtype) / self.ridge, jnp.zeros_like(w[:, 0]))
+        return LeastSquaresState(
+            w, clock, jnp.eye(len(w), dtype=w.dtype) / self.ridge, jnp.zeros_like(w[:, 0])
+        )
 
     def update(self, key, state: LeastSquaresState, t: Transition):
         state = self.begin(state, t)
         size = len(state.b)
         x, x_next = (linear.all_of(self.x(s), size, state.b.dtype) for s in (t.s, t.s_next))
         v = ((x - t.discount * x_next)[:, None] * state.inverse).sum(0)
-        turned = (state.inverse * x).sum(1)
-        inverse = state.inverse - turned[:, None] * (v / (1 + (v * x).sum()))
+        turned = (state.inverse * x[None]).sum(1)
+        inverse = state.inverse - turned[:, None] * (v / (1 + (v * x).sum()))[None]
         b = state.b + t.r * x
-        w = (inverse * b).sum(1)[:, None]
+        w = (inverse * b[None]).sum(1)[:, None]
         return LeastSquaresState(w, end_step(state.clock, t.last), inverse, b), t.a
 
 
@@ -65,14 +69,18 @@ class LSTD(SemiGradientPrediction, TD):
     A^-1 <- A^-1 - (A^-1 x(S)) v^T / (1 + v . x(S))
     """
 
-    ridge: float = field(default=0.1, greater_than=0, help="What A is at the start, times the identity matrix.")
+    ridge: float = field(
+        default=0.1, greater_than=0, help="What A is at the start, times the identity matrix."
+    )
 
     alpha: ClassVar = 0.1  # pyright: ignore[reportIncompatibleVariableOverride]
     v0: ClassVar = 0.0  # pyright: ignore[reportIncompatibleVariableOverride]
-    w0: ClassVar = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    w0: ClassVar = ""  # pyright: ignore[reportIncompatibleVariableOverride]
     per_tiling: ClassVar = False  # pyright: ignore[reportIncompatibleVariableOverride]
     method: ClassVar[type] = _LeastSquares
-    backup: ClassVar[Backup] = Backup(TD.backup.columns, "The target of all steps so far at once, by least squares.")
+    backup: ClassVar[Backup] = Backup(
+        TD.backup.columns, "The target of all steps so far at once, by least squares."
+    )
 
     def works_with(self, state: ValueState) -> Any:
         return state.learner.inverse

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.prediction import OffPolicyPrediction, ValueState
-from jaxrl_tab.approx.semi_gradient import SemiGradientControl, SemiGradientPrediction
+from jaxrl_tab.approx.control import SemiGradientSarsa
+from jaxrl_tab.approx.semi_gradient import SemiGradientPrediction
 from jaxrl_tab.core import clock, linear, tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Clock, Rate, end_step
@@ -21,8 +22,8 @@ from jaxrl_tab.core.types import Transition
 
 
 @pytree
-class _OfStates(SemiGradientControl):
-    """What these methods learn with: one action."""
+class _OfStates(SemiGradientSarsa):
+    """What these methods learn with: one action, of which each step counts by a ratio."""
 
     def error(self, state: Learner, t: Transition) -> Float[Array, ""]:
         """delta = R + gamma v(S') - v(S)."""
@@ -41,7 +42,8 @@ class OffPolicyLinear(SemiGradientPrediction, OffPolicyPrediction):
     acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS_OF_B
     backup: ClassVar[Backup] = Backup(
-        "state, action, state", "Another policy b acts: the error is multiplied by the ratio π(A | S) / b(A | S)."
+        "state, action, state",
+        "Another policy b acts: the error is multiplied by the ratio π(A | S) / b(A | S).",
     )
 
     def update(self, key, state: ValueState, t: Transition):
@@ -128,7 +130,7 @@ class GTD2(OffPolicyLinear):
     v <- v + beta rho [delta - v . x(S)] x(S),  delta = R + gamma x(S') . w - x(S) . w
     w <- w + alpha rho [x(S) - gamma x(S')] x(S) . v      (book, section 11.7; Sutton et al. 2009)
 
-    w learns from the v before the step. v has to be quicker than w: beta is larger than alpha.
+    w learns from the v before the step. v has to be the quicker one: beta should be larger than alpha.
     """
 
     beta: Rate = field(default=0.1, greater_than=0, help="Step size of the second weights.")
@@ -143,7 +145,7 @@ class TDC(GTD2):
     v <- v + beta rho [delta - v . x(S)] x(S),  delta = R + gamma x(S') . w - x(S) . w
     w <- w + alpha rho [delta x(S) - gamma x(S') x(S) . v]      (book, section 11.7; Sutton et al. 2009)
 
-    It is also called GTD(0). w learns from the v before the step. v has to be quicker than w: beta is larger than alpha.
+    It is also called GTD(0). w learns from the v before the step, and beta should be larger than alpha.
     """
 
     method: ClassVar[type] = _TDC

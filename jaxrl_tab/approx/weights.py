@@ -49,4 +49,4 @@ def _read(text: str) -> np.ndarray | None:
     if len({len(row) for row in rows}) > 1:
         return None
     array = np.array(rows)
-    return array if len(rows) > 1 else array[0] if array.size > 1 else array[0, 0]
+    return array if len(rows) > 1 else array[0] if array.size > 1 else array.reshape(())

@@ -105,7 +105,7 @@ def all_of(x: X, size: int, dtype: Any) -> Float[Array, " n"]:
     if not isinstance(x, Active) and x.ndim:
         return x
     ones = x.ones[:, None] if isinstance(x, Active) else x[None, None]
-    return (ones == jnp.arange(size, dtype=jnp.int32)).any(0).astype(dtype)
+    return (ones == jnp.arange(size, dtype=jnp.int32)[None]).any(0).astype(dtype)
 
 
 def _added_up(read: Callable[[Array], Array], x: Active) -> Array:

@@ -22,7 +22,9 @@ class TsitsiklisVanRoy(FixedStart):
     gamma times the w before: it grows where gamma > 5 / (6 - 4 ends).
     """
 
-    ends: Numbers = field(default=0.01, greater_than=0, at_most=1, help="Probability that the second state ends.")
+    ends: Numbers = field(
+        default=0.01, greater_than=0, at_most=1, help="Probability that the second state ends."
+    )
     max_steps: int = static(default=MAX_STEPS, at_least=1, help=TIME_LIMIT)
 
     num_states, num_actions, start_state = 3, 1, FIRST
