@@ -3,7 +3,8 @@
     observed        what all features have in common: their range, and how they become those of a task
     features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis
     semi_gradient   what the semi-gradient methods share
-    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
+    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda),
+                    differential Sarsa
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
     mountain_car    a task whose states cannot be counted
 
@@ -14,6 +15,7 @@ They are used in Python, wherever a method or an environment is:
 """
 
 from jaxrl_tab.approx.control import (
+    DifferentialSemiGradientSarsa,
     SemiGradientExpectedSarsa,
     SemiGradientNStepSarsa,
     SemiGradientQLearning,
@@ -42,6 +44,7 @@ from jaxrl_tab.approx.prediction import (
 __all__ = [
     "FEATURES",
     "Aggregation",
+    "DifferentialSemiGradientSarsa",
     "Features",
     "Fourier",
     "MountainCar",
