@@ -1,11 +1,13 @@
 """Beyond the table: values that are functions of features of a state (book, chapters 9 to 12).
 
     observed        what all features have in common: their range, and how they become those of a task
-    features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis
+    features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis,
+                    or several of them together
     semi_gradient   what the semi-gradient methods share
     control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda),
                     differential Sarsa
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
+    monte_carlo     gradient Monte Carlo
     mountain_car    a task whose states cannot be counted
 
 They are used in Python, wherever a method or an environment is:
@@ -26,12 +28,14 @@ from jaxrl_tab.approx.control import (
 from jaxrl_tab.approx.features import (
     FEATURES,
     Aggregation,
+    Concatenate,
     Fourier,
     OneHot,
     Polynomial,
     RadialBasis,
     TileCoding,
 )
+from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.mountain_car import MountainCar
 from jaxrl_tab.approx.observed import Features, Rows
 from jaxrl_tab.approx.prediction import (
@@ -44,9 +48,11 @@ from jaxrl_tab.approx.prediction import (
 __all__ = [
     "FEATURES",
     "Aggregation",
+    "Concatenate",
     "DifferentialSemiGradientSarsa",
     "Features",
     "Fourier",
+    "GradientMonteCarlo",
     "MountainCar",
     "OneHot",
     "Polynomial",

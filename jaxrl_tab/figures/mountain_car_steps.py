@@ -63,8 +63,8 @@ def _number(name, alpha, first, last, expected, error):
 FIGURE = Figure(
     title="Learning to drive up a mountain",
     source="Sutton and Barto 2018, figures 10.2 and 10.3",
-    shows="The larger of these step sizes learns faster, and 8-step Sarsa faster still: the weak car must first go back "
-    "to go forward, and nothing but −1 a step says so.",
+    shows="The larger of these step sizes learns faster, and 8-step Sarsa faster still: the weak car must first go "
+    "back to go forward, and nothing but −1 a step says so.",
     experiment=_experiment,
     small={"num_seeds": 2, "num_episodes": 120},
     numbers=(
