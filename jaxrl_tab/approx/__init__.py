@@ -5,9 +5,13 @@
                     or several of them together
     semi_gradient   what the semi-gradient methods share
     optimized       where an optimiser of optax may change the weights, in place of alpha
-    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
+    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda),
+                    differential Sarsa
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
     monte_carlo     gradient Monte Carlo
+    off_policy      TD(0) with importance sampling, GTD2, TDC, emphatic TD
+    least_squares   LSTD
+    weights         weights that are given at the start
     network         a small neural network
     deep            Q-learning and Sarsa by such a network, with experience replay and a target copy
     mountain_car    a task whose states cannot be counted
@@ -19,6 +23,7 @@ They are used in Python, wherever a method or an environment is:
 """
 
 from jaxrl_tab.approx.control import (
+    DifferentialSemiGradientSarsa,
     SemiGradientExpectedSarsa,
     SemiGradientNStepSarsa,
     SemiGradientQLearning,
@@ -34,14 +39,17 @@ from jaxrl_tab.approx.features import (
     Fourier,
     Observation,
     OneHot,
+    Own,
     Polynomial,
     RadialBasis,
     TileCoding,
 )
+from jaxrl_tab.approx.least_squares import LSTD
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.mountain_car import MountainCar
 from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features, Rows
+from jaxrl_tab.approx.off_policy import GTD2, TDC, EmphaticTD, SemiGradientOffPolicyTD
 from jaxrl_tab.approx.prediction import (
     SemiGradientNStepTD,
     SemiGradientTD,
@@ -51,23 +59,30 @@ from jaxrl_tab.approx.prediction import (
 
 __all__ = [
     "FEATURES",
+    "GTD2",
+    "LSTD",
     "MLP",
+    "TDC",
     "Aggregation",
     "Concatenate",
     "DeepQNetwork",
     "DeepSarsa",
+    "DifferentialSemiGradientSarsa",
+    "EmphaticTD",
     "Features",
     "Fourier",
     "GradientMonteCarlo",
     "MountainCar",
     "Observation",
     "OneHot",
+    "Own",
     "Polynomial",
     "RadialBasis",
     "Rows",
     "SemiGradientExpectedSarsa",
     "SemiGradientNStepSarsa",
     "SemiGradientNStepTD",
+    "SemiGradientOffPolicyTD",
     "SemiGradientQLearning",
     "SemiGradientSarsa",
     "SemiGradientSarsaLambda",

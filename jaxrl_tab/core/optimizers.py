@@ -24,7 +24,7 @@ PREFIX = "optax:"
 
 
 @dataclasses.dataclass(frozen=True)
-class Own:
+class Transformation:
     """A transformation of gradients that was made in Python."""
 
     transformation: Any
@@ -33,7 +33,7 @@ class Own:
         return repr(self)
 
 
-def whole(given: Any) -> str | Own:
+def whole(given: Any) -> str | Transformation:
     """An optimiser with its learning rate, as a method keeps it: "optax:adam(0.01)", or a transformation.
 
     Raises:
@@ -48,7 +48,7 @@ def whole(given: Any) -> str | Own:
         text = PREFIX + _plain(given.removeprefix(PREFIX))
         _made(text)
         return text
-    own = given if isinstance(given, Own) else Own(given)
+    own = given if isinstance(given, Transformation) else Transformation(given)
     if not all(callable(getattr(own.transformation, name, None)) for name in ("init", "update")):
         problem = f'an optimiser is a text such as "{PREFIX}adam(0.01)" or a transformation of optax'
         raise InputError(f"{problem}, not {shown(given)}")
@@ -77,12 +77,12 @@ def _plain(text: str) -> str:
     return re.sub(r"(?<=[a-z])-(?=[a-z])", "_", text).replace(" ", "").removesuffix("()")
 
 
-def start(optimizer: str | Own, learned: Any) -> Any:
+def start(optimizer: str | Transformation, learned: Any) -> Any:
     """The state of an optimiser of what is learned, a pytree of arrays, before its first step."""
     return _made(optimizer).init(learned)
 
 
-def change(optimizer: str | Own, gradient: T, state: Any, learned: T) -> tuple[T, Any]:
+def change(optimizer: str | Transformation, gradient: T, state: Any, learned: T) -> tuple[T, Any]:
     """How what is learned changes in an ascent, and the state of the optimiser after that.
 
     An optimiser that is written without its learning rate has 1: a step size multiplies what this gives.
@@ -101,11 +101,11 @@ def change(optimizer: str | Own, gradient: T, state: Any, learned: T) -> tuple[T
 
 
 @functools.cache
-def _made(optimizer: str | Own) -> "optax.GradientTransformation":
+def _made(optimizer: str | Transformation) -> "optax.GradientTransformation":
     """The optimiser itself."""
     import optax  # takes long, and is seldom needed
 
-    if isinstance(optimizer, Own):
+    if isinstance(optimizer, Transformation):
         return optimizer.transformation
     text, is_whole = optimizer.removeprefix(PREFIX), optimizer.startswith(PREFIX)
     such = "adam(0.01)" if is_whole else "adam(b1=0.8)"

@@ -14,7 +14,7 @@ from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.core.errors import one_line
 from jaxrl_tab.core.notebook import table
-from jaxrl_tab.core.optimizers import Own
+from jaxrl_tab.core.optimizers import Transformation
 from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine import provenance
@@ -218,7 +218,7 @@ def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
 def label(value: Any) -> Any:
     """A hyperparameter as a coordinate: a number as it is, what else it may be as it is typed."""
     is_transformation = hasattr(value, "_fields")  # of gradients, as optax makes it in Python
-    is_typed = isinstance(value, Schedule | Policy | Features | MLP | Own)
+    is_typed = isinstance(value, Schedule | Policy | Features | MLP | Transformation)
     return str(value) if is_transformation or is_typed else value
 
 
