@@ -5,6 +5,7 @@
     semi_gradient   what the semi-gradient methods share
     control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
+    monte_carlo     gradient Monte Carlo
     mountain_car    a task whose states cannot be counted
 
 They are used in Python, wherever a method or an environment is:
@@ -30,6 +31,7 @@ from jaxrl_tab.approx.features import (
     RadialBasis,
     TileCoding,
 )
+from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.mountain_car import MountainCar
 from jaxrl_tab.approx.observed import Features, Rows
 from jaxrl_tab.approx.prediction import (
@@ -44,6 +46,7 @@ __all__ = [
     "Aggregation",
     "Features",
     "Fourier",
+    "GradientMonteCarlo",
     "MountainCar",
     "OneHot",
     "Polynomial",
