@@ -30,6 +30,7 @@ from jaxrl_tab.approx.features import (
     Polynomial,
     RadialBasis,
     TileCoding,
+    matrix,
 )
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.mountain_car import MountainCar
@@ -63,4 +64,5 @@ __all__ = [
     "SemiGradientTrueOnlineSarsaLambda",
     "SemiGradientTrueOnlineTDLambda",
     "TileCoding",
+    "matrix",
 ]
