@@ -177,7 +177,7 @@ def test_they_are_in_the_dataset_the_table_and_the_picture(walks):
     table = rl.stats.summary({"td": ds})
     np.testing.assert_allclose(table.final_value_error, ds.value_error[..., -1].mean("seed").values.ravel())
     assert [*table.columns[-2:]] == ["final_v_error", "optimum"]
-    canvas = rl.plot.canvas()
+    canvas = rl.plot.canvas(rl.plot.WIDTH)
     ax = canvas.subplots()
     rl.plot.learning_curves(ax, {"td": ds}, measure="value_error")
     assert {"the least possible", "fixed point of TD"} <= {*ax.get_legend_handles_labels()[1]}

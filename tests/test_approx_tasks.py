@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import jaxrl_tab as rl
 from jaxrl_tab import approx
 from jaxrl_tab.envs import LongWalk, SquareWave
 

@@ -59,7 +59,7 @@ from jaxrl_tab.exact.model import (
     terminal_states,
 )
 from jaxrl_tab.exact.optimum import rounding, solved, unless
-from jaxrl_tab.exact.projected import linear_values
+from jaxrl_tab.exact.projected import LinearValues, linear_values
 from jaxrl_tab.exact.soft import Soft, soft_value_iteration
 from jaxrl_tab.exact.systems import sparse_solver
 from jaxrl_tab.exact.values import (
@@ -76,6 +76,7 @@ __all__ = [
     "Hardness",
     "Iterates",
     "LinearProgram",
+    "LinearValues",
     "Measure",
     "Mixing",
     "Model",
