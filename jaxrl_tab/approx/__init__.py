@@ -7,6 +7,9 @@
     control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
     monte_carlo     gradient Monte Carlo
+    off_policy      TD(0) with importance sampling, GTD2, TDC, emphatic TD
+    least_squares   LSTD
+    weights         weights that are given at the start
     mountain_car    a task whose states cannot be counted
 
 They are used in Python, wherever a method or an environment is:
@@ -29,14 +32,17 @@ from jaxrl_tab.approx.features import (
     Concatenate,
     Fourier,
     OneHot,
+    Own,
     Polynomial,
     RadialBasis,
     TileCoding,
     matrix,
 )
+from jaxrl_tab.approx.least_squares import LSTD
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.mountain_car import MountainCar
 from jaxrl_tab.approx.observed import Features, Rows
+from jaxrl_tab.approx.off_policy import GTD2, TDC, EmphaticTD, SemiGradientOffPolicyTD
 from jaxrl_tab.approx.prediction import (
     SemiGradientNStepTD,
     SemiGradientTD,
@@ -46,19 +52,25 @@ from jaxrl_tab.approx.prediction import (
 
 __all__ = [
     "FEATURES",
+    "GTD2",
+    "LSTD",
+    "TDC",
     "Aggregation",
     "Concatenate",
+    "EmphaticTD",
     "Features",
     "Fourier",
     "GradientMonteCarlo",
     "MountainCar",
     "OneHot",
+    "Own",
     "Polynomial",
     "RadialBasis",
     "Rows",
     "SemiGradientExpectedSarsa",
     "SemiGradientNStepSarsa",
     "SemiGradientNStepTD",
+    "SemiGradientOffPolicyTD",
     "SemiGradientQLearning",
     "SemiGradientSarsa",
     "SemiGradientSarsaLambda",

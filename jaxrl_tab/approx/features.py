@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.approx.observed import MOST, Features, Ranged, Rows, check_tuple
 from jaxrl_tab.core.checks import assign, is_list
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError, nearest, reason, shown, unfit
 from jaxrl_tab.core.linear import Active, X, in_full
 from jaxrl_tab.core.optax import read_call
@@ -52,6 +53,21 @@ class OneHot(Features):
     @property
     def nowhere(self) -> X:
         return jnp.int32(0)
+
+
+@checked_dataclass
+class Own(Features):
+    """The features that the task itself states, such as those of a counterexample."""
+
+    name = "own"
+
+    needs_range = False
+
+    def fitted(self, env: Any) -> Features:
+        if (given := of_environment(env).features) is None:
+            problem = f"{type(env).__name__} has no features of its own: take others, such as tile-coding"
+            raise InputError(problem, who=type(self).__name__)
+        return Rows(given, None, self).fitted(env)
 
 
 @checked_dataclass
@@ -290,7 +306,7 @@ def _not_too_many(features: Concatenate) -> Concatenate:
 
 
 FEATURES: dict[str, type[Features]] = {
-    cls.name: cls for cls in (OneHot, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
+    cls.name: cls for cls in (OneHot, Own, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
 }
 PLUS = re.compile(r"\+(?![^()]*\))")  # between features; within parentheses it belongs to a number
 

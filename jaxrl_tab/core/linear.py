@@ -10,7 +10,7 @@ All sums go from the first feature to the last, so that they have the same bits 
 
 from collections.abc import Callable
 from functools import reduce
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax.numpy as jnp
 from jax import lax
@@ -98,6 +98,14 @@ def change(
         return tuple(put(w, y, *lane, x, a) for w, y in zip(ws, new, strict=True))
     new = formula(lambda y: y * x, *(_column(w, a, *lane) for w in ws))
     return tuple(_with_column(w, y, a, *lane) for w, y in zip(ws, new, strict=True))
+
+
+def all_of(x: X, size: int, dtype: Any) -> Float[Array, " n"]:
+    """All n features, those that are 0 too, of a `size` n."""
+    if not isinstance(x, Active) and x.ndim:
+        return x
+    ones = x.ones[:, None] if isinstance(x, Active) else x[None, None]
+    return (ones == jnp.arange(size, dtype=jnp.int32)[None]).any(0).astype(dtype)
 
 
 def _added_up(read: Callable[[Array], Array], x: Active) -> Array:
