@@ -14,6 +14,7 @@
     weights         weights that are given at the start
     network         a small neural network
     deep            Q-learning and Sarsa by such a network, with experience replay and a target copy
+    dangers         a step size that must diverge, and the deadly triad
     mountain_car    a task whose states cannot be counted
 
 They are used in Python, wherever a method or an environment is:
