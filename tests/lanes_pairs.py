@@ -12,7 +12,6 @@ from collections.abc import Iterator
 
 from lanes_runs import runs_of
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes
@@ -21,6 +20,7 @@ from jaxrl_tab.engine.runs import Runs
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.lanes import machine
 from jaxrl_tab.lanes.code import Unsupported
+from jaxrl_tab.methods import METHODS
 
 BUDGETS = {
     "steps": Budget(250, None, 100, exact=False),  # the last row is shorter

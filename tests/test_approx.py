@@ -12,7 +12,7 @@ from jaxrl_tab.approx.features import read
 from jaxrl_tab.core.types import Transition, fitted, init_learner
 
 KEY = jax.random.key(0)
-CAR = approx.MountainCar()
+CAR = rl.MountainCar()
 
 
 # --- features ------------------------------------------------------------------------------------------

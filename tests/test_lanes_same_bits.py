@@ -14,7 +14,6 @@ from marks import slow_but, slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import Outcome, policies, pytree, schedules, static
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.engine import by_lanes
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.room import signature, traced_program
@@ -24,6 +23,7 @@ from jaxrl_tab.interop import from_gymnasium
 from jaxrl_tab.lanes import program
 from jaxrl_tab.lanes.kernel import Kernel
 from jaxrl_tab.lanes.target import host
+from jaxrl_tab.methods import METHODS
 
 pytestmark = pytest.mark.usefixtures("optimised")
 

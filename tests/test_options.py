@@ -161,7 +161,7 @@ def test_an_option_goes_to_all_methods_that_have_it():
     assert found == {"td": {"alpha": [0.5]}, "n-step-td": {"alpha": [0.5], "n": [1, 4]}}
     with pytest.raises(
         rl.InputError,
-        match=r"none of td, sarsa has --n, which belongs to n-step-sarsa, .*, n-step-td, n-step-off-policy-td$",
+        match=r"none of td, sarsa has --n, which belongs to n-step-sarsa, .*, n-step-td, n-step-off-policy-td, semi-gradient-n-step-td$",
     ):
         options.values(["td", "sarsa"], {"--n": ("1",)}, HYPERPARAMETERS)
     with pytest.raises(

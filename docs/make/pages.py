@@ -99,6 +99,11 @@ def _methods() -> dict[str, str]:
 def method_commands(name: str) -> list[str]:
     """What a person may type to see a method at work, in a task that suits it."""
     declared = of_method(METHODS[name])
+    if declared.features is not None and declared.learns is Learns.ACTIONS:
+        return [_of_features("mountain-car", name)]
+    if declared.features is not None:
+        told = '--states 99 --features one-hot "aggregation(9)" "fourier(3)" --alpha 0.02'
+        return [f"jaxrl-tab sweep random-walk {name} {told} --episodes 200 --exact --out runs/{name}"]
     if declared.learns is Learns.STATES:
         return [
             f"jaxrl-tab watch random-walk {name} --episodes 20",
@@ -144,9 +149,18 @@ def _environments() -> dict[str, str]:
     return {"environments/index.md": _page("# Environments", table), **made}
 
 
+def _of_features(env: str, method: str) -> str:
+    """A sweep where states cannot be counted, kept under the name of one of the two."""
+    told = '--features "tile-coding(8, 8)" --per-tiling --alpha 0.1 0.2 0.5 --epsilon 0'
+    out = method if env == "mountain-car" else env
+    return f"jaxrl-tab sweep {env} {method} {told} --episodes 200 --seeds 20 --out runs/{out}"
+
+
 def environment_commands(name: str) -> list[str]:
     """What a person may type to see an environment."""
     env = rl.make(name)
+    if not env.num_states:
+        return [_of_features(name, "semi-gradient-sarsa")]
     declared = of_environment(env)
     method = "r-learning" if declared.continuing else "q-learning"
     solve = [] if declared.at else [f"jaxrl-tab solve {name}"]

@@ -5,12 +5,11 @@
     semi_gradient   what the semi-gradient methods share
     control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
-    mountain_car    a task whose states cannot be counted
 
-They are used in Python, wherever a method or an environment is:
+To add a method: write its class, and add its line here. They are used wherever a method is:
 
     method = rl.approx.SemiGradientSarsa(features="tile-coding(8, 8)", alpha=0.5, per_tiling=True, epsilon=0)
-    state, log = rl.train(key, method, rl.approx.MountainCar(), num_episodes=500)
+    state, log = rl.train(key, method, rl.MountainCar(), num_episodes=500)
 """
 
 from jaxrl_tab.approx.control import (
@@ -30,7 +29,6 @@ from jaxrl_tab.approx.features import (
     RadialBasis,
     TileCoding,
 )
-from jaxrl_tab.approx.mountain_car import MountainCar
 from jaxrl_tab.approx.observed import Features, Rows
 from jaxrl_tab.approx.prediction import (
     SemiGradientNStepTD,
@@ -39,12 +37,28 @@ from jaxrl_tab.approx.prediction import (
     SemiGradientTrueOnlineTDLambda,
 )
 
+CONTROL: dict[str, type] = {
+    "semi-gradient-sarsa": SemiGradientSarsa,
+    "semi-gradient-expected-sarsa": SemiGradientExpectedSarsa,
+    "semi-gradient-q-learning": SemiGradientQLearning,
+    "semi-gradient-n-step-sarsa": SemiGradientNStepSarsa,
+    "semi-gradient-sarsa-lambda": SemiGradientSarsaLambda,
+    "semi-gradient-true-online-sarsa-lambda": SemiGradientTrueOnlineSarsaLambda,
+}
+OF_STATES: dict[str, type] = {
+    "semi-gradient-td": SemiGradientTD,
+    "semi-gradient-n-step-td": SemiGradientNStepTD,
+    "semi-gradient-td-lambda": SemiGradientTDLambda,
+    "semi-gradient-true-online-td-lambda": SemiGradientTrueOnlineTDLambda,
+}
+
 __all__ = [
+    "CONTROL",
     "FEATURES",
+    "OF_STATES",
     "Aggregation",
     "Features",
     "Fourier",
-    "MountainCar",
     "OneHot",
     "Polynomial",
     "RadialBasis",

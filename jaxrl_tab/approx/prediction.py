@@ -41,6 +41,8 @@ class SemiGradientTDLambda(SemiGradientPrediction, TDLambda):
     w <- w + alpha [R + gamma v(S') - v(S)] z      (book, equation 12.7)
     """
 
+    offline: ClassVar = False  # pyright: ignore[reportIncompatibleVariableOverride]
+
     method: ClassVar[type] = SemiGradientSarsaLambda
 
 

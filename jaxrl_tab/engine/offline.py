@@ -20,7 +20,6 @@ from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxrl_tab.algorithms.control import ValueControl
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, tables
 from jaxrl_tab.core.checks import check_pytree, concrete, numbers
 from jaxrl_tab.core.declared import LearnsFrom, of_method
@@ -41,6 +40,7 @@ from jaxrl_tab.core.types import (
 )
 from jaxrl_tab.engine.train import train
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.methods import METHODS
 
 L = TypeVar("L")
 

@@ -10,7 +10,6 @@ import jax
 from jax.core import Tracer
 from jaxtyping import PRNGKeyArray
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
 from jaxrl_tab.core.declared import of_environment, of_method
@@ -28,6 +27,7 @@ from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.traced import in_full, unchecked
 from jaxrl_tab.envs import ENVS, PREFIX
 from jaxrl_tab.exact import planning
+from jaxrl_tab.methods import METHODS
 
 L = TypeVar("L")
 T = TypeVar("T")

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError, whole
@@ -22,6 +21,7 @@ from jaxrl_tab.engine import stepwise
 from jaxrl_tab.engine.results import label, parameters
 from jaxrl_tab.engine.train import checked_pair, train
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.methods import METHODS
 from jaxrl_tab.show import learning
 from jaxrl_tab.show.steps import Told
 from jaxrl_tab.show.tasks import policy_of

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from jaxrl_tab.algorithms.prediction import METHOD
+from jaxrl_tab.approx import Features, features
 from jaxrl_tab.core import clock, describe, names, policies, schedules
 from jaxrl_tab.core.checks import build, repeated
 from jaxrl_tab.core.declared import Learns, of_method
@@ -27,6 +27,7 @@ from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import tasks
 from jaxrl_tab.experiment.instances import is_array, made, table_of
 from jaxrl_tab.experiment.places import DEEPEST, Source, at, blame
+from jaxrl_tab.methods import METHOD
 
 LONGEST_LABEL = 200  # characters
 ABOUT = ("name", "label", "sha256")  # in a table, beside parameters; the last is the checksum of its file
@@ -385,6 +386,10 @@ def _only_table(parameter: describe.Parameter) -> bool:
     return parameter.default is None and not is_text and not describe.takes_policy(parameter)
 
 
+# What is written as its text, and how that is read.
+AS_TEXT = {clock.Schedule: schedules.parse, policies.Policy: policies.parse, Features: features.read}
+
+
 def as_plain(key: str, value: Any) -> Any:
     """A hyperparameter as JSON has it, and as it can be written again."""
     if isinstance(value, Mapping):
@@ -393,9 +398,9 @@ def as_plain(key: str, value: Any) -> Any:
         return [as_plain(key, x) for x in value]
     if isinstance(value, policies.Table):
         return np.asarray(value.probabilities).tolist()
-    if not isinstance(value, clock.Schedule | policies.Policy):
+    parse = next((parse for cls, parse in AS_TEXT.items() if isinstance(value, cls)), None)
+    if parse is None:
         return value
-    parse = schedules.parse if isinstance(value, clock.Schedule) else policies.parse
     with contextlib.suppress(InputError):  # its text will do only if that is read as the same value again
         if repr(parse(str(value))) == repr(value):
             return str(value)
