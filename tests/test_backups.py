@@ -176,8 +176,9 @@ SHAPES["q-lambda"] = (
     "action, state, action, ..., end",
     "action, state, action, ..., state, max action",
 )
-# The semi-gradient methods look ahead as those with a table do.
+# Those with features look ahead as those with a table do.
 SHAPES |= {name: SHAPES[name.removeprefix("semi-gradient-")] for name in METHODS if "semi-gradient" in name}
+SHAPES["gradient-monte-carlo"] = SHAPES["monte-carlo-prediction"]
 IN_WORDS = {  # what no circle shows
     "double-q-learning": "one table chooses the action, the other gives its value",
     "q-learning-target": "A' is drawn from the target policy",

@@ -90,9 +90,8 @@ def test_every_method_is_in_the_table_or_is_no_one_step_method(name):
     """So that a new line in the registry is looked at."""
     rows = [row for row in bridge.TABLE if name in row.methods]
     if not rows and name != "hysteretic-q-learning":  # which learns no mean
-        with pytest.raises(
-            rl.InputError, match=r"remembers .* from step to step|must be an instance of a one-step|is on no row of the table"
-        ):
+        why = "remembers .* from step to step|must be an instance of a one-step|is on no row of the table"
+        with pytest.raises(rl.InputError, match=why):
             bridge.expected_backup(ALGORITHMS[name](), ENVS["walk"], some_q(ENVS["walk"]))
     assert len(rows) <= 1
 

@@ -12,7 +12,7 @@ from made_up import make_result
 
 import jaxrl_tab as rl
 from jaxrl_tab import report, stats
-from jaxrl_tab.engine.counted import Counted, Tables
+from jaxrl_tab.engine.counted import Counted, TablesAndVisits
 from jaxrl_tab.show.explorer import chapter, packing, scores
 from jaxrl_tab.show.explorer.measures import STATISTICS
 from jaxrl_tab.show.explorer.over_time import OverTime, block, ranks
@@ -150,7 +150,7 @@ def test_methods_with_arrays_or_records_of_their_own_are_recorded(method):
     """Shapes alone. Broken once: what the method declares, with the state that has the counts, too -> fails."""
     env = "finite-horizon:5:river-swim" if method == "ucbvi" else "river-swim"
     (part,) = rl.Experiment(env, method, seeds=1, steps=20, log_every=10).parts().values()
-    budget = dataclasses.replace(part.budget, record=Tables())
+    budget = dataclasses.replace(part.budget, record=TablesAndVisits(part.env.num_states))
     (needs,) = dataclasses.replace(part, configs=[Counted(part.configs[0])], budget=budget).needs
     _, log = needs.results
     table = (2, part.env.num_states, part.env.num_actions)

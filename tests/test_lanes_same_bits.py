@@ -147,6 +147,14 @@ CASES = {
     "control variates": Case("random-walk", "n-step-off-policy-td", ALPHAS | {"control_variates": True}),
     "off-policy-td": Case("jacks-car-rental", "off-policy-td", ALPHAS | {"gamma": 0.9}),
     "off-policy-monte-carlo-prediction": Case("two-doors", "off-policy-monte-carlo-prediction", episodes=20),
+    **{
+        name: Case("mountain-car", name, ALPHAS | {"features": "tile-coding(4, 4)"})
+        for name in rl.approx.CONTROL
+    },
+    **{
+        name: Case("random-walk", name, ALPHAS | {"features": "tile-coding(2, 3)"}, episodes=8)
+        for name in rl.approx.OF_STATES
+    },
     "one task for each run": Case(
         rl.make("garnet", own=True, states=6), "q-learning", ALPHAS | {"gamma": 0.9}
     ),

@@ -5,6 +5,7 @@
     semi_gradient   what the semi-gradient methods share
     control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
+    monte_carlo     gradient Monte Carlo
 
 To add a method: write its class, and add its line here. They are used wherever a method is:
 
@@ -29,6 +30,7 @@ from jaxrl_tab.approx.features import (
     RadialBasis,
     TileCoding,
 )
+from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.observed import Features, Rows
 from jaxrl_tab.approx.prediction import (
     SemiGradientNStepTD,
@@ -50,6 +52,7 @@ OF_STATES: dict[str, type] = {
     "semi-gradient-n-step-td": SemiGradientNStepTD,
     "semi-gradient-td-lambda": SemiGradientTDLambda,
     "semi-gradient-true-online-td-lambda": SemiGradientTrueOnlineTDLambda,
+    "gradient-monte-carlo": GradientMonteCarlo,
 }
 
 __all__ = [
@@ -59,6 +62,7 @@ __all__ = [
     "Aggregation",
     "Features",
     "Fourier",
+    "GradientMonteCarlo",
     "OneHot",
     "Polynomial",
     "RadialBasis",

@@ -12,7 +12,7 @@ from typing import Any, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
@@ -127,7 +127,28 @@ class SemiGradientControl(Linear, TDControl):
 
 @pytree
 class SemiGradientPrediction(Linear, Prediction):
-    """Prediction whose V is linear in features of the state: v(s) = x(s) . w      (book, section 9.4)."""
+    """Prediction whose V is linear in features of the state: v(s) = x(s) . w      (book, section 9.4).
+
+    Where states cannot be counted, nobody can say what a policy does in each: there all actions are equally likely.
+    """
+
+    def fitted_to(self, env: Environment) -> Self:
+        if not env.num_states and (
+            name := next((x for x in ("pi", "behaviour") if getattr(self, x, None)), "")
+        ):
+            problem = (
+                f"{name} cannot be given for each state, for those of {type(env).__name__} cannot be counted"
+            )
+            raise InputError(problem, who=type(self).__name__, field=name)
+        return super().fitted_to(env)
+
+    def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
+        state = super().init(num_states, num_actions, max_steps)
+        everywhere = jnp.full((1, num_actions), 1 / num_actions, state.acting.dtype)
+        return state if num_states else state._replace(acting=everywhere)
+
+    def policy(self, key: Key[Array, ""], state: ValueState, s: State) -> Int[Array, ""]:
+        return super().policy(key, state, s if jnp.ndim(s) == 0 else jnp.int32(0))
 
     def everywhere(self, state: ValueState, num_states: int) -> Float[Array, " S"]:
         return jax.vmap(self.row, (None, 0))(state, jnp.arange(num_states, dtype=jnp.int32))[:, 0]

@@ -15,6 +15,7 @@ from jaxrl_tab.core import tables
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Available, Task, Transition, fitted, init_learner
+from jaxrl_tab.engine.budget import Tables
 
 
 class CountedState(NamedTuple):
@@ -75,8 +76,8 @@ class Counted:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tables:
-    """Records Q and N of a `Counted` method. It is an object with a name, so that its program can be kept."""
+class TablesAndVisits(Tables):
+    """Records the table of a `Counted` method, and N."""
 
-    def __call__(self, state: CountedState) -> dict[str, Array]:
-        return {"table": state.q, "visits": state.visits}
+    def of(self, method: Any, learner: CountedState) -> dict[str, Array]:
+        return super().of(method, learner) | {"visits": learner.visits}

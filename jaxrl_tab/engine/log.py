@@ -4,6 +4,7 @@ import contextlib
 import re
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -14,7 +15,7 @@ from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError, reason, shown
 from jaxrl_tab.core.types import Environment, init_learner
 from jaxrl_tab.engine.axes import DRAW
-from jaxrl_tab.engine.budget import NO_RECORDER, Record
+from jaxrl_tab.engine.budget import NO_RECORDER, Record, Recorder, Tables
 
 _NAMES = {"q", "diverged", "optimum", "environment", "method", DRAW, "seed", "row", "state", "action"}
 LATER = frozenset({"policy_value"})  # fields that earlier versions did not record: files of theirs lack them
@@ -63,8 +64,10 @@ class Log(NamedTuple):
         return cls(**{name: x for name, x in named.items() if name in cls._fields}, recorded=own or None)
 
 
-def record_of(record: Record | None, algorithm: Any) -> Record | None:
+def record_of(record: Recorder | None, algorithm: Any) -> Record | None:
     """What is recorded of a run: what the method declares, and what `record` says; None where that is nothing."""
+    if isinstance(record, Tables):
+        record = partial(record.of, algorithm)
     if not (names := of_method(algorithm).records):
         return record
 
@@ -98,7 +101,7 @@ def recorded(record: Record, algorithm: Any, learner: Any) -> dict[str, Array]:
 
 
 def recorded_shapes(
-    record: Record | None, algorithm: Any, env: Environment
+    record: Recorder | None, algorithm: Any, env: Environment
 ) -> dict[str, jax.ShapeDtypeStruct]:
     """The shapes of what `record` says of a learner; nothing is computed. Raises InputError as `recorded`."""
     if (whole := record_of(record, algorithm)) is None:

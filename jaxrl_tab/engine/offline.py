@@ -34,6 +34,7 @@ from jaxrl_tab.core.types import (
     Task,
     Transition,
     check_available,
+    check_counted,
     fitted,
     init_learner,
     restricted,
@@ -220,6 +221,7 @@ def collect(
     """
     method = _method(behaviour)
     check_pytree("env", env, ENVS)
+    check_counted("collect", env)
     method = fitted(method, env)
     logged = _Logged(method, init_learner(method, env))
     _, log = train(key, logged, env, num_steps=num_steps, log_every=1, record=_transition)

@@ -247,7 +247,7 @@ def traced_program(budget: Budget, signature: Signature) -> Any:
         end, log = unchecked(key, algorithm, env, full, budget)
         method, _, goes_on = split(algorithm)
         learner = end.learner if goes_on else end
-        table = table_of(fitted(method, env), env, learner)
+        table = table_of(fitted(method, env), env.num_states, learner)
         return ((table, log, end), None) if goes_on else ((table, log), learner)
 
     return jax.jit(one).trace(*signature.arguments)

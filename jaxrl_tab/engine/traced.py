@@ -60,7 +60,7 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Any, ...], An
     method, _, goes_on = split(algorithm)
     algorithm = fitted(method, env)
     learner = init_learner(algorithm, env)
-    q = table_of(algorithm, env, learner)  # some methods work it out
+    q = table_of(algorithm, env.num_states, learner)  # some methods work it out
     others = [x for x in jax.tree.leaves(learner) if x is not q]
     measured, waiting = {}, None
     if budget.exact:
@@ -196,7 +196,7 @@ def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[
     @planning.in_turn
     def measure(learner: Any) -> dict[str, Any]:
         policies = [jax.vmap(acting.probs, (None, 0))(learner, states)] if "policy_value" in fields else []
-        greedy_value, q_error, *values = of_table(table_of(acting, env, learner), *policies)
+        greedy_value, q_error, *values = of_table(table_of(acting, env.num_states, learner), *policies)
         found = {"greedy_value": greedy_value, "q_error": q_error} | dict(
             zip(fields[-1:], values, strict=False)
         )

@@ -22,7 +22,7 @@ from jaxrl_tab.core.types import (
     fitted,
 )
 from jaxrl_tab.engine import by_lanes, within
-from jaxrl_tab.engine.budget import Budget, Record
+from jaxrl_tab.engine.budget import Budget, Recorder
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.traced import in_full, unchecked
 from jaxrl_tab.envs import ENVS, PREFIX
@@ -42,7 +42,7 @@ def train(
     num_episodes: int | None = None,
     log_every: int | None = None,
     exact: bool = False,
-    record: Record | None = None,
+    record: Recorder | None = None,
     exact_every: int | None = None,
 ) -> tuple[L, Log]:
     """Runs `algorithm` in `env` and returns what it learned and what happened.
