@@ -17,7 +17,7 @@ from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.runs import Runs
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, make
 from jaxrl_tab.lanes import machine
 from jaxrl_tab.lanes.code import Unsupported
 from jaxrl_tab.methods import METHODS
@@ -41,12 +41,13 @@ def pairs(env: str) -> Iterator[tuple[str, str]]:
     """(method, budget): Sarsa and some of the others, in the next environment the next ones; in one all.
 
     So that each is in two environments besides that one, whatever their number: in one by steps, in the other by
-    episodes. Where states cannot be counted it is those that have features. Methods of the average reward are in `GOES_ON` alone, and those that need a horizon in `HAS_HORIZON`.
+    episodes. Where states cannot be counted it is those that have features. Methods of the average reward are in
+    `GOES_ON` alone, and those that need a horizon in `HAS_HORIZON`.
     """
     every = max(1, len(ENVS) // 2)
     for k, method in enumerate(METHODS, list(ENVS).index(env)):
         declared = of_method(METHODS[method])
-        if not ENVS[env].num_states:
+        if not make(env).num_states:
             if declared.features is not None:
                 yield method, list(BUDGETS)[k % 2]
         elif declared.in_the_long_run or declared.needs_horizon:

@@ -15,8 +15,8 @@ from jaxrl_tab.core.checks import concrete
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment, fitted, init_learner, table_of
 from jaxrl_tab.engine import loop
-from jaxrl_tab.engine.budget import Budget, Record
-from jaxrl_tab.engine.log import Log, record_of, recorded
+from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.log import Log, Recording, record_of, recorded
 from jaxrl_tab.engine.loop import Measure
 from jaxrl_tab.engine.onward import split
 from jaxrl_tab.exact import planning
@@ -121,7 +121,7 @@ class _Measured(NamedTuple):
     """
 
     exact: bool
-    record: Record | None
+    record: Recording | None
     every: int = 1
 
 
@@ -147,14 +147,15 @@ def _make_measure(what: _Measured, algorithm: Algorithm, env: Environment, full:
             acting = fitted(algorithm, env)
             measures.append(_exact_measurer(exact_algorithm, exact_env, acting))
         if record is not None:
-            of_learner = partial(recorded, record, algorithm)
+            of_learner = partial(recorded, record, fitted(algorithm, env))
             measures.append(lambda learner: {"recorded": of_learner(learner)})
         return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
 
-    like = jax.eval_shape(lambda: init_learner(fitted(algorithm, env), env))
-    if record is not None and _is_free(what, algorithm, like):
-        return Measure(lambda learner: {"recorded": recorded(record, algorithm, learner)}, most=1)
-    at_once = rows_at_once(what, algorithm, like)
+    fit = fitted(algorithm, env)
+    like = jax.eval_shape(lambda: init_learner(fit, env))
+    if record is not None and _is_free(what, fit, like):
+        return Measure(lambda learner: {"recorded": recorded(record, fit, learner)}, most=1)
+    at_once = rows_at_once(what, fit, like)
     return Measure(prepared(make, algorithm, env, full, like=like), at_once, what.every)
 
 
