@@ -1,7 +1,8 @@
 """Beyond the table: values that are functions of features of a state (book, chapters 9 to 12).
 
     observed        what all features have in common: their range, and how they become those of a task
-    features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis
+    features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis,
+                    or several of them together
     semi_gradient   what the semi-gradient methods share
     control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
@@ -24,6 +25,7 @@ from jaxrl_tab.approx.control import (
 from jaxrl_tab.approx.features import (
     FEATURES,
     Aggregation,
+    Concatenate,
     Fourier,
     OneHot,
     Polynomial,
@@ -60,6 +62,7 @@ __all__ = [
     "FEATURES",
     "OF_STATES",
     "Aggregation",
+    "Concatenate",
     "Features",
     "Fourier",
     "GradientMonteCarlo",
