@@ -392,6 +392,8 @@ def _place(name: str, modules: Mapping[str, types.ModuleType]) -> tuple[str, boo
         return name, True
     if isinstance(thing, type) and thing in PAGE_OF:
         return PAGE_OF[thing], True
+    if thing is rl.ALGORITHMS or thing is rl.PREDICTION:
+        return "methods/index.md", True
     for other, module in modules.items():
         if name in public_names(module) and getattr(module, name) is thing:
             return other, True

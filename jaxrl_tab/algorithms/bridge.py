@@ -178,12 +178,16 @@ def expected_backup(
 
     Raises:
         InputError: `values` has the wrong shape; `env` can only be sampled; the method remembers more from
-            step to step than tables, so that it learns from more than one transition; or it draws in another
-            way.
+            step to step than tables, so that it learns from more than one transition; its values are a function of
+            features; or it draws in another way.
     """
     if not isinstance(method, TDControl | Prediction):
         raise InputError(
             f"method must be an instance of a one-step method such as Sarsa(), not {shown(method)}"
+        )
+    if of_method(method).features is not None:
+        raise InputError(
+            "its values are a function of features, and this is for tables", who=type(method).__name__
         )
     model = planning.exact_model(env)
     learns = of_method(method).learns
