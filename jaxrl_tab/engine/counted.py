@@ -65,6 +65,9 @@ class Counted:
         learner = init_learner(self.method, Task(num_states, num_actions, max_steps))
         return CountedState(learner, jnp.zeros((num_states, num_actions), jnp.int32))
 
+    def row(self, state: CountedState, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return self.method.row(state.learner, s)
+
     def policy(self, key: Key[Array, ""], state: CountedState, s: Int[Array, ""]) -> Int[Array, ""]:
         return self.method.policy(key, state.learner, s)
 
