@@ -35,7 +35,7 @@ from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
-from jaxrl_tab.core.declared import Learns, LearnsFrom
+from jaxrl_tab.core.declared import Learns, LearnsFrom, of_environment
 from jaxrl_tab.core.errors import InputError, unfit
 from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
@@ -89,7 +89,7 @@ class Prediction(Shown):
     pi: Any = field(
         default=None,
         help="The policy whose values are learned: probabilities float [S, A], or a policies.Table of them; "
-        "None: all actions are equally likely.",
+        "None: that of which the task says that it is asked about; else all actions are equally likely.",
     )
     alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
     gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
@@ -111,6 +111,12 @@ class Prediction(Shown):
         names = {field.name for field in dataclasses.fields(self.method)}
         shared = {name: getattr(self, name) for name in names - {"behaviour"} if hasattr(self, name)}
         return self.method(q0=self.v0, **shared, **policies)
+
+    def fitted_to(self, env: Environment) -> Self:
+        """The method with the policies of which the task says that they act and are asked about, where it has none."""
+        stated = {"pi": of_environment(env).target_policy, "behaviour": of_environment(env).behaviour_policy}
+        new = {name: x for name, x in stated.items() if x is not None and getattr(self, name, x) is None}
+        return dataclasses.replace(self, **new) if new else self
 
     def restricted_to(self, available: Available, **more: Any) -> Self:
         """The method where states have these actions only, as `TDControl.restricted_to`."""
@@ -140,13 +146,17 @@ class Prediction(Shown):
     def probabilities(self, env: Environment) -> Float[np.ndarray, "S A"]:
         """pi, float64 [S, A]; of a method that is `restricted_to` what the environment has."""
         with jax.enable_x64():
-            return np.asarray(_probabilities(self.pi, env.num_states, env.num_actions))
+            return np.asarray(self.policies(env)[0])
+
+    def policies(self, env: Environment) -> tuple[Float[Array, "S A"], Float[Array, "S A"] | None]:
+        """pi, and the policy that acts, None where that is pi; of a method that is `restricted_to` what there is."""
+        return _probabilities(self.pi, env.num_states, env.num_actions), None
 
     def measurer(self, env: Environment):
         """What `train(exact=True)` records: the root of the mean squared error of V, from the state."""
         planning.check_finite(env)
         with planning.doubled():
-            pi = _probabilities(self.pi, env.num_states, env.num_actions)
+            pi, _ = self.policies(env)
         measure = planning.value_measurer(env, pi, self.gamma)
         return lambda state: {"v_error": measure(self.everywhere(state, env.num_states))}
 
@@ -268,8 +278,8 @@ class OffPolicyPrediction(Prediction):
 
     behaviour: Any = field(
         default=None,
-        help="b, the policy that acts, as `pi` is given; b(a | s) > 0 wherever pi(a | s) > 0. None: all actions "
-        "are equally likely.",
+        help="b, the policy that acts, as `pi` is given; b(a | s) > 0 wherever pi(a | s) > 0. None: that of which the "
+        "task says that it acts; else all actions are equally likely.",
     )
 
     def __post_init__(self):
@@ -281,6 +291,9 @@ class OffPolicyPrediction(Prediction):
 
     def restricted_to(self, available: Available, **more: Any) -> Self:
         return super().restricted_to(available, behaviour=_among(self.behaviour, available), **more)
+
+    def policies(self, env: Environment) -> tuple[Float[Array, "S A"], Float[Array, "S A"] | None]:
+        return super().policies(env)[0], _probabilities(self.behaviour, env.num_states, env.num_actions)
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
         state = super().init(num_states, num_actions, max_steps)

@@ -4,9 +4,13 @@
     features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis,
                     or several of them together
     semi_gradient   what the semi-gradient methods share
-    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
+    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda),
+                    differential Sarsa
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
     monte_carlo     gradient Monte Carlo
+    off_policy      TD(0) with importance sampling, GTD2, TDC, emphatic TD
+    least_squares   LSTD
+    weights         weights that are given at the start
 
 To add a method: write its class, and add its line here. They are used wherever a method is:
 
@@ -15,6 +19,7 @@ To add a method: write its class, and add its line here. They are used wherever 
 """
 
 from jaxrl_tab.approx.control import (
+    DifferentialSemiGradientSarsa,
     SemiGradientExpectedSarsa,
     SemiGradientNStepSarsa,
     SemiGradientQLearning,
@@ -28,12 +33,16 @@ from jaxrl_tab.approx.features import (
     Concatenate,
     Fourier,
     OneHot,
+    Own,
     Polynomial,
     RadialBasis,
     TileCoding,
+    matrix,
 )
+from jaxrl_tab.approx.least_squares import LSTD
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.observed import Features, Rows
+from jaxrl_tab.approx.off_policy import GTD2, TDC, EmphaticTD, SemiGradientOffPolicyTD
 from jaxrl_tab.approx.prediction import (
     SemiGradientNStepTD,
     SemiGradientTD,
@@ -60,19 +69,26 @@ OF_STATES: dict[str, type] = {
 __all__ = [
     "CONTROL",
     "FEATURES",
+    "GTD2",
+    "LSTD",
     "OF_STATES",
+    "TDC",
     "Aggregation",
     "Concatenate",
+    "DifferentialSemiGradientSarsa",
+    "EmphaticTD",
     "Features",
     "Fourier",
     "GradientMonteCarlo",
     "OneHot",
+    "Own",
     "Polynomial",
     "RadialBasis",
     "Rows",
     "SemiGradientExpectedSarsa",
     "SemiGradientNStepSarsa",
     "SemiGradientNStepTD",
+    "SemiGradientOffPolicyTD",
     "SemiGradientQLearning",
     "SemiGradientSarsa",
     "SemiGradientSarsaLambda",
@@ -81,4 +97,5 @@ __all__ = [
     "SemiGradientTrueOnlineSarsaLambda",
     "SemiGradientTrueOnlineTDLambda",
     "TileCoding",
+    "matrix",
 ]

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.approx.observed import MOST, Features, Ranged, Rows, check_tuple
 from jaxrl_tab.core.checks import assign, is_list
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError, nearest, reason, shown, unfit
 from jaxrl_tab.core.linear import Active, X, in_full
 from jaxrl_tab.core.optax import read_call
@@ -52,6 +53,21 @@ class OneHot(Features):
     @property
     def nowhere(self) -> X:
         return jnp.int32(0)
+
+
+@checked_dataclass
+class Own(Features):
+    """The features that the task itself states, such as those of a counterexample."""
+
+    name = "own"
+
+    needs_range = False
+
+    def fitted(self, env: Any) -> Features:
+        if (given := of_environment(env).features) is None:
+            problem = f"{type(env).__name__} has no features of its own: take others, such as tile-coding"
+            raise InputError(problem, who=type(self).__name__)
+        return Rows(given, None, self).fitted(env)
 
 
 @checked_dataclass
@@ -290,7 +306,7 @@ def _not_too_many(features: Concatenate) -> Concatenate:
 
 
 FEATURES: dict[str, type[Features]] = {
-    cls.name: cls for cls in (OneHot, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
+    cls.name: cls for cls in (OneHot, Own, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
 }
 PLUS = re.compile(r"\+(?![^()]*\))")  # between features; within parentheses it belongs to a number
 
@@ -327,3 +343,17 @@ def _read_one(written: str) -> Features:
     except TypeError as error:
         takes = ", ".join(inspect.signature(FEATURES[name]).parameters)
         raise InputError(f"{shown(written)}: {reason(error)}; {name} takes {takes}") from None
+
+
+def matrix(written: Any, env: Any) -> Float[np.ndarray, "S n"]:
+    """All features of all states of a task, float64 [S, n]: `matrix("aggregation(10)", env)`; see `read`.
+
+    Raises:
+        InputError: they are not features of that task, or its states cannot be counted.
+    """
+    if not env.num_states:
+        raise InputError(
+            f"the states of {type(env).__name__} cannot be counted, so there is no list of their features"
+        )
+    features: Any = read(written).fitted(env)
+    return np.eye(env.num_states) if isinstance(features, OneHot) else features.matrix

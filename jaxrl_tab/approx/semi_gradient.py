@@ -7,7 +7,8 @@ x(S), and takes the target as given, though it depends on the weights, too. Henc
 """
 
 import dataclasses
-from typing import Any, Self
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,8 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
-from jaxrl_tab.approx.features import OneHot, read
+from jaxrl_tab.approx import weights
+from jaxrl_tab.approx.features import OneHot, matrix, read
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import goes_by_visit
@@ -26,7 +28,9 @@ from jaxrl_tab.core.linear import X
 from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import EpsilonGreedy
 from jaxrl_tab.core.pytree import pytree, static
-from jaxrl_tab.core.types import Available, Environment, State, Transition
+from jaxrl_tab.core.types import Available, Environment, State, Transition, fitted
+from jaxrl_tab.exact import planning
+from jaxrl_tab.exact.projected import LinearValues
 
 OF_FEATURES = (
     "The features of a state of which values are a linear function, such as tile-coding(8, tiles=8): see "
@@ -36,6 +40,14 @@ PER_TILING = (
     "Whether alpha is divided by the number of features that are 1 at once, so that it is the part of an error that an "
     "update takes away, as on the axes of figures 10.3 and 10.4."
 )
+W0 = (
+    "Weights at the start, instead of a first value of every state: a number for all; or one for each feature, or for "
+    "each feature and action, as text such as 1,1,10 or 1,2;3,4;5,6; in Python also an array [n] or [n, A]."
+)
+
+
+Weights: TypeAlias = str | float | Sequence[Any] | np.ndarray | Array
+"""Weights at the start, as they are given. They are kept as text, which is empty where none are given."""
 
 
 @pytree
@@ -44,6 +56,7 @@ class Linear(Shown):
 
     features: Any = static(default="one-hot", help=OF_FEATURES)
     per_tiling: bool = static(default=False, help=PER_TILING)
+    w0: Weights = static(default="", help=W0)
 
     def __post_init__(self):
         try:
@@ -53,6 +66,11 @@ class Linear(Shown):
         if self.per_tiling and self.features.active is None:
             problem = f"features {self.features} are not 1 or 0, so alpha cannot be divided by how many are 1"
             raise InputError(problem, who=type(self).__name__, field="per_tiling")
+        if not isinstance(self.w0, str) or self.w0:
+            assign(self, w0=weights.as_text(type(self).__name__, self.w0))
+            name, first = self._first_value
+            if first is not None and np.any(first != 0):
+                raise InputError(f"give {name} or w0, not both", who=type(self).__name__, field="w0")
         super().__post_init__()  # pyright: ignore[reportAttributeAccessIssue]
 
     def fitted_to(self, env: Environment) -> Self:
@@ -62,14 +80,23 @@ class Linear(Shown):
             InputError: they cannot be; or what the method needs a table for.
         """
         own: Any = self
-        features = own.features.fitted(env)
-        initial = concrete(own.v0 if hasattr(own, "v0") else own.q0)
-        if features.unit is None and initial is not None and np.any(initial != 0):
+        features, who = own.features.fitted(env), type(self).__name__
+        name, first = self._first_value
+        if features.unit is None and first is not None and np.any(first != 0):
             problem = (
-                f"no weights of the features {features} give every state the value {initial}: leave it at 0"
+                f"no weights of the features {features} give every state the value {first}: leave it at 0"
             )
-            raise InputError(problem, who=type(self).__name__, field="v0" if hasattr(own, "v0") else "q0")
+            raise InputError(problem, who=who, field=name)
+        if self.w0:
+            size = env.num_states if isinstance(features, OneHot) else features.size
+            weights.weights(cast(str, self.w0), size, 1 if name == "v0" else env.num_actions, who)
         return dataclasses.replace(own, features=features)
+
+    @property
+    def _first_value(self) -> tuple[str, Any]:
+        """The field with the first value of every state, and what is in it; None where that is traced."""
+        name = "v0" if hasattr(self, "v0") else "q0"
+        return name, concrete(getattr(self, name))
 
 
 @pytree
@@ -102,6 +129,11 @@ class SemiGradientControl(Linear, TDControl):
 
     def initial(self, num_states: int, num_actions: int) -> Float[Array, "n A"]:
         features = self.features
+        if self.w0:
+            size = num_states if isinstance(features, OneHot) else features.size
+            return jnp.asarray(
+                weights.weights(cast(str, self.w0), size, num_actions, type(self).__name__), float
+            )
         if isinstance(features, OneHot):
             return super().initial(num_states, num_actions)
         unit = np.zeros(features.size) if features.unit is None else features.unit
@@ -133,6 +165,8 @@ class SemiGradientPrediction(Linear, Prediction):
     Where states cannot be counted, nobody can say what a policy does in each: there all actions are equally likely.
     """
 
+    measures: ClassVar[tuple[str, ...]] = ("v_error", "value_error", "projected_bellman_error")
+
     def fitted_to(self, env: Environment) -> Self:
         if not env.num_states and (
             name := next((x for x in ("pi", "behaviour") if getattr(self, x, None)), "")
@@ -141,7 +175,8 @@ class SemiGradientPrediction(Linear, Prediction):
                 f"{name} cannot be given for each state, for those of {type(env).__name__} cannot be counted"
             )
             raise InputError(problem, who=type(self).__name__, field=name)
-        return super().fitted_to(env)
+        fitted: Any = super().fitted_to(env)
+        return cast(Self, Prediction.fitted_to(fitted, env))
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
         state = super().init(num_states, num_actions, max_steps)
@@ -150,6 +185,29 @@ class SemiGradientPrediction(Linear, Prediction):
 
     def policy(self, key: Key[Array, ""], state: ValueState, s: State) -> Int[Array, ""]:
         return super().policy(key, state, s if jnp.ndim(s) == 0 else jnp.int32(0))
+
+    def linear_values(self, env: Environment) -> LinearValues:
+        """What is exact about the values that it learns: the best weights, the TD fixed point, errors of any weights.
+
+        Raises:
+            InputError: as `planning.linear_values`; or `env` changes while a run goes on.
+        """
+        planning.check_lasting(env)
+        own = fitted(self, env)
+        with jax.enable_x64():
+            b = own.policies(env)[1]
+        pi, features = own.probabilities(env), matrix(own.features, env)
+        return planning.linear_values(env, pi, features, float(own.gamma), behaviour=b)
+
+    def measurer(self, env: Environment):
+        """What `train(exact=True)` records: the errors that are `measures`, from the state."""
+        planning.check_finite(env)
+        with planning.doubled():
+            pi, b = self.policies(env)
+        features = None if isinstance(self.features, OneHot) else matrix(self.features, env)
+        measure = planning.linear_value_measurer(env, pi, self.gamma, features, b)
+        errors = lambda state: measure(self.everywhere(state, env.num_states))
+        return lambda state: dict(zip(self.measures, errors(state), strict=True))
 
     def everywhere(self, state: ValueState, num_states: int) -> Float[Array, " S"]:
         return jax.vmap(self.row, (None, 0))(state, jnp.arange(num_states, dtype=jnp.int32))[:, 0]

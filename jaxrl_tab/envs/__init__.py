@@ -11,6 +11,7 @@ from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.errors import nearest, shown
 from jaxrl_tab.envs.access_control import AccessControl
+from jaxrl_tab.envs.baird import Baird
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
 from jaxrl_tab.envs.chain import Chain
@@ -26,6 +27,7 @@ from jaxrl_tab.envs.garnet import Garnet
 from jaxrl_tab.envs.infinite_variance import InfiniteVariance
 from jaxrl_tab.envs.jacks_car_rental import JacksCarRental
 from jaxrl_tab.envs.k_armed_testbed import KArmedTestbed
+from jaxrl_tab.envs.long_walk import LongWalk
 from jaxrl_tab.envs.maximization_bias import MaximizationBias
 from jaxrl_tab.envs.maze import FrozenLake, Maze
 from jaxrl_tab.envs.mountain_car import MountainCar
@@ -34,8 +36,10 @@ from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.recycling_robot import RecyclingRobot
 from jaxrl_tab.envs.river_swim import RiverSwim
 from jaxrl_tab.envs.short_corridor import ShortCorridor
+from jaxrl_tab.envs.square_wave import SquareWave
 from jaxrl_tab.envs.taxi import Taxi
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
+from jaxrl_tab.envs.tsitsiklis_van_roy import TsitsiklisVanRoy
 from jaxrl_tab.envs.two_doors import TwoDoors
 from jaxrl_tab.envs.two_loops import TwoLoops
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
@@ -55,6 +59,8 @@ ENVS: dict[str, type] = {
     "trace-gridworld": TraceGridworld,
     "access-control": AccessControl,
     "two-loops": TwoLoops,
+    "baird": Baird,
+    "tsitsiklis-van-roy": TsitsiklisVanRoy,
     "chain": Chain,
     "river-swim": RiverSwim,
     "deep-sea": DeepSea,
@@ -129,6 +135,7 @@ __all__ = [
     "ENVIRONMENT",
     "ENVS",
     "AccessControl",
+    "Baird",
     "Blackjack",
     "BlockingMaze",
     "Chain",
@@ -147,6 +154,7 @@ __all__ = [
     "InfiniteVariance",
     "JacksCarRental",
     "KArmedTestbed",
+    "LongWalk",
     "MaximizationBias",
     "Maze",
     "MountainCar",
@@ -156,8 +164,10 @@ __all__ = [
     "RiverSwim",
     "ShortCorridor",
     "ShortcutMaze",
+    "SquareWave",
     "Taxi",
     "TraceGridworld",
+    "TsitsiklisVanRoy",
     "TwoDoors",
     "TwoLoops",
     "WindyGridworld",

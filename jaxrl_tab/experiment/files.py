@@ -84,7 +84,7 @@ class Outcome:
         from jaxrl_tab.show import report
 
         about = {"made by": repr(self), "versions": provenance.installed()}
-        seen = {"explained": self.explained_in_report, "verdicts": self.verdicts}
+        seen = {"explained": self.explained_in_report, "verdicts": self.verdicts, "tried": self.tried}
         return report.page(self.methods, about, self.fresh_methods, **seen)
 
     def explain(self) -> "Explanation":
@@ -285,7 +285,7 @@ def write_files(
             files.append(_write_table(folder / VERDICT, outcome.verdict))
         about_all = _about(store, records, history)
         explained, fresh = outcome.explained_in_report, outcome.fresh_methods
-        more = again, toml, explained, outcome.verdicts
+        more = again, toml, explained, outcome.verdicts, outcome.tried
         report.write_methods(scratch, outcome.methods, about_all, fresh, *more)
         pictures.finish()
     for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
@@ -300,11 +300,16 @@ def write_files(
 
 def _drawings(outcome: Outcome, folder: Path, formats: Sequence[Format]) -> list[painter.Drawing]:
     """The pictures of each environment; where there are several, each has a folder of its own."""
+    from jaxrl_tab.show.searched import ways
+
     names = disk.file_names(outcome.envs)
     several = len(outcome.envs) > 1
     place = {label: folder / storage.PICTURES / names[label] if several else folder for label in outcome.envs}
+    first = next(iter(outcome.methods))  # in which settings were searched, if they were
     return [
-        painter.Drawing(methods, outcome.envs[label], place[label], formats)
+        painter.Drawing(
+            methods, outcome.envs[label], place[label], formats, ways(outcome.tried) if label == first else ()
+        )
         for label, methods in outcome.methods.items()
     ]
 
