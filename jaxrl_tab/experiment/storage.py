@@ -292,9 +292,9 @@ class Store:
         if len(self.shards) - len(self._listed) > len(self._listed) // 4:
             self.write_manifest()
 
-    def read(self, number: int) -> dict[str, np.ndarray]:
-        """The arrays of a shard that is there."""
-        return self._of_arrays(number)
+    def read(self, number: int, but: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+        """The arrays of a shard that is there, but for those whose names begin so."""
+        return self._of_arrays(number, _array, but)
 
     def shapes(self, number: int) -> "Shapes":
         """(shape, dtype) of each array of a shard that is there, by its name."""
@@ -306,7 +306,7 @@ class Store:
         return self._kinds.setdefault(tuple(shapes.items()), shapes)
 
     def _of_arrays(self, number: int, *of: Any) -> dict[str, Any]:
-        """What `_load` gives of each array of a shard that is there."""
+        """What `_load` gives of a shard that is there."""
         file = self.path / SHARDS / _name(number)
         with as_run_error(file, "read"):
             found = _load(file, *of)
@@ -556,10 +556,10 @@ def _save(file: Path, arrays: Mapping[str, np.ndarray]) -> str:
         return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
-def _load(file: Path, of: Any = None) -> dict[str, Any] | None:
-    """All arrays in a shard, or what `of` reads of each; None where it is damaged.
+def _load(file: Path, of: Any = None, but: tuple[str, ...] = ()) -> dict[str, Any] | None:
+    """The arrays in a shard, or what `of` reads of each; None where it is damaged.
 
-    The checksums in the file are looked at, too.
+    The checksums in the file are looked at, too. Arrays whose names begin as one of `but` are left out.
     """
     with file.open("rb") as opened:
         try:
@@ -570,6 +570,8 @@ def _load(file: Path, of: Any = None) -> dict[str, Any] | None:
                     return None  # we pack nothing, and what is packed could unpack to any size
                 arrays = {}
                 for member in members:
+                    if member.filename.startswith(but):
+                        continue
                     with whole.open(member) as array:
                         arrays[member.filename.removesuffix(".npy")] = (of or _array)(array)
                 return arrays
