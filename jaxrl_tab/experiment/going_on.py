@@ -21,6 +21,7 @@ from jaxrl_tab.engine.batch import Seconds
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.part import Part
 from jaxrl_tab.experiment import growth, shards, storage
+from jaxrl_tab.experiment.computing import missing
 from jaxrl_tab.experiment.records import Origin
 from jaxrl_tab.experiment.shards import (
     BEGUN,
@@ -174,6 +175,8 @@ class Longer(NamedTuple):
 
 def longer(store: Store, job: Job, origin: Origin) -> Job | Longer:
     """The shards of an experiment, whose runs go on where the folder has how they begin, and where that ended."""
+    if not _lengths(*_key(job)) or not missing(store, job):
+        return job
     unfit = _unfit(store, job, origin)
     checksums = {number: store.shards[number].sha256 for number, reason in unfit.items() if reason is None}
     return Longer(job, str(store.path.resolve()), checksums) if checksums else job

@@ -121,8 +121,9 @@ def resume(
     An experiment can also grow: have more seeds, values of hyperparameters, methods, or environments. What is there
     stays, and only the runs that are new are computed; then settings are chosen anew, and tables, pictures and
     report are made anew. All is, to the last bit, what the larger experiment gives that is run at once. Where it is
-    interrupted, `resume` goes on with it. Longer runs, `steps` or `episodes`, are computed from their beginning, for
-    no folder has the state in which a run ended.
+    interrupted, `resume` goes on with it. Longer runs, `steps` or `episodes`, go on from where they ended, where the
+    folder has that, and rows are as in the longer runs; else they are computed from their beginning: a warning says
+    how many, and why.
 
     What is damaged is named in a warning, by a logger below `jaxrl_tab`, and set aside. The settings of JAX that
     change numbers are as in `run` while it computes, and afterwards what they were.

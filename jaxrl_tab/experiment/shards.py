@@ -26,7 +26,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 SHARD_STEPS = 2**27  # of all runs in a shard together, about: a few seconds on two cores
 SHARD_BYTES = 2**26  # of the results in a shard, at most, unless one block of lanes gives more
-KEPT_BYTES = 2**26  # of where runs are in the end, in a program of a part; or as many as their results have
+# Where the runs of a program are in the end is kept where it takes no more than so many bytes, or no more than so many
+# times what their results take.
+KEPT_BYTES, KEPT_TIMES = 2**24, 4
 EPISODE_STEPS = 100  # the assumed length of an episode, where episodes are the budget
 FRESH = "fresh seeds/"  # before the name of a part that runs a chosen setting again
 END = "end."  # before the number of an array that says where runs are in the end
@@ -177,13 +179,10 @@ def shapes_of(part: Part, program: int, runs: int) -> dict[str, tuple[Any, Any]]
 
 
 def is_kept(part: Part, program: int) -> bool:
-    """Whether shards keep where the runs of a program of a part are in the end, so that longer runs can go on there.
-
-    Not where it takes more than the results, and more than `KEPT_BYTES`.
-    """
+    """Whether shards keep where the runs of a program of a part are in the end, so that longer runs can go on there."""
     one = part.onward[program]
     table, log, end = one.needs[0].results
-    enough = max(KEPT_BYTES, memory.size((table, log)) * one.runs)
+    enough = max(KEPT_BYTES, KEPT_TIMES * memory.size((table, log)) * one.runs)
     return part.goes_on or memory.size(end) * one.runs <= enough
 
 
