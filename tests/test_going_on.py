@@ -199,13 +199,13 @@ def test_what_takes_much_room_is_not_kept():
 @pytest.mark.parametrize(
     "given",
     [
-        {"method": ["sarsa-lambda", {"name": "n-step-sarsa", "n": [2, 5]}, "dyna-q", "monte-carlo"]},
-        {"method": "sarsa", "backend": "xla"},
+        {"method": [{"name": "n-step-sarsa", "n": [2, 5]}, "dyna-q", "monte-carlo"]},
+        {"method": "sarsa-lambda", "backend": "xla"},
         {"method": "td-lambda", "environment": "random-walk", "steps": None, "episodes": LENGTH},
     ],
 )
 def test_so_do_methods_of_all_kinds(tmp_path, given):
-    """With traces, a queue, a model, an episode that is remembered; by either backend, and of prediction."""
+    """With a queue, a model, an episode that is remembered, traces; by either backend, and of prediction."""
     unit = "episodes" if "episodes" in given else "steps"
     now = experiment(**{"select": None, "seeds": 3} | given)
     longer = rl.Experiment.from_data(now.data() | {unit: LONGER})
