@@ -18,7 +18,7 @@ from marks import slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab.core.errors import InputError, RunError
-from jaxrl_tab.experiment import runner, storage
+from jaxrl_tab.experiment import disk, runner, storage
 
 TRIALS = 40
 VALUES = (None, True, [], {}, [1, 2], "x", -1, 10**400, 1e308, {"a": 1}, [[]] * 9, "../../outside.txt")
@@ -146,7 +146,7 @@ def try_one(seed, made, scratch):
     outside = path.parent.parent / "outside.txt"
     outside.write_text("outside")
     OUTSIDE[:] = [outside]
-    files = sorted(file for file in path.rglob("*") if file.is_file() and file.name != storage.LOCK)
+    files = sorted(file for file in path.rglob("*") if file.is_file() and file.name != disk.LOCK)
     damage = DAMAGES[seed % len(DAMAGES)]
     file = files[3 * (seed + seed // len(DAMAGES)) % len(files)]  # in the end each with each damage
     damage(rng, file)

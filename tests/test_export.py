@@ -1,8 +1,10 @@
 """Results as tables: every number is in its row, and comes back from the files."""
 
 import importlib.util
+import pickle
 import sys
 
+import h5netcdf
 import numpy as np
 import pandas as pd
 import pytest
@@ -105,6 +107,33 @@ def test_a_file_of_a_sweep_is_read_by_names(two, tmp_path):
     loaded = export.load(file)
     assert list(loaded) == list(two)
     pd.testing.assert_frame_equal(export.to_pandas(loaded, "seed"), export.to_pandas(two, "seed"))
+
+
+def test_many_datasets_are_written_and_read_with_one_look_at_the_file(two, tmp_path, monkeypatch):
+    """Hundreds of groups took minutes. Broken once: opened for each group, names that are searched -> fails."""
+    opened, searched = [], []
+    start, search = h5netcdf.File.__init__, h5netcdf.Variable._lookup_dimensions
+
+    def count(self, *args, **kwargs):
+        opened.append(args)
+        start(self, *args, **kwargs)
+
+    monkeypatch.setattr(h5netcdf.File, "__init__", count)
+    many = {f"{name}-{i}": ds for i in range(3) for name, ds in two.items()}
+    file = export.save(many, tmp_path / "many.nc")
+    assert len(opened) == 2  # to make it, and to fill it
+    monkeypatch.setattr(
+        h5netcdf.Variable, "_lookup_dimensions", lambda self: searched.append(self.name) or search(self)
+    )
+    loaded = export.load(file)
+    assert len(opened) == 3 and not [
+        x for x in searched if x.rpartition("/")[2] in two["windy/sarsa"].data_vars
+    ]
+    with xr.open_datatree(file, engine="h5netcdf") as tree:
+        for name, ds in many.items():
+            xr.testing.assert_identical(loaded[name], tree[name].to_dataset())
+            xr.testing.assert_identical(loaded[name], ds)
+    assert pickle.loads(pickle.dumps(loaded)).keys() == many.keys()
 
 
 def test_what_is_wrong_is_said_in_a_line(two, tmp_path, monkeypatch):

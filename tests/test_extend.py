@@ -19,7 +19,7 @@ import jaxrl_tab as rl
 from jaxrl_tab import cli, plot, report
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_xla, programs
-from jaxrl_tab.experiment import found, growth, runner, shards, storage
+from jaxrl_tab.experiment import disk, found, growth, runner, shards, storage
 
 SARSA = {"name": "sarsa", "alpha": [0.5, 0.25]}
 MORE = {"name": "sarsa", "alpha": [0.25, 0.9, 0.5]}
@@ -241,7 +241,7 @@ def test_interrupted_at_any_moment_it_goes_on(folder, computed, monkeypatch, mom
             rl.resume(folder, experiment=STAGES[1])
     assert_same(rl.resume(folder), at_once(1))
     assert sum(computed) == 2 * 40 + 75 + 3 * 75 + 70 + 70
-    assert len(runner.history(folder)) == 2 and not list(folder.rglob(f"*{storage.UNFINISHED}*"))
+    assert len(runner.history(folder)) == 2 and not list(folder.rglob(f"*{disk.UNFINISHED}*"))
 
 
 @pytest.mark.slow
@@ -251,7 +251,7 @@ def test_killed_again_and_again_while_it_grows(begun, tmp_path):
     for number in range(4):
         folder = tmp_path / str(number)
         assert_same(rl.resume(folder), at_once(1))
-        assert not (folder / storage.ASIDE).exists() and len(runner.history(folder)) == 2
+        assert not (folder / disk.ASIDE).exists() and len(runner.history(folder)) == 2
 
 
 def kill_four_times(begun, scratch):

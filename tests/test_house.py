@@ -79,12 +79,11 @@ def test_no_modules_import_each_other_in_a_circle():
 
 
 def test_no_file_is_long():
-    """A file is what one can hold in one's head; a longer one holds one thing that takes as much."""
-    one_thing = {"experiment/storage.py"}
+    """A file is what one can hold in one's head."""
     lengths = {
         path.relative_to(ROOT).as_posix(): len(path.read_text().splitlines()) for path in ROOT.rglob("*.py")
     }
-    assert {name for name, lines in lengths.items() if lines > 470} == one_thing
+    assert not {name for name, lines in lengths.items() if lines > 470}
 
 
 @pytest.mark.parametrize("wing", ["core", "lanes", "exact", "engine", "show", "experiment", "course"])

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import jaxrl_tab as rl
 from benchmarks import shards as of_nothing
-from jaxrl_tab.experiment import runner, storage
+from jaxrl_tab.experiment import disk, runner
 
 
 class Watched(of_nothing.Nothing):
@@ -24,7 +24,7 @@ class Watched(of_nothing.Nothing):
 
 def taken(count, folder, monkeypatch):
     """Calls of functions, and bytes written, of a run of so many shards and of a `resume` of them."""
-    calls, written, write, results = 0, 0, storage.write, runner._results
+    calls, written, write, results = 0, 0, disk.write, runner._results
 
     def count_call(frame, event, arg):
         nonlocal calls
@@ -43,7 +43,7 @@ def taken(count, folder, monkeypatch):
             sys.setprofile(None)
 
     with of_nothing.of_nothing(), monkeypatch.context() as patched:
-        patched.setattr(storage, "write", count_bytes)
+        patched.setattr(disk, "write", count_bytes)
         patched.setattr(runner, "_results", counted)
         patched.setattr(runner, "write_files", lambda *_: None)
         rl.run(of_nothing.experiment(count), folder, executor=Watched(), progress=False, formats=())

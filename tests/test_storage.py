@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxrl_tab.core.errors import InputError, RunError
-from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment import disk, storage
 from jaxrl_tab.experiment.storage import Store
 
 ARRAYS = {"q": np.arange(6, dtype=np.float32).reshape(1, 2, 3), "seconds": np.array([0.5, 0.25])}
@@ -19,7 +19,7 @@ ARRAYS = {"q": np.arange(6, dtype=np.float32).reshape(1, 2, 3), "seconds": np.ar
 @pytest.fixture
 def folder(tmp_path):
     """A folder with three shards, and a file made of them."""
-    with storage.new_folder(tmp_path / "run") as new:
+    with disk.new_folder(tmp_path / "run") as new:
         Store.begin(new, "abc")
     store = Store(tmp_path / "run", "abc")
     for number in range(3):
@@ -150,9 +150,9 @@ def test_shards_of_another_experiment_are_set_aside(folder):
 
 
 def test_what_was_being_written_is_gone(folder):
-    (folder / "shards" / f".000003.npz{storage.UNFINISHED}").write_bytes(b"half")
-    (folder / f".pictures{storage.UNFINISHED}").mkdir()
-    (folder / f".pictures{storage.UNFINISHED}" / "x.png").write_bytes(b"half")
+    (folder / "shards" / f".000003.npz{disk.UNFINISHED}").write_bytes(b"half")
+    (folder / f".pictures{disk.UNFINISHED}").mkdir()
+    (folder / f".pictures{disk.UNFINISHED}" / "x.png").write_bytes(b"half")
     assert Store(folder, "abc").problems == [] and names(folder) == WHOLE
 
 
@@ -178,18 +178,18 @@ def test_where_the_disk_is_full_nothing_is_half_there(folder, monkeypatch, call)
 def test_a_new_folder_is_none_that_has_no_name_of_its_own(there):
     with (
         pytest.raises(InputError, match="exists already; name a new folder"),
-        storage.new_folder(Path(there)),
+        disk.new_folder(Path(there)),
     ):
         pass
 
 
 def test_a_new_folder_may_keep_what_was_finished_and_say_where(tmp_path):
     """Broken once: without a look at whether there is anything -> fails."""
-    with pytest.raises(KeyboardInterrupt), storage.new_folder(tmp_path / "empty", keep=True):
+    with pytest.raises(KeyboardInterrupt), disk.new_folder(tmp_path / "empty", keep=True):
         raise KeyboardInterrupt
 
     def stopped():
-        with storage.new_folder(tmp_path / "run", keep=True) as new:
+        with disk.new_folder(tmp_path / "run", keep=True) as new:
             (new / "file").write_text("x")
             raise KeyboardInterrupt
 
@@ -204,7 +204,7 @@ def test_a_new_folder_is_there_with_all_its_files_or_not_at_all(tmp_path):
     path = tmp_path / "a" / "run"
 
     def make(then=lambda: None):
-        with storage.new_folder(path) as new:
+        with disk.new_folder(path) as new:
             (new / "file").write_text("x")
             assert not path.exists()
             then()
@@ -228,7 +228,7 @@ def test_of_two_who_make_the_same_folder_one_does(tmp_path):
     """Broken once: what is there replaced -> fails."""
 
     def slow(path):
-        with storage.new_folder(path) as new:
+        with disk.new_folder(path) as new:
             (new / "file").write_text("slow")
             path.mkdir()
             (path / "file").write_text("quick")
@@ -242,13 +242,13 @@ def test_a_locked_folder_is_refused(tmp_path):
     """Also within one process. A lock that is a link, or no file, is refused too. Broken once: no lock -> fails."""
 
     def enter():
-        with storage.lock(tmp_path):
+        with disk.lock(tmp_path):
             pass
 
-    with storage.lock(tmp_path), pytest.raises(InputError, match="another process is at work in"):
+    with disk.lock(tmp_path), pytest.raises(InputError, match="another process is at work in"):
         enter()
     enter()
-    file = tmp_path / storage.LOCK
+    file = tmp_path / disk.LOCK
     file.unlink()
     file.symlink_to(tmp_path / "outside")
     with pytest.raises(InputError, match=r"\.lock cannot be written: Too many levels of symbolic links"):
@@ -263,17 +263,17 @@ def test_a_locked_folder_is_refused(tmp_path):
 def test_a_process_that_is_killed_leaves_no_lock(tmp_path):
     """Broken once: a file made with O_EXCL in place of a lock -> fails."""
     hold = (
-        "import pathlib, sys; from jaxrl_tab.experiment import storage\n"
-        "with storage.lock(pathlib.Path(sys.argv[1])): print('at work', flush=True); sys.stdin.read()"
+        "import pathlib, sys; from jaxrl_tab.experiment import disk, storage\n"
+        "with disk.lock(pathlib.Path(sys.argv[1])): print('at work', flush=True); sys.stdin.read()"
     )
     command = [sys.executable, "-c", hold, str(tmp_path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout and process.stdout.readline() == "at work\n"
-        with pytest.raises(InputError, match="another process is at work in"), storage.lock(tmp_path):
+        with pytest.raises(InputError, match="another process is at work in"), disk.lock(tmp_path):
             pass
         process.kill()
-    with storage.lock(tmp_path):
-        assert (tmp_path / storage.LOCK).exists()
+    with disk.lock(tmp_path):
+        assert (tmp_path / disk.LOCK).exists()
 
 
 def test_the_manifest_is_plain_json(folder):
@@ -300,14 +300,14 @@ def test_names_in_a_manifest_lead_nowhere_else(folder):
 def test_folders_that_are_links_are_refused(folder, tmp_path, place):
     """Broken once: links not looked at -> what is outside is removed."""
     (tmp_path / "outside").mkdir()
-    (tmp_path / "outside" / f".x{storage.UNFINISHED}").write_text("outside")
+    (tmp_path / "outside" / f".x{disk.UNFINISHED}").write_text("outside")
     (folder / "shards" / "000001.npz").write_bytes(b"damaged")
     if (folder / place).exists():
         (folder / place).rename(folder / "elsewhere")
     (folder / place).symlink_to(tmp_path / "outside")
     with pytest.raises(InputError, match=f"{place} is a link: put the folder that it leads to in its place"):
         Store(folder, "abc")
-    assert [x.name for x in (tmp_path / "outside").iterdir()] == [f".x{storage.UNFINISHED}"]
+    assert [x.name for x in (tmp_path / "outside").iterdir()] == [f".x{disk.UNFINISHED}"]
 
 
 def test_a_whole_shard_tells_its_shapes_and_can_be_left_out(folder):
@@ -351,7 +351,7 @@ LABELS += [
 
 def test_labels_give_names_of_files():
     """Broken once: case not looked at, length not looked at -> fails."""
-    names = storage.file_names(LABELS)
+    names = disk.file_names(LABELS)
     assert len({name.lower() for name in names.values()}) == len(names) == len(LABELS)
     for name in names.values():
         assert 0 < len(name) < 80 and name.isascii() and name[0] not in ".-" and name[-1] not in ". "

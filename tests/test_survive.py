@@ -24,7 +24,7 @@ from jaxrl_tab import cli, plot, report, stats
 from jaxrl_tab.cli import interrupt
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import by_xla
-from jaxrl_tab.experiment import runner, shards, storage
+from jaxrl_tab.experiment import disk, runner, shards, storage
 
 QUICK = [sys.executable, str(Path(quick.__file__))]
 LONG = "sweep windy-gridworld sarsa --alpha 0.25 --steps 2000 --log-every 2000 --seeds 20000 --out"
@@ -84,7 +84,7 @@ def assert_same(folder, undisturbed):
     for key in one:
         np.testing.assert_array_equal(one[key], two[key], err_msg=str(key))
         assert one[key].dtype == two[key].dtype
-    assert not list(folder.rglob(f"*{storage.UNFINISHED}*"))
+    assert not list(folder.rglob(f"*{disk.UNFINISHED}*"))
 
 
 # --- what a run gives --------------------------------------------------------------------------------
@@ -213,7 +213,7 @@ def test_an_interrupted_run_goes_on_where_it_was(undisturbed, tmp_path, computed
     """Before anything, in a part, between parts, before and in the fresh seeds, before files are written."""
 
     def interrupt(report):
-        finished = [f for f in (tmp_path / "run" / "shards").glob("*") if f.suffix != storage.UNFINISHED]
+        finished = [f for f in (tmp_path / "run" / "shards").glob("*") if f.suffix != disk.UNFINISHED]
         if len(finished) == shards:
             raise KeyboardInterrupt
 
@@ -234,7 +234,7 @@ def test_killed_ten_times_at_random_moments(undisturbed, tmp_path):
     assert folders
     for folder in folders:
         assert_same(folder, undisturbed[0])
-        assert not (folder / storage.ASIDE).exists()  # nothing was found damaged
+        assert not (folder / disk.ASIDE).exists()  # nothing was found damaged
 
 
 def test_a_finished_run_is_left_alone(folder, computed):
@@ -457,7 +457,7 @@ def test_a_full_disk_is_one_line_and_no_shard_is_lost(small_disk, tmp_path, undi
     all_computed = len(list((out / "shards").iterdir())) == 9  # then the results are shown
     assert bool(done.stdout) == all_computed and done.stderr.count("\n") == 1
     assert "could not be written: " in done.stderr and f"`jaxrl-tab resume {out}` goes on" in done.stderr
-    left = [path for path in out.rglob("*") if path.name.endswith(storage.UNFINISHED)]
+    left = [path for path in out.rglob("*") if path.name.endswith(disk.UNFINISHED)]
     assert left == []
     if small_disk:
         subprocess.run(["mount", "-o", "remount,size=10M", str(place)], check=True)

@@ -37,7 +37,7 @@ from jaxrl_tab.core import names, policies, tables
 from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
-from jaxrl_tab.core.declared import Learns, LearnsFrom, of_method
+from jaxrl_tab.core.declared import Learns, LearnsFrom, of_environment, of_method
 from jaxrl_tab.core.errors import InputError, nearest, unfit
 from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
@@ -91,7 +91,7 @@ class Prediction(Shown):
     pi: Any = field(
         default=None,
         help="The policy whose values are learned: probabilities float [S, A], or a policies.Table of them; "
-        "None: all actions are equally likely.",
+        "None: that of which the task says that it is asked about; else all actions are equally likely.",
     )
     alpha: Rate = field(default=0.1, greater_than=0, help="Step size.")
     gamma: float = field(default=1.0, at_least=0, at_most=1, help="Discount rate.")
@@ -113,6 +113,12 @@ class Prediction(Shown):
         names = {field.name for field in dataclasses.fields(self.method)}
         shared = {name: getattr(self, name) for name in names - {"behaviour"} if hasattr(self, name)}
         return self.method(q0=self.v0, **shared, **policies)
+
+    def fitted_to(self, env: Environment) -> Self:
+        """The method with the policies of which the task says that they act and are asked about, where it has none."""
+        stated = {"pi": of_environment(env).target_policy, "behaviour": of_environment(env).behaviour_policy}
+        new = {name: x for name, x in stated.items() if x is not None and getattr(self, name, x) is None}
+        return dataclasses.replace(self, **new) if new else self
 
     def restricted_to(self, available: Available, **more: Any) -> Self:
         """The method where states have these actions only, as `TDControl.restricted_to`."""
@@ -270,8 +276,8 @@ class OffPolicyPrediction(Prediction):
 
     behaviour: Any = field(
         default=None,
-        help="b, the policy that acts, as `pi` is given; b(a | s) > 0 wherever pi(a | s) > 0. None: all actions "
-        "are equally likely.",
+        help="b, the policy that acts, as `pi` is given; b(a | s) > 0 wherever pi(a | s) > 0. None: that of which the "
+        "task says that it acts; else all actions are equally likely.",
     )
 
     def __post_init__(self):

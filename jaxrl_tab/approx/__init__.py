@@ -1,10 +1,16 @@
 """Beyond the table: values that are functions of features of a state (book, chapters 9 to 12).
 
     observed        what all features have in common: their range, and how they become those of a task
-    features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis
+    features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis,
+                    or several of them together
     semi_gradient   what the semi-gradient methods share
-    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
+    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda),
+                    differential Sarsa
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
+    monte_carlo     gradient Monte Carlo
+    off_policy      TD(0) with importance sampling, GTD2, TDC, emphatic TD
+    least_squares   LSTD
+    weights         weights that are given at the start
     mountain_car    a task whose states cannot be counted
 
 They are used in Python, wherever a method or an environment is:
@@ -14,6 +20,7 @@ They are used in Python, wherever a method or an environment is:
 """
 
 from jaxrl_tab.approx.control import (
+    DifferentialSemiGradientSarsa,
     SemiGradientExpectedSarsa,
     SemiGradientNStepSarsa,
     SemiGradientQLearning,
@@ -24,14 +31,19 @@ from jaxrl_tab.approx.control import (
 from jaxrl_tab.approx.features import (
     FEATURES,
     Aggregation,
+    Concatenate,
     Fourier,
     OneHot,
+    Own,
     Polynomial,
     RadialBasis,
     TileCoding,
 )
+from jaxrl_tab.approx.least_squares import LSTD
+from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.mountain_car import MountainCar
 from jaxrl_tab.approx.observed import Features, Rows
+from jaxrl_tab.approx.off_policy import GTD2, TDC, EmphaticTD, SemiGradientOffPolicyTD
 from jaxrl_tab.approx.prediction import (
     SemiGradientNStepTD,
     SemiGradientTD,
@@ -41,17 +53,26 @@ from jaxrl_tab.approx.prediction import (
 
 __all__ = [
     "FEATURES",
+    "GTD2",
+    "LSTD",
+    "TDC",
     "Aggregation",
+    "Concatenate",
+    "DifferentialSemiGradientSarsa",
+    "EmphaticTD",
     "Features",
     "Fourier",
+    "GradientMonteCarlo",
     "MountainCar",
     "OneHot",
+    "Own",
     "Polynomial",
     "RadialBasis",
     "Rows",
     "SemiGradientExpectedSarsa",
     "SemiGradientNStepSarsa",
     "SemiGradientNStepTD",
+    "SemiGradientOffPolicyTD",
     "SemiGradientQLearning",
     "SemiGradientSarsa",
     "SemiGradientSarsaLambda",

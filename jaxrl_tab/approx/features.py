@@ -1,21 +1,26 @@
 """Features of a state: the numbers of which approximate values are a linear function (book, section 9.5).
 
 Each is a frozen object, given as it is or as text: `TileCoding(8, 8)`, "tile-coding(8, 8)". Sweeps, files and results
-have the text.
+have the text. Several together are written with a plus between them: "fourier(3) + tile-coding(8, 8)".
 """
 
+import dataclasses
 import inspect
 import itertools
 import math
+import re
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrl_tab.approx.observed import Features, Ranged, Rows, check_tuple
-from jaxrl_tab.core.errors import InputError, nearest, reason, shown
-from jaxrl_tab.core.linear import Active, X
+from jaxrl_tab.approx.observed import MOST, Features, Ranged, Rows, check_tuple
+from jaxrl_tab.core.checks import assign, is_list
+from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.errors import InputError, nearest, reason, shown, unfit
+from jaxrl_tab.core.linear import Active, X, in_full
 from jaxrl_tab.core.optax import read_call
 from jaxrl_tab.core.pytree import checked_dataclass, static
 
@@ -48,6 +53,21 @@ class OneHot(Features):
     @property
     def nowhere(self) -> X:
         return jnp.int32(0)
+
+
+@checked_dataclass
+class Own(Features):
+    """The features that the task itself states, such as those of a counterexample."""
+
+    name = "own"
+
+    needs_range = False
+
+    def fitted(self, env: Any) -> Features:
+        if (given := of_environment(env).features) is None:
+            problem = f"{type(env).__name__} has no features of its own: take others, such as tile-coding"
+            raise InputError(problem, who=type(self).__name__)
+        return Rows(given, None, self).fitted(env)
 
 
 @checked_dataclass
@@ -209,13 +229,93 @@ class RadialBasis(Ranged):
         return jnp.exp(jnp.stack(distances) * (-0.5 / self.width**2))
 
 
+@checked_dataclass
+class Concatenate(Features):
+    """Several features of one observation, one after another: values are the sum of what is linear in each.
+
+    As text "fourier(3) + tile-coding(8, 8)". Where a few of each are 1 and the others 0, that is so of all together.
+    """
+
+    parts: tuple[Any, ...] = static(help="The features, as objects or as text; or matrices of them [S, n].")
+
+    name = "concatenate"
+
+    def __post_init__(self):
+        if not is_list(self.parts) or not len(self.parts):
+            raise unfit("Concatenate", "parts", "a tuple of features", self.parts)
+        parts = [read(part) for part in self.parts]
+        flat = [own for part in parts for own in (part.parts if isinstance(part, Concatenate) else [part])]
+        assign(self, parts=tuple(flat))
+
+    @property
+    def size(self) -> int:
+        return sum(part.size for part in self.parts)
+
+    @property
+    def active(self) -> int | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        counts = [part.active for part in self.parts]
+        return None if None in counts else sum(counts)
+
+    @property
+    def unit(self) -> Float[np.ndarray, " n"] | None:
+        """Where a few features are 1, all of these have a share; else the first part that can be 1 everywhere is."""
+        if self.active:
+            return np.full(self.size, 1 / self.active)
+        units = [part.unit for part in self.parts]
+        if (known := next((i for i, unit in enumerate(units) if unit is not None), None)) is None:
+            return None
+        of = lambda i, part: units[known] if i == known else np.zeros(part.size)
+        return np.concatenate([of(i, part) for i, part in enumerate(self.parts)])
+
+    @property
+    def nowhere(self) -> X:
+        return self._together([part.nowhere for part in self.parts])
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        return self._together([part(observed) for part in self.parts])
+
+    def _together(self, xs: Sequence[X]) -> X:
+        if self.active is None:
+            return jnp.concatenate([in_full(x, part.size) for x, part in zip(xs, self.parts, strict=True)])
+        first = itertools.accumulate([part.size for part in self.parts], initial=0)
+        ones = [(x.ones if isinstance(x, Active) else x[None]) + n for x, n in zip(xs, first, strict=False)]
+        return Active(jnp.concatenate(ones))
+
+    def fitted(self, env: Any) -> Features:
+        parts = [part.fitted(env) for part in self.parts]
+        if not env.num_states:
+            return _not_too_many(dataclasses.replace(self, parts=tuple(parts)))
+        numbers = np.arange(env.num_states)[:, None]  # of the states, which are the features of `OneHot`
+        rows = [Rows(numbers, env.num_states, part) if isinstance(part, OneHot) else part for part in parts]
+        together = _not_too_many(Concatenate(tuple(rows)))
+        if together.active is None:
+            return Rows(np.concatenate([part.matrix for part in rows], 1), None, together)
+        first = itertools.accumulate([part.size for part in rows], initial=0)
+        ones = [part.numbers + n for part, n in zip(rows, first, strict=False)]
+        return Rows(np.concatenate(ones, 1), together.size, together)
+
+    def __str__(self) -> str:
+        return " + ".join(map(str, self.parts))
+
+
+def _not_too_many(features: Concatenate) -> Concatenate:
+    if features.size > MOST:
+        problem = f"{features} are {features.size:,} features, and at most {MOST:,} are possible"
+        raise InputError(problem, who="Concatenate")
+    return features
+
+
 FEATURES: dict[str, type[Features]] = {
-    cls.name: cls for cls in (OneHot, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
+    cls.name: cls for cls in (OneHot, Own, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
 }
+PLUS = re.compile(r"\+(?![^()]*\))")  # between features; within parentheses it belongs to a number
 
 
 def read(written: Any) -> Features:
-    """Features from what is written: themselves; their name with their numbers, "tile-coding(8, tiles=8)"; or a matrix.
+    """Features from what is written.
+
+    That is themselves; their name with their numbers, "tile-coding(8, tiles=8)"; several of these with a plus between
+    them; or a matrix.
 
     Raises:
         InputError: they are none; the message says what would be right.
@@ -224,6 +324,13 @@ def read(written: Any) -> Features:
         return written
     if not isinstance(written, str):
         return Rows(written)
+    parts = [part.strip() for part in PLUS.split(written)]
+    if "" in parts[len(parts) == 1 :]:
+        raise InputError(f"{shown(written)}: a plus stands between two features")
+    return _read_one(parts[0]) if len(parts) == 1 else Concatenate(tuple(map(_read_one, parts)))
+
+
+def _read_one(written: str) -> Features:
     text = written if written.endswith(")") else f"{written}()"
     what = "features with their numbers in parentheses, such as tile-coding(8, tiles=8)"
     plain = text.replace("-", "_", text.partition("(")[0].count("-"))

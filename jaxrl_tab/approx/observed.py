@@ -92,6 +92,12 @@ class Features:
             if (i := next((i for i, x in enumerate(least) if not math.isfinite(x)), None)) is not None:
                 problem = f"number {i} of what is observed of a state has no bounds: give {name}, and outside='clip'"
                 raise InputError(problem, who=who, field=name)
+        for i, (a, b) in enumerate(zip(given["low"], given["high"], strict=True)):
+            if a == b:
+                problem = (
+                    f"number {i} of what is observed of a state is always {a:g}: give low and high around it"
+                )
+                raise InputError(problem, who=who, field="low")
         if own.outside == "error":
             for i, (a, b, least, most) in enumerate(zip(given["low"], given["high"], low, high, strict=True)):
                 if least < a or most > b:

@@ -7,16 +7,18 @@ x(S), and takes the target as given, though it depends on the weights, too. Henc
 """
 
 import dataclasses
-from typing import Any, Self
+from collections.abc import Sequence
+from typing import Any, Self, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
+from jaxrl_tab.approx import weights
 from jaxrl_tab.approx.features import OneHot, read
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import assign, concrete
@@ -35,6 +37,14 @@ PER_TILING = (
     "Whether alpha is divided by the number of features that are 1 at once, so that it is the part of an error that an "
     "update takes away, as on the axes of figures 10.3 and 10.4."
 )
+W0 = (
+    "Weights at the start, instead of a first value of every state: a number for all; or one for each feature, or for "
+    "each feature and action, as text such as 1,1,10 or 1,2;3,4;5,6; in Python also an array [n] or [n, A]."
+)
+
+
+Weights: TypeAlias = str | float | Sequence[Any] | np.ndarray | Array
+"""Weights at the start, as they are given. They are kept as text, which is empty where none are given."""
 
 
 @pytree
@@ -43,6 +53,7 @@ class Linear:
 
     features: Any = static(default="one-hot", help=OF_FEATURES)
     per_tiling: bool = static(default=False, help=PER_TILING)
+    w0: Weights = static(default="", help=W0)
 
     def __post_init__(self):
         try:
@@ -52,6 +63,11 @@ class Linear:
         if self.per_tiling and self.features.active is None:
             problem = f"features {self.features} are not 1 or 0, so alpha cannot be divided by how many are 1"
             raise InputError(problem, who=type(self).__name__, field="per_tiling")
+        if not isinstance(self.w0, str) or self.w0:
+            assign(self, w0=weights.as_text(type(self).__name__, self.w0))
+            name, first = self._first_value
+            if first is not None and np.any(first != 0):
+                raise InputError(f"give {name} or w0, not both", who=type(self).__name__, field="w0")
         super().__post_init__()  # pyright: ignore[reportAttributeAccessIssue]
 
     def fitted_to(self, env: Environment) -> Self:
@@ -61,14 +77,23 @@ class Linear:
             InputError: they cannot be; or what the method needs a table for.
         """
         own: Any = self
-        features = own.features.fitted(env)
-        initial = concrete(own.v0 if hasattr(own, "v0") else own.q0)
-        if features.unit is None and initial is not None and np.any(initial != 0):
+        features, who = own.features.fitted(env), type(self).__name__
+        name, first = self._first_value
+        if features.unit is None and first is not None and np.any(first != 0):
             problem = (
-                f"no weights of the features {features} give every state the value {initial}: leave it at 0"
+                f"no weights of the features {features} give every state the value {first}: leave it at 0"
             )
-            raise InputError(problem, who=type(self).__name__, field="v0" if hasattr(own, "v0") else "q0")
+            raise InputError(problem, who=who, field=name)
+        if self.w0:
+            size = env.num_states if isinstance(features, OneHot) else features.size
+            weights.weights(cast(str, self.w0), size, 1 if name == "v0" else env.num_actions, who)
         return dataclasses.replace(own, features=features)
+
+    @property
+    def _first_value(self) -> tuple[str, Any]:
+        """The field with the first value of every state, and what is in it; None where that is traced."""
+        name = "v0" if hasattr(self, "v0") else "q0"
+        return name, concrete(getattr(self, name))
 
 
 @pytree
@@ -101,6 +126,11 @@ class SemiGradientControl(Linear, TDControl):
 
     def initial(self, num_states: int, num_actions: int) -> Float[Array, "n A"]:
         features = self.features
+        if self.w0:
+            size = num_states if isinstance(features, OneHot) else features.size
+            return jnp.asarray(
+                weights.weights(cast(str, self.w0), size, num_actions, type(self).__name__), float
+            )
         if isinstance(features, OneHot):
             return super().initial(num_states, num_actions)
         unit = np.zeros(features.size) if features.unit is None else features.unit
@@ -127,7 +157,29 @@ class SemiGradientControl(Linear, TDControl):
 
 @pytree
 class SemiGradientPrediction(Linear, Prediction):
-    """Prediction whose V is linear in features of the state: v(s) = x(s) . w      (book, section 9.4)."""
+    """Prediction whose V is linear in features of the state: v(s) = x(s) . w      (book, section 9.4).
+
+    Where states cannot be counted, nobody can say what a policy does in each: there all actions are equally likely.
+    """
+
+    def fitted_to(self, env: Environment) -> Self:
+        if not env.num_states and (
+            name := next((x for x in ("pi", "behaviour") if getattr(self, x, None)), "")
+        ):
+            problem = (
+                f"{name} cannot be given for each state, for those of {type(env).__name__} cannot be counted"
+            )
+            raise InputError(problem, who=type(self).__name__, field=name)
+        fitted: Any = super().fitted_to(env)
+        return cast(Self, Prediction.fitted_to(fitted, env))
+
+    def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
+        state = super().init(num_states, num_actions, max_steps)
+        everywhere = jnp.full((1, num_actions), 1 / num_actions, state.acting.dtype)
+        return state if num_states else state._replace(acting=everywhere)
+
+    def policy(self, key: Key[Array, ""], state: ValueState, s: State) -> Int[Array, ""]:
+        return super().policy(key, state, s if jnp.ndim(s) == 0 else jnp.int32(0))
 
     def everywhere(self, state: ValueState, num_states: int) -> Float[Array, " S"]:
         return jax.vmap(self.row, (None, 0))(state, jnp.arange(num_states, dtype=jnp.int32))[:, 0]

@@ -20,7 +20,7 @@ from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError, listed, one_line
 from jaxrl_tab.engine import by_xla, programs
 from jaxrl_tab.envs import ENVS
-from jaxrl_tab.experiment import executors, storage
+from jaxrl_tab.experiment import disk, executors
 
 ALPHAS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # the step sizes of a sweep that names none
 SEEDS, STEPS = 100, 8000
@@ -125,4 +125,4 @@ def new_folder(path: Path | None) -> contextlib.AbstractContextManager[Path | No
     """
     if path is None:
         return contextlib.nullcontext()
-    return storage.new_folder(Path(os.path.normpath(path)), keep=True)
+    return disk.new_folder(Path(os.path.normpath(path)), keep=True)

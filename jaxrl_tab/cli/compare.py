@@ -14,7 +14,7 @@ from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import FILE, parse, word
 from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.pytree import checked_dataclass
-from jaxrl_tab.experiment import compare, storage
+from jaxrl_tab.experiment import compare, disk
 from jaxrl_tab.show import ranked
 from jaxrl_tab.show.compared import Beside, Comparison, cells, decimals, head, title_of_part, where
 from jaxrl_tab.show.words import title_of
@@ -74,7 +74,7 @@ def compare_command(argv: list[str]) -> int:
     with busy("comparing"):
         comparison = compare.compare(*options.folders)
         if page:
-            storage.write(page, comparison.page().html)
+            disk.write(page, comparison.page().html)
     if options.json:
         print_json(comparison.to_dict())
     else:

@@ -11,7 +11,7 @@ from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import FILE, parse, word
 from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.pytree import checked_dataclass, field
-from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment import disk
 from jaxrl_tab.experiment.reading import Readings, read
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def read_command(argv: list[str]) -> int:
 
             export.save(found, file)
         if page:
-            storage.write(page, found.report().html)
+            disk.write(page, found.report().html)
     if options.json:
         print_json({"notes": found.notes, "environments": _as_json(found)})
         return 0

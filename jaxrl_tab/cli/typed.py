@@ -293,7 +293,7 @@ def flag_of(parameter: describe.Parameter, spelled: str = "") -> str:
 
 def words(value: Any) -> str:
     """A value as it is typed; a dash where there is none."""
-    if value is None or value is dataclasses.MISSING or (isinstance(value, tuple) and not value):
+    if value is None or value is dataclasses.MISSING or (isinstance(value, tuple | str) and not value):
         return NONE
     if isinstance(value, bool | np.bool_):
         return "on" if value else "off"

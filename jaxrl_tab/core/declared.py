@@ -123,6 +123,10 @@ class OfEnvironment(NamedTuple):
         observation: the numbers that are observed of a state, float [d]; None where they are the state itself, or its
             number.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
+        features: the features of every state that its source gives it, float [S, n]: what the features "own" are. None
+            where it gives none.
+        target_policy, behaviour_policy: the policy whose values its source asks for, and the one that acts, float
+            [S, A]: those of a method of prediction that was given none. None where its source says nothing of them.
     """
 
     instance: Callable[..., Any] | None = None
@@ -139,6 +143,9 @@ class OfEnvironment(NamedTuple):
     low: tuple[float, ...] | None = None
     high: tuple[float, ...] | None = None
     observation: Callable[[Any], Any] | None = None
+    features: Any = None
+    target_policy: Any = None
+    behaviour_policy: Any = None
 
     @property
     def differs(self) -> str:

@@ -32,8 +32,8 @@ class Episode(NamedTuple):
 
 
 def start(max_steps: int, step: Any) -> Episode:
-    """An empty memory for up to `max_steps` steps that look like `step`, a pytree of scalars."""
-    steps = jax.tree.map(lambda x: jnp.zeros(max_steps, jnp.result_type(x)), step)
+    """An empty memory for up to `max_steps` steps that look like `step`, a pytree of numbers or vectors."""
+    steps = jax.tree.map(lambda x: jnp.zeros((max_steps, *jnp.shape(x)), jnp.result_type(x)), step)
     return Episode(steps, jnp.int32(0))
 
 
@@ -91,7 +91,8 @@ def learn(
 def _write_and_walk(walk, lane, changed, step, at, last, *inputs):
     learned, steps = changed
     step, at, last = jax.tree.map(lambda x: tables.entry(x, lane), (step, at, last))
-    steps = jax.tree.map(lambda xs, x: tables.write(xs, x, lane, at), steps, step)
+    put = lambda xs, x: (tables.write_row if x.ndim else tables.write)(xs, x, lane, at)
+    steps = jax.tree.map(put, steps, step)
     return walk(lane, learned, Walk(steps, step, lane, last, at), *inputs), steps
 
 

@@ -192,20 +192,19 @@ def available_actions(env: Any) -> Bool[Array, "S A"] | None:
 def fitted(method: T, env: Any) -> T:
     """A method as it acts in an environment.
 
-    It takes available actions only; and where its values are functions of features, these are features of what is
-    observed there: it then has a method `fitted_to(env)`.
+    It takes available actions only; and where it has a method `fitted_to(env)`, it is what that gives: where its values
+    are functions of features, these are features of what is observed there.
 
     Raises:
         InputError: method and environment do not fit.
     """
-    if (fit := getattr(method, "fitted_to", None)) is not None:
-        return restricted(fit(env), available_actions(env))
-    if not env.num_states:
+    if not env.num_states and of_method(method).features is None:
         raise InputError(
             f"{type(method).__name__} keeps a table, and the states of {type(env).__name__} cannot be counted: take a "
             "method whose values are functions of features, such as those of rl.approx"
         )
-    return restricted(method, available_actions(env))
+    fit = getattr(method, "fitted_to", None)
+    return restricted(method if fit is None else fit(env), available_actions(env))
 
 
 def table_of(method: Any, env: Any, learner: Any) -> Float[Array, "*tables _ _"]:

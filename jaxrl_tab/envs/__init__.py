@@ -11,6 +11,7 @@ from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.errors import nearest, shown
 from jaxrl_tab.envs.access_control import AccessControl
+from jaxrl_tab.envs.baird import Baird
 from jaxrl_tab.envs.base import Finite, FixedStart, Grid
 from jaxrl_tab.envs.blackjack import Blackjack
 from jaxrl_tab.envs.chain import Chain
@@ -35,6 +36,7 @@ from jaxrl_tab.envs.river_swim import RiverSwim
 from jaxrl_tab.envs.short_corridor import ShortCorridor
 from jaxrl_tab.envs.taxi import Taxi
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
+from jaxrl_tab.envs.tsitsiklis_van_roy import TsitsiklisVanRoy
 from jaxrl_tab.envs.two_doors import TwoDoors
 from jaxrl_tab.envs.two_loops import TwoLoops
 from jaxrl_tab.envs.windy_gridworld import WindyGridworld
@@ -54,6 +56,8 @@ ENVS: dict[str, type] = {
     "trace-gridworld": TraceGridworld,
     "access-control": AccessControl,
     "two-loops": TwoLoops,
+    "baird": Baird,
+    "tsitsiklis-van-roy": TsitsiklisVanRoy,
     "chain": Chain,
     "river-swim": RiverSwim,
     "deep-sea": DeepSea,
@@ -127,6 +131,7 @@ __all__ = [
     "ENVIRONMENT",
     "ENVS",
     "AccessControl",
+    "Baird",
     "Blackjack",
     "BlockingMaze",
     "Chain",
@@ -155,6 +160,7 @@ __all__ = [
     "ShortcutMaze",
     "Taxi",
     "TraceGridworld",
+    "TsitsiklisVanRoy",
     "TwoDoors",
     "TwoLoops",
     "WindyGridworld",

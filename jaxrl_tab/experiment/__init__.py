@@ -2,6 +2,8 @@
 
 Its modules, from the ground up:
 
+    disk       files and folders that are whole or not there
+    packed     arrays in a file
     places     where in a TOML file something is wrong
     instances  environments and methods that are given as instances
     tasks      what an environment has of its own: the length of its runs, and gamma

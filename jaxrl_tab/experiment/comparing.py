@@ -17,7 +17,7 @@ from jaxrl_tab.core import modules
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.part import Part
 from jaxrl_tab.engine.results import label
-from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment import disk
 from jaxrl_tab.experiment.growth import Block
 from jaxrl_tab.experiment.shards import Job, Shard, again, arrays_of, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment
@@ -144,10 +144,10 @@ def open_store(folder: Path, experiment: Experiment, chosen: Mapping[str, int]) 
     text = json.dumps([data, dict(chosen)], sort_keys=True)
     fingerprint = hashlib.sha256(text.encode()).hexdigest()
     path = folder / FOLDER / fingerprint[:12]
-    storage.check_no_link(folder / FOLDER)
-    storage.check_no_link(path)
+    disk.check_no_link(folder / FOLDER)
+    disk.check_no_link(path)
     if not path.exists():
-        with storage.as_run_error(path):
+        with disk.as_run_error(path):
             path.mkdir(parents=True)
         Store.begin(path, fingerprint)
     return Store(path, fingerprint)

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 from jaxrl_tab.core.checks import is_list
 from jaxrl_tab.core.errors import InputError, RunError, check_choice, one_line, unfit
 from jaxrl_tab.core.memory import words
-from jaxrl_tab.core.netcdf import save
+from jaxrl_tab.core.netcdf import save_all
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.envs import ENVIRONMENT
-from jaxrl_tab.experiment import painter, storage
+from jaxrl_tab.experiment import disk, painter, storage
 from jaxrl_tab.experiment.records import mixture, origins_of, recorded, timestamp
 from jaxrl_tab.experiment.storage import (
     AS_WRITTEN,
@@ -84,7 +84,7 @@ class Outcome:
         from jaxrl_tab.show import report
 
         about = {"made by": repr(self), "versions": provenance.installed()}
-        seen = {"explained": self.explained_in_report, "verdicts": self.verdicts}
+        seen = {"explained": self.explained_in_report, "verdicts": self.verdicts, "tried": self.tried}
         return report.page(self.methods, about, self.fresh_methods, **seen)
 
     def explain(self) -> "Explanation":
@@ -247,7 +247,7 @@ class Pictures(NamedTuple):
 @contextlib.contextmanager
 def drawing(store: Store, outcome: Outcome, formats: Sequence[Format] = FORMATS[:1]) -> Iterator[Pictures]:
     """Within the block the pictures are drawn, in these formats, for `write_files` to put where they belong."""
-    scratch = store.path / f".{storage.PICTURES}{storage.UNFINISHED}"
+    scratch = store.path / f".{storage.PICTURES}{disk.UNFINISHED}"
     try:
         with painter.drawing(_drawings(outcome, scratch, formats) if formats else ()) as finish:
             yield Pictures(scratch, finish)
@@ -272,7 +272,7 @@ def write_files(
 
     folder, scratch = store.path, pictures.folder
     about = {"command": records["sessions"][0]["command"], "version": __version__}
-    with storage.as_run_error(folder):
+    with disk.as_run_error(folder):
         scratch.mkdir(parents=True, exist_ok=True)
         files = [_write_data(folder / DATA, outcome.datasets, outcome, about)]
         files.append(_write_table(folder / SUMMARY, outcome.summary))
@@ -285,14 +285,14 @@ def write_files(
             files.append(_write_table(folder / VERDICT, outcome.verdict))
         about_all = _about(store, records, history)
         explained, fresh = outcome.explained_in_report, outcome.fresh_methods
-        more = again, toml, explained, outcome.verdicts
+        more = again, toml, explained, outcome.verdicts, outcome.tried
         report.write_methods(scratch, outcome.methods, about_all, fresh, *more)
         pictures.finish()
     for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
         goal = folder / file.relative_to(scratch)
-        with storage.as_run_error(goal):
+        with disk.as_run_error(goal):
             goal.parent.mkdir(parents=True, exist_ok=True)
-        with storage.writing(goal) as unfinished:
+        with disk.writing(goal) as unfinished:
             file.replace(unfinished)
         files.append(goal)
     store.keep_files(str(file.relative_to(folder)) for file in files)
@@ -300,11 +300,16 @@ def write_files(
 
 def _drawings(outcome: Outcome, folder: Path, formats: Sequence[Format]) -> list[painter.Drawing]:
     """The pictures of each environment; where there are several, each has a folder of its own."""
-    names = storage.file_names(outcome.envs)
+    from jaxrl_tab.show.searched import ways
+
+    names = disk.file_names(outcome.envs)
     several = len(outcome.envs) > 1
     place = {label: folder / storage.PICTURES / names[label] if several else folder for label in outcome.envs}
+    first = next(iter(outcome.methods))  # in which settings were searched, if they were
     return [
-        painter.Drawing(methods, outcome.envs[label], place[label], formats)
+        painter.Drawing(
+            methods, outcome.envs[label], place[label], formats, ways(outcome.tried) if label == first else ()
+        )
         for label, methods in outcome.methods.items()
     ]
 
@@ -317,14 +322,16 @@ def _write_data(file: Path, datasets: "Mapping[str, xr.Dataset]", outcome: Outco
             f"{file} could not be written: it may need {words(needed)} on the disk, and there is room for "
             f"{words(room)}"
         )
-    with storage.writing(file) as unfinished:
-        for name, ds in datasets.items():
-            save(ds, name if len(outcome.envs) > 1 else name.partition("/")[2], unfinished, about)
+    with disk.writing(file) as unfinished:
+        groups = (
+            datasets if len(outcome.envs) > 1 else {x.partition("/")[2]: ds for x, ds in datasets.items()}
+        )
+        save_all(groups, unfinished, about)
     return file
 
 
 def _write_table(file: Path, table: "pd.DataFrame") -> Path:
-    with storage.writing(file) as unfinished:
+    with disk.writing(file) as unfinished:
         table.to_csv(unfinished, index=False)
     return file
 
@@ -333,7 +340,7 @@ def _about(
     store: Store, records: Mapping[str, Any], history: Sequence[tuple[str, str, str]]
 ) -> dict[str, Any]:
     """How the results came about, for the report."""
-    with storage.as_run_error(store.path / AS_WRITTEN, "read"):
+    with disk.as_run_error(store.path / AS_WRITTEN, "read"):
         as_written = (store.path / AS_WRITTEN).read_text(encoding="utf-8", errors="replace")
     first, last = records["sessions"][0], records["sessions"][-1]
     sessions, origins = len(records["sessions"]), origins_of(store)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import provenance
-from jaxrl_tab.experiment import growth, sources, storage
+from jaxrl_tab.experiment import disk, growth, sources, storage
 from jaxrl_tab.experiment.places import Source
 from jaxrl_tab.experiment.records import library_versions, records_in, timestamp
 from jaxrl_tab.experiment.spec import Experiment, difference
@@ -83,7 +83,7 @@ def find(path: Path, other_source: bool = False) -> Found:
     """
     manifest = storage.read_manifest(path) or {}
     fingerprint, before = manifest.get("fingerprint"), manifest.get(HISTORY, [])
-    data = storage.read_json(path / RESOLVED)
+    data = disk.read_json(path / RESOLVED)
     history: Any = data.pop(HISTORY, []) if isinstance(data, dict) else None
     pinned = sources.read(path, data)
     resolved = _parsed(lambda: Experiment.from_data(data)) if isinstance(data, dict) else None
@@ -95,7 +95,7 @@ def find(path: Path, other_source: bool = False) -> Found:
             if _is_by_a_person(text):
                 Experiment.load(path / AS_WRITTEN, pinned)  # which says what is wrong, and where
             warn_of_remake(path / AS_WRITTEN, f"made again, of {RESOLVED}")
-            storage.write(path / AS_WRITTEN, experiment.to_toml())
+            disk.write(path / AS_WRITTEN, experiment.to_toml())
         elif written.data() != experiment.data():
             if lines := growth.taken_away(experiment, written):
                 raise InputError(
@@ -127,9 +127,9 @@ def find(path: Path, other_source: bool = False) -> Found:
 
 def _text(path: Path) -> str | None:
     """What stands in `experiment.toml`; None where there is no such file."""
-    if not storage.is_file(path / AS_WRITTEN):
+    if not disk.is_file(path / AS_WRITTEN):
         return None
-    with storage.as_run_error(path / AS_WRITTEN, "read"):
+    with disk.as_run_error(path / AS_WRITTEN, "read"):
         return (path / AS_WRITTEN).read_bytes().decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
 
 
@@ -210,14 +210,14 @@ def grow(path: Path, found: Found, new: Experiment, command: str, files: Mapping
     Where this is interrupted, the folder is what it was, or is as if somebody had edited `experiment.toml`.
     """
     sources.write(path, new.references)
-    storage.write(path / AS_WRITTEN, new.source.text if new.source else new.to_toml())
+    disk.write(path / AS_WRITTEN, new.source.text if new.source else new.to_toml())
     was = {"experiment": found.experiment.data(), "files": dict(files)}
     entry = was | {"time": timestamp(), "command": command}
     _write_resolved(path, new, [*(x.entry for x in found.earlier), entry])
 
 
 def _write_resolved(path: Path, experiment: Experiment, history: list[Any]) -> None:
-    storage.write_json(path / RESOLVED, experiment.data() | ({HISTORY: history} if history else {}))
+    disk.write_json(path / RESOLVED, experiment.data() | ({HISTORY: history} if history else {}))
 
 
 def _check_source(path: Path, found: Found) -> None:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from jaxrl_tab.core.cores import cores
 
 if TYPE_CHECKING:
+    from jaxrl_tab.show.searched import Ways
     from jaxrl_tab.stats.columns import Methods
 
 PATIENCE = 60.0  # seconds; who has computed for so long does not mind drawing for one
@@ -29,17 +30,23 @@ START = "import sys; sys.path[:] = sys.argv[1:]; from jaxrl_tab.experiment.paint
 
 
 class Drawing(NamedTuple):
-    """The pictures of an environment: what `plot.save_all` takes."""
+    """The pictures of an environment: what `plot.save_all` takes; and of the search, where one found the settings."""
 
     methods: "Methods"
     env: Any
     folder: Path
     formats: Sequence[Any]
+    searches: "Sequence[Ways]" = ()
 
     def draw(self) -> None:
-        from jaxrl_tab.show import plot  # and with it Matplotlib
+        from jaxrl_tab.show import plot, search_curves  # and with it Matplotlib
 
         plot.save_all(self.methods, self.env, self.folder, self.formats)
+        if self.searches:
+            ds = next(iter(self.methods.values()))
+            picture = search_curves.search(self.searches, "steps" if "num_steps" in ds.attrs else "episodes")
+            for one in self.formats:
+                plot.save(picture, self.folder / f"search.{one}")
 
 
 _beside: ContextVar["subprocess.Popen[bytes] | None"] = ContextVar("painter", default=None)

@@ -13,7 +13,7 @@ import jax
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.envs import ENVIRONMENT
-from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment import disk
 from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, Store, warn_of_remake
 
 NOT_RECORDED = "what it was computed with is not recorded"
@@ -110,7 +110,7 @@ def is_session(data: Any) -> bool:
 
 def records_in(path: Path) -> dict[str, Any] | None:
     """The records of all sessions in a folder; None where they are missing or damaged."""
-    records = storage.read_json(path / PROVENANCE)
+    records = disk.read_json(path / PROVENANCE)
     if not isinstance(records, dict) or records.keys() != {"file", "sessions"}:
         return None
     if not isinstance(records["file"], str | None) or not isinstance(records["sessions"], list):
@@ -136,14 +136,14 @@ def session(
     session = {"command": command, "started": timestamp(), "ended": None, "formats": [*formats]}
     session |= _machine(libraries)
     records["sessions"].append(session)
-    storage.write_json(file, records)
+    disk.write_json(file, records)
     try:
         yield
     finally:
         session["ended"] = timestamp()
         # The disk may be full: an error that says so is under way already.
         with contextlib.suppress(RunError):
-            storage.write_json(file, records)
+            disk.write_json(file, records)
 
 
 def _machine(libraries: Mapping[str, str]) -> dict[str, Any]:

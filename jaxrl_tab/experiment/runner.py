@@ -25,7 +25,7 @@ from jaxrl_tab.core.memory import free, size, words
 from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.experiment import comparing, going_on, growth, searching, sources, storage
+from jaxrl_tab.experiment import comparing, disk, going_on, growth, searching, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.comparing import Look, Looked
 from jaxrl_tab.experiment.computing import collect, collected, compute, missing, warn_of_damage
@@ -96,7 +96,7 @@ def run(
             return _go_on(path, found, executor, memory, progress, ready, formats, command, **how)
     path = _path(folder)
     found = _begin(path, experiment, memory)
-    with storage.lock(path):
+    with disk.lock(path):
         return _go_on(path, found, executor, memory, progress, ready, formats, command, looked=looked)
 
 
@@ -149,12 +149,12 @@ def resume(
     if searching.is_unfinished(path):
         if experiment or seeds or steps or episodes:
             raise InputError(f"the search in {path} is not finished: resume it first, and then ask for more")
-        with storage.lock(path):
+        with disk.lock(path):
             found = _found(path, memory, progress, command, mixed)
             return _go_on(path, found, executor, memory, progress, ready, formats, command, mixed=mixed)
     given = {"seeds": seeds, "steps": steps, "episodes": episodes}
     more = {key: x for key, x in given.items() if x is not None}
-    with storage.lock(path):
+    with disk.lock(path):
         found = find(path, other_source=experiment is not None)
         new = wished(found, experiment, more)
         if new.data() != found.experiment.data():
@@ -197,14 +197,14 @@ def search(
             path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "experiment"
         else:
             path = _path(folder)
-        with storage.new_folder(path) as new:
+        with disk.new_folder(path) as new:
             own = new / searching.FOLDER
             own.mkdir()
             _write(own, search.experiment, keep)
             searching.begin(own, search)
             if source := search.experiment.source:
-                storage.write(own / searching.AS_WRITTEN, source.text)
-        stack.enter_context(storage.lock(path))
+                disk.write(own / searching.AS_WRITTEN, source.text)
+        stack.enter_context(disk.lock(path))
         found = _found(path, memory, progress, command)
         return _go_on(path, found, None, memory, progress, ready, formats, command, keep)
 
@@ -218,7 +218,7 @@ def explain(folder: str | Path) -> "Explanation":
         InputError: there is no experiment in the folder, or something of it is missing or damaged.
     """
     path = _folder(folder)
-    with storage.lock(path):
+    with disk.lock(path):
         found = find(path)
         experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
         job = Job.of(experiment, None, library_versions(experiment.data()), found.experiments[:-1])
@@ -239,7 +239,7 @@ def history(folder: str | Path) -> list[tuple[str, str, str]]:
         InputError: as in `explain`.
     """
     path = _folder(folder)
-    with storage.lock(path):
+    with disk.lock(path):
         return find(path, other_source=True).history((records_in(path) or {"sessions": []})["sessions"])
 
 
@@ -336,7 +336,7 @@ def _grown(path: Path, found: Found, new: Experiment, limit: int | None, command
     warn(f"{what}; what is there is kept, and what is new is computed now")
     grow(path, found, new, command, store.checksums)
     if new.source and new.source.path.parent != path:
-        storage.write_json(path / PROVENANCE, records | {"file": str(new.source.path.resolve())})
+        disk.write_json(path / PROVENANCE, records | {"file": str(new.source.path.resolve())})
     return find(path)
 
 
@@ -381,7 +381,7 @@ def _begin(path: Path, experiment: Experiment, limit: int | None, keep: bool = T
     Where the folder is kept, it gives the experiment with the classes that are in the copies there.
     """
     source = experiment.source
-    with storage.new_folder(path) as new:
+    with disk.new_folder(path) as new:
         _check_room(experiment.parts(), limit, new)
         experiment, text = _write(new, experiment, keep, source)
     return Found(experiment, Source(path / AS_WRITTEN, text))
@@ -402,10 +402,10 @@ def _write(
         experiment = Experiment(**experiment.data(), source=source)
     text = source.text if source else experiment.to_toml()
     records = {"file": str(source.path.resolve()) if source else None, "sessions": []}
-    storage.write_json(folder / PROVENANCE, records)
+    disk.write_json(folder / PROVENANCE, records)
     Store.begin(folder, experiment.fingerprint)
-    storage.write_json(folder / RESOLVED, experiment.data())
-    storage.write(folder / AS_WRITTEN, text)
+    disk.write_json(folder / RESOLVED, experiment.data())
+    disk.write(folder / AS_WRITTEN, text)
     return experiment, text
 
 
@@ -418,7 +418,7 @@ def _found(
 ) -> Found:
     """Goes on with the search in a folder, to its end; the experiment of what it found, which is then in the folder."""
     folder = path / searching.FOLDER
-    storage.check_no_link(folder)
+    disk.check_no_link(folder)
     searched = find(folder, other_source=True).experiment
     search, store = searching.read(folder, searched), Store(folder, searched.fingerprint)
     warn_of_damage(store)

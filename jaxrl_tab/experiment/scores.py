@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxrl_tab.core.errors import InputError, one_line
-from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment import disk
 from jaxrl_tab.experiment.resolve import environments
 from jaxrl_tab.experiment.spec import environment_of
 
@@ -72,7 +72,7 @@ def save(
     arrays |= {"seed": seeds, "about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
     with io.BytesIO() as data:
         np.savez_compressed(data, **arrays)  # pyright: ignore[reportArgumentType]
-        storage.write(file, data.getvalue())
+        disk.write(file, data.getvalue())
 
 
 def load(file: Path) -> "tuple[dict[str, xr.Dataset], dict[str, Any], dict[str, Any] | None]":

@@ -23,7 +23,7 @@ from jaxrl_tab.engine.loop import Run
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import parameters
 from jaxrl_tab.engine.sweep import result
-from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment import disk, storage
 from jaxrl_tab.experiment.growth import Block
 from jaxrl_tab.experiment.resolve import as_plain
 from jaxrl_tab.experiment.samplers import Optuna, Told
@@ -189,7 +189,7 @@ class Searching:
         """Goes on to the end."""
         if self._studies is not None:
             for leftover in (self._studies, self._studies.with_name(f"{STUDIES}.lock")):
-                with storage.as_run_error(leftover, "removed"):
+                with disk.as_run_error(leftover, "removed"):
                     leftover.unlink(missing_ok=True)  # Optuna is told everything again
         for label in self.search.ranges:
             self._search(label)
@@ -393,12 +393,12 @@ def history(path: Path) -> tuple[Tried, ...]:
 
 
 def _write(file: Path, data: Any) -> None:
-    storage.write_json(file, {"data": data, "sha256": _checksum(data)})
+    disk.write_json(file, {"data": data, "sha256": _checksum(data)})
 
 
 def _read(file: Path) -> Any:
     """What `_write` wrote; None where it is damaged or missing."""
-    data = storage.read_json(file)
+    data = disk.read_json(file)
     whole = isinstance(data, dict) and data.keys() == {"data", "sha256"}
     return data["data"] if whole and data["sha256"] == _checksum(data["data"]) else None
 

@@ -22,7 +22,7 @@ from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import SweepResult
 from jaxrl_tab.engine.sweep import result
-from jaxrl_tab.experiment import scores, sources, storage
+from jaxrl_tab.experiment import disk, scores, sources, storage
 from jaxrl_tab.experiment.files import Outcome
 from jaxrl_tab.experiment.found import HISTORY
 from jaxrl_tab.experiment.reading import TABLES, Readings, is_of_runs, read
@@ -105,7 +105,7 @@ def _of_scores(path: Path, name: str) -> Side:
 def _in_folder(path: Path, name: str) -> Side:
     if not any(os.path.lexists(path / file) for file in (AS_WRITTEN, RESOLVED)):
         raise InputError(f"there is no experiment in {name}: neither {AS_WRITTEN} nor {RESOLVED}")
-    manifest, experiment = storage.read_manifest(path), storage.read_json(path / RESOLVED)
+    manifest, experiment = storage.read_manifest(path), disk.read_json(path / RESOLVED)
     for file, damaged in ((storage.MANIFEST, manifest is None), (RESOLVED, not _is_experiment(experiment))):
         if damaged:
             raise InputError(

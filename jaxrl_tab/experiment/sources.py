@@ -15,7 +15,7 @@ from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.modules import File
 from jaxrl_tab.engine.budget import RECORDER
 from jaxrl_tab.envs import ENVIRONMENT
-from jaxrl_tab.experiment import storage
+from jaxrl_tab.experiment import disk
 
 SOURCES, INDEX = "sources", "sources.json"
 KEYS = {"name", "label", "sha256", "original", "copies"}
@@ -43,7 +43,7 @@ def write(folder: Path, references: Mapping[str, names.Reference]) -> None:
         place = places[file.path, file.sha256]
         (folder / SOURCES / place).mkdir(parents=True, exist_ok=True)
         for part in (file, *file.neighbours):
-            storage.write(folder / SOURCES / place / part.name, part.data)
+            disk.write(folder / SOURCES / place / part.name, part.data)
         index[typed] = {
             "name": reference.name,
             "label": reference.label,
@@ -51,12 +51,12 @@ def write(folder: Path, references: Mapping[str, names.Reference]) -> None:
             "original": file.path if Path(file.path).is_absolute() else None,
             "copies": {f"{place}{part.name}": _sha256(part) for part in (file, *file.neighbours)},
         }
-    storage.write_json(folder / SOURCES / INDEX, index)
+    disk.write_json(folder / SOURCES / INDEX, index)
 
 
 def _index(folder: Path) -> dict[str, dict[str, Any]]:
     """What each name stood for; nothing where that is missing or damaged."""
-    index = storage.read_json(folder / SOURCES / INDEX)
+    index = disk.read_json(folder / SOURCES / INDEX)
     return index if isinstance(index, dict) and all(map(_is_entry, index.values())) else {}
 
 
@@ -97,8 +97,8 @@ def read(folder: Path, data: Any) -> dict[str, dict[str, Any]]:
     index, copies = _index(folder), folder / SOURCES
     paths = [copies, *copies.glob("*"), *copies.glob("*/*")]
     for path in paths:
-        storage.check_no_link(path)
-    paths = [path for path in paths if storage.is_file(path) and path != copies / INDEX]
+        disk.check_no_link(path)
+    paths = [path for path in paths if disk.is_file(path) and path != copies / INDEX]
     alone = {path.relative_to(copies).as_posix(): modules.read(path, alone=True) for path in paths}
     files = [*alone.values(), *map(modules.read, paths)]
     modules.keep(files)

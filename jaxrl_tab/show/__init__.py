@@ -27,6 +27,8 @@ Its modules, from the ground up:
     over_tasks methods over several environments, in a table and in words
     ranked    new methods among others over several environments, in a table and in words
     searched  what a search tried, in a table and in words
+    search_curves pictures of that
+    search_page what the report shows of that
     compared  results beside other results, in numbers and in words
     heat      what the report shows of that
     rows      what a chapter of the report says: its rows, notes and tables

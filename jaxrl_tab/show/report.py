@@ -19,7 +19,7 @@ from jaxrl_tab.core import describe
 from jaxrl_tab.core.errors import InputError, one_line
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.core.version import __version__
-from jaxrl_tab.show import over_tasks, words
+from jaxrl_tab.show import over_tasks, search_page, words
 from jaxrl_tab.show.explained import Explained
 from jaxrl_tab.show.explorer.chapter import Explorer, explorer
 from jaxrl_tab.show.explorer.measures import POINTS
@@ -36,6 +36,7 @@ from jaxrl_tab.show.rows import (
     early_in_words,
     early_table,
     finding,
+    mean_in_words,
     notes,
     rank,
     runs_in_words,
@@ -101,6 +102,7 @@ def write_methods(
     toml: Mapping[str, str] | None = None,
     explained: Mapping[str, Explained] | None = None,
     verdicts: Mapping[str, stats.Verdict] | None = None,
+    tried: Sequence[Any] = (),
 ) -> Path:
     """`write`, of the methods of each environment, of which something may have been worked out already.
 
@@ -108,9 +110,10 @@ def write_methods(
         again, toml: see `explorer`; without `again` there are tables at the end of the runs alone.
         explained: where the methods lose, by "ENV/METHOD"; of those that are in it.
         verdicts: what was decided in each environment, where methods were compared until all was.
+        tried: what a search tried, where one found the settings.
         Others: as in `write`.
     """
-    return page(methods, about, fresh, again, toml, explained, verdicts).save(folder / FILE)
+    return page(methods, about, fresh, again, toml, explained, verdicts, tried).save(folder / FILE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,6 +152,7 @@ def page(
     toml: Mapping[str, str] | None = None,
     explained: Mapping[str, Explained] | None = None,
     verdicts: Mapping[str, stats.Verdict] | None = None,
+    tried: Sequence[Any] = (),
 ) -> Page:
     """The report; arguments as in `write_methods`."""
     several = len(methods) > 1
@@ -158,13 +162,15 @@ def page(
         seen = explorer(label, own, group=group, again=again, toml=toml, chapters=len(methods))
         losing = heats(explained or {}, label)
         chapter = _chapter(label, own, fresh.get(label, Methods({})), seen, losing)
+        if tried and not chapters:  # a search is of one environment, and others may have been added
+            chapter = chapter._replace(search=_searched(tried, own))
         chapters.append(chapter if verdicts is None else _decided(chapter, verdicts.get(label), own))
     sweeps = {f"{label}/{name}": ds for label, own in methods.items() for name, ds in own.items()}
     seeds = [ds.sizes["seed"] for ds in sweeps.values()]
     title = _title(chapters)
     rendered = render(
         "report.html",
-        styles=["report.css", "heat.css"],
+        styles=["report.css", "heat.css", *(["search.css"] if tried else [])],
         scripts=EXPLORER,
         points=f"at most {POINTS}",
         title=title,
@@ -228,6 +234,7 @@ class Chapter(NamedTuple):
     blocks: dict[str, str]
     verdict: str = ""
     verdict_notes: Sequence[str] = ()
+    search: search_page.Search | None = None
 
 
 # --- a chapter ---------------------------------------------------------------------------------------
@@ -293,6 +300,15 @@ def _decided(chapter: Chapter, verdict: stats.Verdict | None, methods: Methods) 
         verdict=verdict.sentence,
         verdict_notes=verdict.notes(lambda x: number(x, digits)),
     )
+
+
+def _searched(tried: Sequence[Any], methods: Methods) -> search_page.Search:
+    """What a search tried that found the settings of a chapter, whose seeds are the fresh ones."""
+    ds, rows = next(iter(methods.values())), methods.rows
+    view = View(methods.prediction, [], decimals(rows))
+    worth = {row.method: mean_in_words(row, view) for row in rows if row["best"]}
+    unit = "steps" if "num_steps" in ds.attrs else "episodes"
+    return search_page.section(tried, unit, worth, ds.sizes["seed"], view.what)
 
 
 # --- words -------------------------------------------------------------------------------------------

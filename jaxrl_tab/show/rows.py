@@ -162,8 +162,8 @@ def chosen_table(
         [
             words.title_of(row.method),
             _setting(row, view) or "as given",
-            _mean_cell(row, view),
-            *([_mean_cell(again[row.method], view) if row.method in again else "–"] if again else []),
+            mean_in_words(row, view),
+            *([mean_in_words(again[row.method], view) if row.method in again else "–"] if again else []),
             *(_difference_cells(judged[row.method], view) if judged else []),
             *(_cell(column, shown, view) for column in columns),
         ]
@@ -246,7 +246,7 @@ def _cell(column: Column, row: Row, view: View) -> str:
     return number(x, view.decimals if column.written == "score" else None)
 
 
-def _mean_cell(row: Row, view: View) -> str:
+def mean_in_words(row: Row, view: View) -> str:
     return _of(row["score"], view) + _doubt(row)
 
 

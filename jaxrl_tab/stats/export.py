@@ -39,13 +39,16 @@ def load(file: Path | str) -> dict[str, xr.Dataset]:
         InputError: there is no such file, or it is of another kind.
     """
     try:
-        tree = xr.open_datatree(file, engine="h5netcdf")
+        datasets = netcdf.load(file)
     except FileNotFoundError:
         raise InputError(f"there is no file {file}") from None
     except OSError as error:
         raise InputError(f"{file} cannot be read as netCDF: {error}") from None
-    runs = [node for node in tree.subtree if "episodes" in node.data_vars]
-    return {node.path.strip("/"): netcdf.numbers_again(node.to_dataset()) for node in runs}
+    return {
+        path.strip("/"): netcdf.numbers_again(ds)
+        for path, ds in datasets.items()
+        if "episodes" in ds.data_vars
+    }
 
 
 def to_pandas(datasets: Datasets, per: Per = "row") -> pd.DataFrame:
@@ -127,8 +130,7 @@ def _save_all(datasets: Datasets, file: Path) -> Path:
     named = {datasets.attrs["algorithm"]: datasets} if isinstance(datasets, xr.Dataset) else datasets
     unfinished = file.with_name(f".{file.name}.unfinished")
     unfinished.unlink(missing_ok=True)
-    for name, ds in named.items():
-        netcdf.save(ds, name, unfinished, {})
+    netcdf.save_all(named, unfinished, {})
     unfinished.replace(file)
     return file
 
