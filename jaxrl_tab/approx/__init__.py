@@ -38,6 +38,7 @@ from jaxrl_tab.approx.features import (
     Polynomial,
     RadialBasis,
     TileCoding,
+    matrix,
 )
 from jaxrl_tab.approx.least_squares import LSTD
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
@@ -81,4 +82,5 @@ __all__ = [
     "SemiGradientTrueOnlineSarsaLambda",
     "SemiGradientTrueOnlineTDLambda",
     "TileCoding",
+    "matrix",
 ]
