@@ -56,6 +56,20 @@ class OneHot(Features):
 
 
 @checked_dataclass
+class Observation(Ranged):
+    """The numbers that are observed themselves, each scaled to [-1, 1]; none of them is 1 everywhere."""
+
+    name = "observation"
+
+    @property
+    def size(self) -> int:
+        return self.dimensions
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        return 2 * jnp.stack(self.scaled(observed)) - 1
+
+
+@checked_dataclass
 class Own(Features):
     """The features that the task itself states, such as those of a counterexample."""
 
@@ -306,7 +320,8 @@ def _not_too_many(features: Concatenate) -> Concatenate:
 
 
 FEATURES: dict[str, type[Features]] = {
-    cls.name: cls for cls in (OneHot, Own, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
+    cls.name: cls
+    for cls in (OneHot, Own, Observation, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
 }
 PLUS = re.compile(r"\+(?![^()]*\))")  # between features; within parentheses it belongs to a number
 
@@ -343,3 +358,17 @@ def _read_one(written: str) -> Features:
     except TypeError as error:
         takes = ", ".join(inspect.signature(FEATURES[name]).parameters)
         raise InputError(f"{shown(written)}: {reason(error)}; {name} takes {takes}") from None
+
+
+def matrix(written: Any, env: Any) -> Float[np.ndarray, "S n"]:
+    """All features of all states of a task, float64 [S, n]: `matrix("aggregation(10)", env)`; see `read`.
+
+    Raises:
+        InputError: they are not features of that task, or its states cannot be counted.
+    """
+    if not env.num_states:
+        raise InputError(
+            f"the states of {type(env).__name__} cannot be counted, so there is no list of their features"
+        )
+    features: Any = read(written).fitted(env)
+    return np.eye(env.num_states) if isinstance(features, OneHot) else features.matrix

@@ -8,18 +8,18 @@ x(S), and takes the target as given, though it depends on the weights, too. Henc
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Self, TypeAlias, cast
+from typing import Any, ClassVar, Self, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab.algorithms.control import Learner
+from jaxrl_tab.algorithms.control import Learner, ValueControl
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.approx import weights
-from jaxrl_tab.approx.features import OneHot, read
+from jaxrl_tab.approx.features import OneHot, matrix, read
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import goes_by_visit
@@ -27,7 +27,9 @@ from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.linear import X
 from jaxrl_tab.core.policies import EpsilonGreedy
 from jaxrl_tab.core.pytree import pytree, static
-from jaxrl_tab.core.types import Available, Environment, State, Transition
+from jaxrl_tab.core.types import Available, Environment, State, Transition, fitted
+from jaxrl_tab.exact import planning
+from jaxrl_tab.exact.projected import LinearValues
 
 OF_FEATURES = (
     "The features of a state of which values are a linear function, such as tile-coding(8, tiles=8): see "
@@ -37,6 +39,7 @@ PER_TILING = (
     "Whether alpha is divided by the number of features that are 1 at once, so that it is the part of an error that an "
     "update takes away, as on the axes of figures 10.3 and 10.4."
 )
+EPSILON_GREEDY_ALONE = "where states do not have every action it acts by an epsilon-greedy policy alone"
 W0 = (
     "Weights at the start, instead of a first value of every state: a number for all; or one for each feature, or for "
     "each feature and action, as text such as 1,1,10 or 1,2;3,4;5,6; in Python also an array [n] or [n, A]."
@@ -45,6 +48,19 @@ W0 = (
 
 Weights: TypeAlias = str | float | Sequence[Any] | np.ndarray | Array
 """Weights at the start, as they are given. They are kept as text, which is empty where none are given."""
+
+
+def check_counts(method: ValueControl, env: Environment) -> None:
+    """Raises InputError where something goes by visits, and the states of the environment cannot be counted."""
+    rates = [*method.rates, *(getattr(p, "epsilon", None) for p in method.all_policies)]
+    if not env.num_states and (
+        any(map(goes_by_visit, rates)) or any(p.by_visit for p in method.all_policies)
+    ):
+        raise InputError(
+            f"what goes by visits needs states that can be counted, and those of {type(env).__name__} cannot: "
+            "count steps or episodes",
+            who=type(method).__name__,
+        )
 
 
 @pytree
@@ -104,24 +120,12 @@ class SemiGradientControl(Linear, TDControl):
     """
 
     def fitted_to(self, env: Environment) -> Self:
-        rates = [*self.rates, *(getattr(p, "epsilon", None) for p in self.all_policies)]
-        if not env.num_states and (
-            any(map(goes_by_visit, rates)) or any(p.by_visit for p in self.all_policies)
-        ):
-            raise InputError(
-                f"what goes by visits needs states that can be counted, and those of {type(env).__name__} cannot: "
-                "count steps or episodes",
-                who=type(self).__name__,
-            )
+        check_counts(self, env)
         return super().fitted_to(env)
 
     def restricted_to(self, available: Available, **more: Any) -> Self:
         if not isinstance(self.selection, EpsilonGreedy):
-            raise InputError(
-                "where states do not have every action it acts by an epsilon-greedy policy alone",
-                who=type(self).__name__,
-                field="behaviour",
-            )
+            raise InputError(EPSILON_GREEDY_ALONE, who=type(self).__name__, field="behaviour")
         return super().restricted_to(available, q0=self.q0, **more)
 
     def initial(self, num_states: int, num_actions: int) -> Float[Array, "n A"]:
@@ -162,6 +166,8 @@ class SemiGradientPrediction(Linear, Prediction):
     Where states cannot be counted, nobody can say what a policy does in each: there all actions are equally likely.
     """
 
+    measures: ClassVar[tuple[str, ...]] = ("v_error", "value_error", "projected_bellman_error")
+
     def fitted_to(self, env: Environment) -> Self:
         if not env.num_states and (
             name := next((x for x in ("pi", "behaviour") if getattr(self, x, None)), "")
@@ -180,6 +186,29 @@ class SemiGradientPrediction(Linear, Prediction):
 
     def policy(self, key: Key[Array, ""], state: ValueState, s: State) -> Int[Array, ""]:
         return super().policy(key, state, s if jnp.ndim(s) == 0 else jnp.int32(0))
+
+    def linear_values(self, env: Environment) -> LinearValues:
+        """What is exact about the values that it learns: the best weights, the TD fixed point, errors of any weights.
+
+        Raises:
+            InputError: as `planning.linear_values`; or `env` changes while a run goes on.
+        """
+        planning.check_lasting(env)
+        own = fitted(self, env)
+        with jax.enable_x64():
+            b = own.policies(env)[1]
+        pi, features = own.probabilities(env), matrix(own.features, env)
+        return planning.linear_values(env, pi, features, float(own.gamma), behaviour=b)
+
+    def measurer(self, env: Environment):
+        """What `train(exact=True)` records: the errors that are `measures`, from the state."""
+        planning.check_finite(env)
+        with planning.doubled():
+            pi, b = self.policies(env)
+        features = None if isinstance(self.features, OneHot) else matrix(self.features, env)
+        measure = planning.linear_value_measurer(env, pi, self.gamma, features, b)
+        errors = lambda state: measure(self.everywhere(state, env.num_states))
+        return lambda state: dict(zip(self.measures, errors(state), strict=True))
 
     def everywhere(self, state: ValueState, num_states: int) -> Float[Array, " S"]:
         return jax.vmap(self.row, (None, 0))(state, jnp.arange(num_states, dtype=jnp.int32))[:, 0]

@@ -78,11 +78,13 @@ class OfMethod(NamedTuple):
         needs_horizon: whether it is for tasks alone that end after a given number of steps. What it learns are bounds,
             which may be greater than any return.
         in_the_long_run: whether it learns about the average reward of a step, in tasks that do not end.
+        measures: of a method of prediction, the fields of the log that its `measurer` gives.
         records: names of fields of its state that are recorded at the end of every row of the log.
         works_with: gives, from a state, arrays of the shapes of those with which `update` works beside it, for the
             forecast of memory; None where these are no more than some numbers of each state and action.
         behaviour: the policy that acts, where the method was given one.
         features: the features of a state of which its values are a linear function; None where they are a table.
+        left_to_xla: why `lanes` does not compile it: what it does in a step XLA does better. Empty where it does.
         backup: the diagram of what `update` looks ahead to, a `Backup` or its levels as text; None where nobody has
             drawn it. The class that defines `update` declares it, or a subclass without an `update` of its own.
     """
@@ -94,10 +96,12 @@ class OfMethod(NamedTuple):
     exploring_starts: bool = False
     needs_horizon: bool = False
     in_the_long_run: bool = False
+    measures: tuple[str, ...] = ("v_error",)
     records: tuple[str, ...] = ()
     works_with: Callable[[Any], Any] | None = None
     behaviour: Any = None
     features: Any = None
+    left_to_xla: str = ""
     backup: Backup | None = None
 
 

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.core.errors import one_line
 from jaxrl_tab.core.notebook import table
+from jaxrl_tab.core.optimizers import Transformation
 from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine import provenance
@@ -45,6 +47,9 @@ class SweepResult:
             swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over
             problems. NaN where the environment does not say, or there is no finite v*, or no single such
             number.
+        references: what the errors of values that are linear in features are measured by, where these were recorded,
+            float64 [*grid] each: `least_value_error`, the least `value_error` that the features allow, and
+            `td_value_error`, that of the TD fixed point, NaN where there is none. Else nothing.
         root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), first_seed + i)`.
         num_steps, num_episodes, log_every, exact_every: the budget of each run, what a row of the log is, and how
             many of them have exact values, as in `train`.
@@ -76,6 +81,7 @@ class SweepResult:
     exact_every: int | None = None
     learns: Learns = Learns.ACTIONS
     part: "Part | None" = None
+    references: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -129,6 +135,7 @@ class SweepResult:
             variables[name] = ((*axes, "row", *more), x)
         variables["q"] = ((*axes, "state" if self.env.num_states else "feature", "action"), self.q)
         variables["diverged"] = (axes, self.diverged)
+        variables |= {name: ((*self.grid,), x) for name, x in self.references.items()}
         if self.optimal_value.ndim:
             variables["optimum"] = (("gamma" if "gamma" in self.grid else DRAW,), self.optimal_value)
         coords: dict[str, Any] = {name: labels(x) for name, x in self.grid.items() if name != DRAW}
@@ -214,8 +221,10 @@ def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
 
 
 def label(value: Any) -> Any:
-    """A hyperparameter as a coordinate: a number as it is, a schedule, a policy or features as they are typed."""
-    return str(value) if isinstance(value, Schedule | Policy | Features) else value
+    """A hyperparameter as a coordinate: a number as it is, what else it may be as it is typed."""
+    is_transformation = hasattr(value, "_fields")  # of gradients, as optax makes it in Python
+    is_typed = isinstance(value, Schedule | Policy | Features | MLP | Transformation)
+    return str(value) if is_transformation or is_typed else value
 
 
 def labels(values: Iterable[Any]) -> Any:

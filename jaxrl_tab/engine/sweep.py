@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxrl_tab.algorithms.prediction import METHOD, METHODS
+from jaxrl_tab.approx.optimized import Optimized
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build, check_held, check_pytree, checked, foreign, is_list, repeated
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
@@ -171,8 +172,10 @@ def result(part: Part, computed: Computed) -> SweepResult:
     """The result of a sweep from what all runs of it gave, in the order of their numbers."""
     axes, first = part.axes, part.configs[0]
     method = of_method(first)
-    # Where a behaviour policy is given epsilon is not looked at, and it would mislead to show it.
+    # Where a behaviour policy is given epsilon is not looked at, nor alpha beside an optimiser that has its own, and it
+    # would mislead to show it.
     unused = {"epsilon"} if method.behaviour is not None else set()
+    unused |= {"alpha"} if isinstance(first, Optimized) and first.optimizer is not None else set()
     shape = (*(len(values) for values in axes.values()), part.num_seeds)
     q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(
@@ -185,6 +188,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
         log=log,
         q=q,
         optimal_value=_exact_value(part.env, axes, part.configs),
+        references=_references(part),
         root_seed=part.seed,
         first_seed=part.first_seed,
         largest_value=part.largest_values.reshape(shape[:-1]),
@@ -271,6 +275,35 @@ def _exact_value(
 
     gammas = axes.get("gamma") or [trial["gamma"] for trial in axes.get(DRAW, ()) if "gamma" in trial]
     return np.array([value(gamma) for gamma in gammas] if gammas else value(configs[0].gamma))
+
+
+def _references(part: Part) -> dict[str, Float[np.ndarray, "*grid"]]:
+    """What `value_error` is measured by, as `SweepResult.references` has it."""
+    if not part.budget.exact or "value_error" not in of_method(part.configs[0]).measures:
+        return {}
+    errors, known = [], {}
+    for config in cast(list[Any], part.configs):
+        # Tables are not compared entry by entry, as in `_different`.
+        key = config.features, config.gamma, id(config.pi), id(getattr(config, "behaviour", None))
+        if key not in known:
+            known[key] = _least_and_td(config, part.env)
+        errors.append(known[key])
+    shape = [len(values) for values in part.axes.values()]
+    names = "least_value_error", "td_value_error"
+    return dict(zip(names, np.array(errors).T.reshape(2, *shape), strict=True))
+
+
+def _least_and_td(config: Any, env: Environment) -> tuple[float, float]:
+    """The root of VE that the best weights have, and that of the TD fixed point; NaN where there is none."""
+    try:
+        values = config.linear_values(env)
+    except InputError:
+        return np.nan, np.nan
+    least = values.value_error(values.best_weights()) ** 0.5
+    try:
+        return least, values.value_error(values.td_fixed_point()) ** 0.5
+    except InputError:
+        return least, np.nan
 
 
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:
