@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from jaxrl_tab.show.explained import Explanation
+    from jaxrl_tab.show.report import Page
 
 
 def run(
@@ -219,17 +220,33 @@ def explain(folder: str | Path) -> "Explanation":
     """
     path = _folder(folder)
     with disk.lock(path):
-        found = find(path)
-        experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
-        job = Job.of(experiment, None, library_versions(experiment.data()), found.experiments[:-1])
-        if lacking := missing(store, job):
-            raise InputError(
-                f"{len(lacking)} of {len(job.shards)} shards are missing in {path}: resume it first"
-            )
+        experiment, store, job = _ended(path)
         datasets, _ = collect(store, job, list(job.parts), free() // 2)
         envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
         with backend.using(experiment.backend), settings_of(store, records_of(store)):
             return Outcome(datasets, {}, envs, job.parts).explain()
+
+
+def report(folder: str | Path) -> "Page":
+    """The report of an experiment in a folder, made again where it is missing. Raises InputError as `explain`."""
+    from jaxrl_tab.show.report import FILE, Page
+
+    path = _folder(folder)
+    with disk.lock(path):
+        _, store, _ = _ended(path)
+    if FILE not in store.files:
+        resume(path, progress=False)
+    return Page.read(path / FILE)
+
+
+def _ended(path: Path) -> tuple[Experiment, Store, Job]:
+    """An experiment in a locked folder, of which all was computed. Raises InputError where shards are missing."""
+    found = find(path)
+    experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
+    job = Job.of(experiment, None, library_versions(experiment.data()), found.experiments[:-1])
+    if lacking := missing(store, job):
+        raise InputError(f"{len(lacking)} of {len(job.shards)} shards are missing in {path}: resume it first")
+    return experiment, store, job
 
 
 def history(folder: str | Path) -> list[tuple[str, str, str]]:
