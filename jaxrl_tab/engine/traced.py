@@ -85,7 +85,7 @@ def place_of_table(algorithm: Any, env: Any, learner: Any) -> int | None:
     places = []
 
     def look(learner: Any) -> None:
-        table = table_of(algorithm, env, learner)
+        table = table_of(algorithm, env.num_states, learner)
         places.append(next((i for i, x in enumerate(jax.tree.leaves(learner)) if x is table), None))
 
     jax.eval_shape(look, learner)  # in which no two leaves are the same array
