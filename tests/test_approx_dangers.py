@@ -9,7 +9,7 @@ from jaxrl_tab.approx.dangers import has_deadly_triad, largest_square, step_size
 from jaxrl_tab.approx.features import read
 from jaxrl_tab.show import words
 
-CAR = approx.MountainCar()
+CAR = rl.MountainCar()
 WALK = rl.RandomWalk(states=5)
 
 
