@@ -40,13 +40,17 @@ def _function(features):
     return values
 
 
+def _target():
+    return np.asarray(wave(jnp.asarray(POINTS)))
+
+
 def _after(ds, examples):
     return ds["values"].isel(row=min(examples // ds.attrs["log_every"], ds.sizes["row"]) - 1)
 
 
 def _error(name, examples):
     """The root of the mean squared error over the points, of each seed."""
-    return lambda datasets: np.sqrt(((_after(datasets[name], examples) - wave(POINTS)) ** 2).mean("values_0"))
+    return lambda datasets: np.sqrt(((_after(datasets[name], examples) - _target()) ** 2).mean("values_0"))
 
 
 def _draw(datasets):
@@ -56,7 +60,7 @@ def _draw(datasets):
     grid = canvas.subplots(len(EXAMPLES), len(WIDTHS), sharex=True, sharey=True)
     for row, examples in zip(grid, EXAMPLES, strict=True):
         for ax, (name, ds) in zip(row, datasets.items(), strict=True):
-            ax.plot(POINTS, wave(POINTS), color=plot.GREY, lw=1, ls=":")
+            ax.plot(POINTS, _target(), color=plot.GREY, lw=1, ls=":")
             ax.plot(POINTS, _after(ds, examples).isel(seed=0), color=plot.COLORS[0], lw=1.4)
             ax.plot([0.1, 0.1 + WIDE[name]], [1.25, 1.25], color=plot.COLORS[1], lw=2, clip_on=False)
             ax.set(ylim=(-0.3, 1.4), xlim=(0, EXTENT), yticks=[0, 1], xticks=[0, 1, 2])
