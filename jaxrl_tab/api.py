@@ -1,11 +1,11 @@
 """All that is public in the package, which shows it as its own: `jaxrl_tab.sweep` is `jaxrl_tab.api.sweep`."""
 
 import importlib
+import types
 from typing import Any
 
 from jaxrl_tab import algorithms, approx, envs, interop
 from jaxrl_tab.algorithms import (
-    ALGORITHMS,
     PSRL,
     UCBVI,
     ActorCritic,
@@ -51,7 +51,6 @@ from jaxrl_tab.algorithms import (
     moments,
     prediction,
 )
-from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core import backups, policies, schedules, tables
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.experience import Experience
@@ -82,6 +81,7 @@ from jaxrl_tab.envs import (
     KArmedTestbed,
     MaximizationBias,
     Maze,
+    MountainCar,
     RandomWalk,
     ShortCorridor,
     TraceGridworld,
@@ -91,12 +91,13 @@ from jaxrl_tab.envs import (
     make,
 )
 from jaxrl_tab.exact import importance, planning
-from jaxrl_tab.experiment import executors
+from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.compare import compare
 from jaxrl_tab.experiment.reading import read
 from jaxrl_tab.experiment.runner import explain, resume, run, search
 from jaxrl_tab.experiment.search import Search
 from jaxrl_tab.experiment.spec import Experiment
+from jaxrl_tab.methods import ALGORITHMS, PREDICTION
 
 # Imported when they are first used, because they take a second: name -> where it is.
 _LATER = {
@@ -109,9 +110,20 @@ _LATER = {
 }
 
 
+class _Report(types.ModuleType):
+    """The module `show.report`, which is called as people expect: `rl.report("runs/windy")`."""
+
+    def __call__(self, folder: Any) -> Any:
+        """The report of an experiment in a folder, as `experiment.runner.report`."""
+        return runner.report(folder)
+
+
 def __getattr__(name: str) -> Any:
     if name in _LATER:
-        return importlib.import_module(f"jaxrl_tab.{_LATER[name]}")
+        module = importlib.import_module(f"jaxrl_tab.{_LATER[name]}")
+        if name == "report":
+            module.__class__ = _Report
+        return module
     raise AttributeError(f"module 'jaxrl_tab' has no attribute {name!r}")
 
 
@@ -162,6 +174,7 @@ __all__ = [
     "MaxminQLearning",
     "Maze",
     "MonteCarlo",
+    "MountainCar",
     "NStepExpectedSarsa",
     "NStepOffPolicySarsa",
     "NStepSarsa",
