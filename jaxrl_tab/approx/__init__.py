@@ -14,6 +14,7 @@
     weights         weights that are given at the start
     network         a small neural network
     deep            Q-learning and Sarsa by such a network, with experience replay and a target copy
+    policy_iteration  least-squares policy iteration, from a log
     mountain_car    a task whose states cannot be counted
 
 They are used in Python, wherever a method or an environment is:
@@ -51,6 +52,7 @@ from jaxrl_tab.approx.mountain_car import MountainCar
 from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features, Rows
 from jaxrl_tab.approx.off_policy import GTD2, TDC, EmphaticTD, SemiGradientOffPolicyTD
+from jaxrl_tab.approx.policy_iteration import LeastSquaresPolicy, lspi
 from jaxrl_tab.approx.prediction import (
     SemiGradientNStepTD,
     SemiGradientTD,
@@ -73,6 +75,7 @@ __all__ = [
     "Features",
     "Fourier",
     "GradientMonteCarlo",
+    "LeastSquaresPolicy",
     "MountainCar",
     "Observation",
     "OneHot",
@@ -92,5 +95,6 @@ __all__ = [
     "SemiGradientTrueOnlineSarsaLambda",
     "SemiGradientTrueOnlineTDLambda",
     "TileCoding",
+    "lspi",
     "matrix",
 ]
