@@ -87,7 +87,7 @@ def test_refusals():
     env = chain(4, [1, 2])
     log = ten_of_each(env)
     for message, call in {
-        "the states of MountainCar cannot be counted": lambda: approx.lspi(log, approx.MountainCar()),
+        "the states of MountainCar cannot be counted": lambda: approx.lspi(log, rl.MountainCar()),
         "experience must be an Experience, not list": lambda: approx.lspi([], env),
         "features of 3 states were given, and the task has 4": lambda: approx.lspi(log, env, np.eye(3)),
         "gamma": lambda: approx.lspi(log, env, gamma=1.5),

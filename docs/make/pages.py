@@ -99,6 +99,11 @@ def _methods() -> dict[str, str]:
 def method_commands(name: str) -> list[str]:
     """What a person may type to see a method at work, in a task that suits it."""
     declared = of_method(METHODS[name])
+    if declared.features is not None and declared.learns is Learns.ACTIONS:
+        return [_of_features("mountain-car", name, out=name)]
+    if declared.features is not None:
+        told = '--states 99 --features one-hot "aggregation(9)" "fourier(3)" --alpha 0.02'
+        return [f"jaxrl-tab sweep random-walk {name} {told} --episodes 200 --exact --out runs/{name}"]
     if declared.learns is Learns.STATES:
         return [
             f"jaxrl-tab watch random-walk {name} --episodes 20",
@@ -124,7 +129,8 @@ def _environments() -> dict[str, str]:
     made = {}
     for name, cls in rl.ENVS.items():
         env = rl.make(name)
-        size = f"{env.num_states} states and {env.num_actions} actions, as it is by default"
+        states = f"{env.num_states} states" if env.num_states else "states that cannot be counted,"
+        size = f"{states} and {env.num_actions} actions, as it is by default"
         ends = (
             "it does not end"
             if of_environment(env).continuing
@@ -144,9 +150,17 @@ def _environments() -> dict[str, str]:
     return {"environments/index.md": _page("# Environments", table), **made}
 
 
+def _of_features(env: str, method: str, out: str) -> str:
+    """A sweep where states cannot be counted."""
+    told = '--features "tile-coding(8, 8)" --per-tiling --alpha 0.1 0.2 0.5 --epsilon 0'
+    return f"jaxrl-tab sweep {env} {method} {told} --episodes 200 --seeds 20 --out runs/{out}"
+
+
 def environment_commands(name: str) -> list[str]:
     """What a person may type to see an environment."""
     env = rl.make(name)
+    if not env.num_states:
+        return [_of_features(name, "semi-gradient-sarsa", out=name)]
     declared = of_environment(env)
     method = "r-learning" if declared.continuing else "q-learning"
     solve = [] if declared.at else [f"jaxrl-tab solve {name}"]
@@ -378,6 +392,8 @@ def _place(name: str, modules: Mapping[str, types.ModuleType]) -> tuple[str, boo
         return name, True
     if isinstance(thing, type) and thing in PAGE_OF:
         return PAGE_OF[thing], True
+    if thing is rl.ALGORITHMS or thing is rl.PREDICTION:
+        return "methods/index.md", True
     for other, module in modules.items():
         if name in public_names(module) and getattr(module, name) is thing:
             return other, True

@@ -5,6 +5,7 @@ Its modules, from the ground up:
     disk       files and folders that are whole or not there
     packed     arrays in a file
     places     where in a TOML file something is wrong
+    plain      values of hyperparameters as JSON and TOML have them
     instances  environments and methods that are given as instances
     tasks      what an environment has of its own: the length of its runs, and gamma
     sources    the copies of the files that somebody's own classes and tables are in
@@ -23,6 +24,7 @@ Its modules, from the ground up:
     progress   how far an experiment is, and how long it will go on
     executors  where shards are computed: in this process, or in others, here or on other machines
     computing  the shards that are missing are computed, and results collected
+    going_on   longer runs that go on where shorter ones ended
     again      settings run again, to record what was learned on the way
     painter    a process beside this one that draws pictures
     files      the files of results in the folder

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.methods import METHODS
 
 if TYPE_CHECKING:  # which takes its time to import
     from jaxrl_tab.stats.along import Datasets
@@ -149,6 +149,7 @@ NAMES = {
     "n step": "n-step",
     "off policy": "off-policy",
     "actor critic": "actor-critic",
+    "semi gradient": "semi-gradient",
     "k armed": "k-armed",
 }
 SYMBOLS = {
