@@ -99,6 +99,9 @@ def _methods() -> dict[str, str]:
 def method_commands(name: str) -> list[str]:
     """What a person may type to see a method at work, in a task that suits it."""
     declared = of_method(METHODS[name])
+    if declared.features is not None and declared.in_the_long_run:
+        told = '--features one-hot "aggregation(11)" --alpha 0.02 --steps 200000 --log-every 2000 --seeds 20'
+        return [f"jaxrl-tab sweep access-control {name} {told} --out runs/{name}"]
     if declared.features is not None and declared.learns is Learns.ACTIONS:
         return [_of_features("mountain-car", name, out=name)]
     if declared.features is not None:
