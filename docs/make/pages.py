@@ -68,6 +68,7 @@ def _linked(text: str) -> str:
     text = re.sub(r"\]\(docs/", "](", text)
     for file, page in AT_THE_ROOT.items():
         text = text.replace(f"]({file})", f"]({page})")
+    text = re.sub(r"\]\(examples/(\w+)\.ipynb\)", r"](examples/\1.md)", text)
     return re.sub(r"\]\(examples/?\)", "](examples/index.md)", text)
 
 
