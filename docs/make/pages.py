@@ -159,6 +159,9 @@ def _of_features(env: str, method: str, out: str) -> str:
 def environment_commands(name: str) -> list[str]:
     """What a person may type to see an environment."""
     env = rl.make(name)
+    if not env.num_states and env.num_actions == 1:
+        told = '--features "tile-coding(5, 10)" --per-tiling --alpha 0.05 0.2'
+        return [f"jaxrl-tab sweep {name} semi-gradient-td {told} --steps 2000 --seeds 20 --out runs/{name}"]
     if not env.num_states:
         return [_of_features(name, "semi-gradient-sarsa", out=name)]
     declared = of_environment(env)
