@@ -15,6 +15,7 @@
     network         a small neural network
     deep            Q-learning and Sarsa by such a network, with experience replay and a target copy
     policy_iteration  least-squares policy iteration, from a log
+    dangers         a step size that must diverge, and the deadly triad
 
 To add a method: write its class, and add its line here. They are used wherever a method is:
 
