@@ -177,8 +177,9 @@ def test_one_hot_features_are_the_table(table, linear, more):
     mine, log = rl.train(KEY, table(alpha=0.5, **more), env, **budget)
     theirs, other = rl.train(KEY, linear(alpha=0.5, **more), env, **budget)
     np.testing.assert_array_equal(mine.q, theirs.q)
-    for x, y in zip(jax.tree.leaves(log), jax.tree.leaves(other), strict=True):
-        np.testing.assert_array_equal(x, y)
+    for x, y in zip(log, other, strict=True):
+        if x is not None:  # of V with features more errors are recorded
+            np.testing.assert_array_equal(x, y)
 
 
 def test_unavailable_actions_are_not_taken_and_not_counted():

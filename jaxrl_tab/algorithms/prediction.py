@@ -148,13 +148,17 @@ class Prediction(Shown):
     def probabilities(self, env: Environment) -> Float[np.ndarray, "S A"]:
         """pi, float64 [S, A]; of a method that is `restricted_to` what the environment has."""
         with jax.enable_x64():
-            return np.asarray(_probabilities(self.pi, env.num_states, env.num_actions))
+            return np.asarray(self.policies(env)[0])
+
+    def policies(self, env: Environment) -> tuple[Float[Array, "S A"], Float[Array, "S A"] | None]:
+        """pi, and the policy that acts, None where that is pi; of a method that is `restricted_to` what there is."""
+        return _probabilities(self.pi, env.num_states, env.num_actions), None
 
     def measurer(self, env: Environment):
         """What `train(exact=True)` records: the root of the mean squared error of V, from the state."""
         planning.check_finite(env)
         with planning.doubled():
-            pi = _probabilities(self.pi, env.num_states, env.num_actions)
+            pi, _ = self.policies(env)
         measure = planning.value_measurer(env, pi, self.gamma)
         return lambda state: {"v_error": measure(self.everywhere(state, env.num_states))}
 
@@ -289,6 +293,9 @@ class OffPolicyPrediction(Prediction):
 
     def restricted_to(self, available: Available, **more: Any) -> Self:
         return super().restricted_to(available, behaviour=_among(self.behaviour, available), **more)
+
+    def policies(self, env: Environment) -> tuple[Float[Array, "S A"], Float[Array, "S A"] | None]:
+        return super().policies(env)[0], _probabilities(self.behaviour, env.num_states, env.num_actions)
 
     def init(self, num_states: int, num_actions: int, max_steps: int = 1000) -> ValueState:
         state = super().init(num_states, num_actions, max_steps)

@@ -36,6 +36,7 @@ from jaxrl_tab.approx.features import (
     Polynomial,
     RadialBasis,
     TileCoding,
+    matrix,
 )
 from jaxrl_tab.approx.least_squares import LSTD
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
@@ -78,4 +79,5 @@ __all__ = [
     "SemiGradientTrueOnlineSarsaLambda",
     "SemiGradientTrueOnlineTDLambda",
     "TileCoding",
+    "matrix",
 ]

@@ -343,3 +343,17 @@ def _read_one(written: str) -> Features:
     except TypeError as error:
         takes = ", ".join(inspect.signature(FEATURES[name]).parameters)
         raise InputError(f"{shown(written)}: {reason(error)}; {name} takes {takes}") from None
+
+
+def matrix(written: Any, env: Any) -> Float[np.ndarray, "S n"]:
+    """All features of all states of a task, float64 [S, n]: `matrix("aggregation(10)", env)`; see `read`.
+
+    Raises:
+        InputError: they are not features of that task, or its states cannot be counted.
+    """
+    if not env.num_states:
+        raise InputError(
+            f"the states of {type(env).__name__} cannot be counted, so there is no list of their features"
+        )
+    features: Any = read(written).fitted(env)
+    return np.eye(env.num_states) if isinstance(features, OneHot) else features.matrix

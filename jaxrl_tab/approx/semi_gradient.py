@@ -8,7 +8,7 @@ x(S), and takes the target as given, though it depends on the weights, too. Henc
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Self, TypeAlias, cast
+from typing import Any, ClassVar, Self, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.approx import weights
-from jaxrl_tab.approx.features import OneHot, read
+from jaxrl_tab.approx.features import OneHot, matrix, read
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import goes_by_visit
@@ -27,7 +27,9 @@ from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.linear import X
 from jaxrl_tab.core.policies import EpsilonGreedy
 from jaxrl_tab.core.pytree import pytree, static
-from jaxrl_tab.core.types import Available, Environment, State, Transition
+from jaxrl_tab.core.types import Available, Environment, State, Transition, fitted
+from jaxrl_tab.exact import planning
+from jaxrl_tab.exact.projected import LinearValues
 
 OF_FEATURES = (
     "The features of a state of which values are a linear function, such as tile-coding(8, tiles=8): see "
@@ -162,6 +164,8 @@ class SemiGradientPrediction(Linear, Prediction):
     Where states cannot be counted, nobody can say what a policy does in each: there all actions are equally likely.
     """
 
+    measures: ClassVar[tuple[str, ...]] = ("v_error", "value_error", "projected_bellman_error")
+
     def fitted_to(self, env: Environment) -> Self:
         if not env.num_states and (
             name := next((x for x in ("pi", "behaviour") if getattr(self, x, None)), "")
@@ -180,6 +184,29 @@ class SemiGradientPrediction(Linear, Prediction):
 
     def policy(self, key: Key[Array, ""], state: ValueState, s: State) -> Int[Array, ""]:
         return super().policy(key, state, s if jnp.ndim(s) == 0 else jnp.int32(0))
+
+    def linear_values(self, env: Environment) -> LinearValues:
+        """What is exact about the values that it learns: the best weights, the TD fixed point, errors of any weights.
+
+        Raises:
+            InputError: as `planning.linear_values`; or `env` changes while a run goes on.
+        """
+        planning.check_lasting(env)
+        own = fitted(self, env)
+        with jax.enable_x64():
+            b = own.policies(env)[1]
+        pi, features = own.probabilities(env), matrix(own.features, env)
+        return planning.linear_values(env, pi, features, float(own.gamma), behaviour=b)
+
+    def measurer(self, env: Environment):
+        """What `train(exact=True)` records: the errors that are `measures`, from the state."""
+        planning.check_finite(env)
+        with planning.doubled():
+            pi, b = self.policies(env)
+        features = None if isinstance(self.features, OneHot) else matrix(self.features, env)
+        measure = planning.linear_value_measurer(env, pi, self.gamma, features, b)
+        errors = lambda state: measure(self.everywhere(state, env.num_states))
+        return lambda state: dict(zip(self.measures, errors(state), strict=True))
 
     def everywhere(self, state: ValueState, num_states: int) -> Float[Array, " S"]:
         return jax.vmap(self.row, (None, 0))(state, jnp.arange(num_states, dtype=jnp.int32))[:, 0]

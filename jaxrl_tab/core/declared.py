@@ -78,6 +78,7 @@ class OfMethod(NamedTuple):
         needs_horizon: whether it is for tasks alone that end after a given number of steps. What it learns are bounds,
             which may be greater than any return.
         in_the_long_run: whether it learns about the average reward of a step, in tasks that do not end.
+        measures: of a method of prediction, the fields of the log that its `measurer` gives.
         records: names of fields of its state that are recorded at the end of every row of the log.
         works_with: gives, from a state, arrays of the shapes of those with which `update` works beside it, for the
             forecast of memory; None where these are no more than some numbers of each state and action.
@@ -94,6 +95,7 @@ class OfMethod(NamedTuple):
     exploring_starts: bool = False
     needs_horizon: bool = False
     in_the_long_run: bool = False
+    measures: tuple[str, ...] = ("v_error",)
     records: tuple[str, ...] = ()
     works_with: Callable[[Any], Any] | None = None
     behaviour: Any = None

@@ -17,7 +17,8 @@ from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.budget import NO_RECORDER, Record
 
 _NAMES = {"q", "diverged", "optimum", "environment", "method", DRAW, "seed", "row", "state", "action"}
-LATER = frozenset({"policy_value"})  # fields that earlier versions did not record: files of theirs lack them
+# Fields that earlier versions did not record: files of theirs lack them.
+LATER = frozenset({"policy_value", "value_error", "projected_bellman_error"})
 _OWN = "recorded."  # before the names of what is recorded, where they stand beside the fields
 
 
@@ -38,6 +39,9 @@ class Log(NamedTuple):
             start and are not terminal, float [rows]. None unless recorded.
         v_error: of a method of `prediction`, the root of the mean squared error of V at the end of the row,
             over the same states, float [rows]. None unless recorded.
+        value_error: of a method of prediction with features, the root of VE, the mean squared error of V weighted by
+            how often the policy that acts is in each state, float [rows] (book, equation 9.1). None unless recorded.
+        projected_bellman_error: of the same, the root of PBE, float [rows] (equation 11.22). None unless recorded.
         recorded: what `record` gave at the end of the row, [rows] of each. None unless asked for.
     """
 
@@ -50,6 +54,8 @@ class Log(NamedTuple):
     policy_value: Float[Array, "*rows"] | None = None
     q_error: Float[Array, "*rows"] | None = None
     v_error: Float[Array, "*rows"] | None = None
+    value_error: Float[Array, "*rows"] | None = None
+    projected_bellman_error: Float[Array, "*rows"] | None = None
     recorded: dict[str, Array] | None = None
 
     def named(self) -> dict[str, Any]:

@@ -45,6 +45,9 @@ class SweepResult:
             swept, [draws] where it is drawn, else []. Where each run has a problem of its own, the mean over
             problems. NaN where the environment does not say, or there is no finite v*, or no single such
             number.
+        references: what the errors of values that are linear in features are measured by, where these were recorded,
+            float64 [*grid] each: `least_value_error`, the least `value_error` that the features allow, and
+            `td_value_error`, that of the TD fixed point, NaN where there is none. Else nothing.
         root_seed: the seed of the sweep; run i has the key `fold_in(key(root_seed), first_seed + i)`.
         num_steps, num_episodes, log_every, exact_every: the budget of each run, what a row of the log is, and how
             many of them have exact values, as in `train`.
@@ -76,6 +79,7 @@ class SweepResult:
     exact_every: int | None = None
     learns: Learns = Learns.ACTIONS
     part: "Part | None" = None
+    references: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     def __repr__(self) -> str:
         axes = ", ".join(f"{len(values)} {name}" for name, values in self.grid.items()) or "one setting"
@@ -129,6 +133,7 @@ class SweepResult:
             variables[name] = ((*axes, "row", *more), x)
         variables["q"] = ((*axes, "state" if self.env.num_states else "feature", "action"), self.q)
         variables["diverged"] = (axes, self.diverged)
+        variables |= {name: ((*self.grid,), x) for name, x in self.references.items()}
         if self.optimal_value.ndim:
             variables["optimum"] = (("gamma" if "gamma" in self.grid else DRAW,), self.optimal_value)
         coords: dict[str, Any] = {name: labels(x) for name, x in self.grid.items() if name != DRAW}

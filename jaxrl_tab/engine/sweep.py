@@ -185,6 +185,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
         log=log,
         q=q,
         optimal_value=_exact_value(part.env, axes, part.configs),
+        references=_references(part),
         root_seed=part.seed,
         first_seed=part.first_seed,
         largest_value=part.largest_values.reshape(shape[:-1]),
@@ -271,6 +272,35 @@ def _exact_value(
 
     gammas = axes.get("gamma") or [trial["gamma"] for trial in axes.get(DRAW, ()) if "gamma" in trial]
     return np.array([value(gamma) for gamma in gammas] if gammas else value(configs[0].gamma))
+
+
+def _references(part: Part) -> dict[str, Float[np.ndarray, "*grid"]]:
+    """What `value_error` is measured by, as `SweepResult.references` has it."""
+    if not part.budget.exact or "value_error" not in of_method(part.configs[0]).measures:
+        return {}
+    errors, known = [], {}
+    for config in cast(list[Any], part.configs):
+        # Tables are not compared entry by entry, as in `_different`.
+        key = config.features, config.gamma, id(config.pi), id(getattr(config, "behaviour", None))
+        if key not in known:
+            known[key] = _least_and_td(config, part.env)
+        errors.append(known[key])
+    shape = [len(values) for values in part.axes.values()]
+    names = "least_value_error", "td_value_error"
+    return dict(zip(names, np.array(errors).T.reshape(2, *shape), strict=True))
+
+
+def _least_and_td(config: Any, env: Environment) -> tuple[float, float]:
+    """The root of VE that the best weights have, and that of the TD fixed point; NaN where there is none."""
+    try:
+        values = config.linear_values(env)
+    except InputError:
+        return np.nan, np.nan
+    least = values.value_error(values.best_weights()) ** 0.5
+    try:
+        return least, values.value_error(values.td_fixed_point()) ** 0.5
+    except InputError:
+        return least, np.nan
 
 
 def _different(configs: Sequence[Algorithm], gamma: float) -> list[Algorithm]:

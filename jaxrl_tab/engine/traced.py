@@ -208,7 +208,7 @@ def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[
 def exact_fields(algorithm: Any) -> tuple[str, ...]:
     """The fields of the Log that exact values of a method are recorded in."""
     if not _solves(algorithm):
-        return ("v_error",)
+        return of_method(algorithm).measures
     acts = ("policy_value",) if hasattr(algorithm, "probs") else ()
     errors = ("q_error",) if of_method(algorithm).learns is Learns.ACTIONS else ()
     return ("greedy_value", *errors, *acts)

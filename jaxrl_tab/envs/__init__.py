@@ -27,6 +27,7 @@ from jaxrl_tab.envs.garnet import Garnet
 from jaxrl_tab.envs.infinite_variance import InfiniteVariance
 from jaxrl_tab.envs.jacks_car_rental import JacksCarRental
 from jaxrl_tab.envs.k_armed_testbed import KArmedTestbed
+from jaxrl_tab.envs.long_walk import LongWalk
 from jaxrl_tab.envs.maximization_bias import MaximizationBias
 from jaxrl_tab.envs.maze import FrozenLake, Maze
 from jaxrl_tab.envs.racetrack import Racetrack
@@ -34,6 +35,7 @@ from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.recycling_robot import RecyclingRobot
 from jaxrl_tab.envs.river_swim import RiverSwim
 from jaxrl_tab.envs.short_corridor import ShortCorridor
+from jaxrl_tab.envs.square_wave import SquareWave
 from jaxrl_tab.envs.taxi import Taxi
 from jaxrl_tab.envs.trace_gridworld import TraceGridworld
 from jaxrl_tab.envs.tsitsiklis_van_roy import TsitsiklisVanRoy
@@ -150,6 +152,7 @@ __all__ = [
     "InfiniteVariance",
     "JacksCarRental",
     "KArmedTestbed",
+    "LongWalk",
     "MaximizationBias",
     "Maze",
     "Racetrack",
@@ -158,6 +161,7 @@ __all__ = [
     "RiverSwim",
     "ShortCorridor",
     "ShortcutMaze",
+    "SquareWave",
     "Taxi",
     "TraceGridworld",
     "TsitsiklisVanRoy",

@@ -8,6 +8,7 @@ Its modules, from the ground up:
     values      the linear algebra of dynamic programming over a model
     given       values and policies as they are given, checked
     visits      how often a policy comes to each state
+    projected   values that are linear in features: the best of them, the TD fixed point, and their errors
     measure     what a table is worth, worked out inside a compiled program while it is learned
     optimum     the best policy of an environment, worked out once
     average     the average reward of a step: of a policy, and the largest

@@ -12,9 +12,10 @@ from jaxtyping import Array, Float
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.types import Environment
-from jaxrl_tab.exact.double import doubled
+from jaxrl_tab.exact.double import doubled, in_turn
 from jaxrl_tab.exact.model import Model, check_lasting, ending_at, enumerate_model, reachable, terminal_states
-from jaxrl_tab.exact.values import NEARLY, from_start, greedy_to, iterate_policies, policy_values
+from jaxrl_tab.exact.projected import least_size
+from jaxrl_tab.exact.values import NEARLY, from_start, greedy_to, iterate_policies, policy_values, solve_dense
 
 Measure = Callable[..., tuple[Float[Array, ""], ...]]
 
@@ -68,7 +69,7 @@ def long_run_measurer(env: Environment) -> Measure:
     between the largest and the least Q - q*, which is the largest |Q - q* - c| with the constant c that fits best.
 
     (1 - gamma) v is r(pi) but for what goes with 1 - gamma, and the difference of two such numbers takes that off. The
-    linear systems are solved without a subtraction (`values._solve_dense`), so gamma may be as close to 1 as it likes.
+    linear systems are solved without a subtraction (`values.solve_dense`), so gamma may be as close to 1 as it likes.
     What is left is about 1e-12 times the square of the steps that a chain needs to forget where it began.
 
     Args, errors: as `measurer`.
@@ -157,10 +158,17 @@ def value_measurer(env: Environment, policy_probs: Any, gamma: Any) -> Callable[
     check_lasting(env)
     with doubled():
         model = _traced_model(env)
-        pi, gamma = (jnp.asarray(x, model.prob.dtype) for x in (policy_probs, gamma))
-        v_pi = policy_values(model, pi / pi.sum(1, keepdims=True), gamma).v
-        matters = ~terminal_states(model)
-        finite = jnp.isfinite(jnp.where(matters, v_pi, 0)).all()
+        pi, gamma = _in_precision(model, policy_probs, gamma)
+        return _value_measurer(model, policy_values(model, pi / pi.sum(1, keepdims=True), gamma).v)
+
+
+def _in_precision(model: Model, *numbers: Any) -> tuple[Array, ...]:
+    return tuple(jnp.asarray(x, model.prob.dtype) for x in numbers)
+
+
+def _value_measurer(model: Model, v_pi: Float[Array, " S"]) -> Callable[[Any], Float[Array, ""]]:
+    matters = ~terminal_states(model)
+    finite = jnp.isfinite(jnp.where(matters, v_pi, 0)).all()
 
     def measure(v: Float[Array, " S"]) -> Float[Array, ""]:
         with doubled():
@@ -169,3 +177,98 @@ def value_measurer(env: Environment, policy_probs: Any, gamma: Any) -> Callable[
         return jnp.where(finite, error, jnp.nan)
 
     return measure
+
+
+def linear_value_measurer(
+    env: Environment, policy_probs: Any, gamma: Any, features: Any = None, behaviour: Any = None
+) -> Callable[[Any], tuple[Float[Array, ""], ...]]:
+    """A function from V [S] to (v_error, value_error, projected_bellman_error), where V is linear in features.
+
+    v_error is that of `value_measurer`. The others are the roots of VE and PBE as `projected.LinearValues` has them,
+    weighted by how often the policy that acts is in each state. As there NaN, PBE aside, where v_pi is not finite.
+
+    Args:
+        env, policy_probs, gamma: as in `value_measurer`.
+        features: x(s) of each state, float64 [S, n]; None where each state is a feature of its own.
+        behaviour: the policy that acts, float [S, A]; None where it is pi.
+    """
+    check_lasting(env)
+    with doubled():
+        model = _traced_model(env)
+        pi, b, gamma = _in_precision(
+            model, policy_probs, policy_probs if behaviour is None else behaviour, gamma
+        )
+        pi, b = (x / x.sum(1, keepdims=True) for x in (pi, b))
+        v_pi = policy_values(model, pi, gamma).v
+        v_error = _value_measurer(model, v_pi)
+        mu = _share_of_steps(model, b)
+        onward, reward = _chain(model, pi), (pi[:, :, None] * model.prob * model.reward).sum((1, 2))
+        root = jnp.sqrt(mu)
+        # Of delta = r + (gamma P - 1) v, weighted: the coordinates of what the features can express.
+        to_delta = root[:, None] * (gamma * onward - jnp.eye(len(mu)))
+        constant = root * reward
+        if features is not None:
+            basis = _orthonormal(root[:, None] * jnp.asarray(features, root.dtype))
+            to_delta, constant = basis.T @ to_delta, basis.T @ constant
+
+    @in_turn
+    def of_weights(v: Float[Array, " S"]) -> tuple[Float[Array, ""], ...]:
+        with doubled():
+            exact_v = v.astype(v_pi.dtype)
+            apart = jnp.where(mu > 0, exact_v - v_pi, 0)
+            squares = (mu * apart**2).sum(), ((constant + to_delta @ exact_v) ** 2).sum()
+            return tuple(jnp.sqrt(x).astype(v.dtype) for x in squares)
+
+    return lambda v: (v_error(v), *of_weights(v))
+
+
+def _chain(model: Model, policy: Float[Array, "S A"]) -> Float[Array, "S S"]:
+    """The probabilities with which a policy leads from state to state within an episode."""
+    weight = jnp.where(model.terminal, 0, policy[:, :, None] * model.prob)
+    return (
+        jnp.zeros((len(policy),) * 2, weight.dtype)
+        .at[np.arange(len(policy))[:, None, None], model.s_next]
+        .add(weight)
+    )
+
+
+def _share_of_steps(model: Model, policy: Float[Array, "S A"]) -> Float[Array, " S"]:
+    """The share of all steps that a policy spends in each state in the long run, as `visits.stationary_distribution`.
+
+    It is 1 - gamma times the discounted visits from the start, but for what goes with 1 - gamma; and the difference of
+    two such numbers takes that off (see `long_run_measurer`).
+    """
+    over = (policy[:, :, None] * model.prob * model.terminal).sum((1, 2))
+    again = _chain(model, policy) + jnp.outer(over, model.start)  # where an episode ends the next one begins
+    n = len(again)
+
+    def visits(gamma: Any) -> Float[Array, " S"]:
+        left = jnp.full(n, 1 - gamma, again.dtype)
+        return (1 - gamma) * (model.start @ solve_dense(gamma * again, left, jnp.eye(n, dtype=again.dtype)))
+
+    nearly = jnp.asarray(NEARLY, again.dtype)
+    first, second = lax.map(visits, jnp.stack([nearly, (1 + nearly) / 2]))
+    share = jnp.where(terminal_states(model), 0, jnp.maximum(2 * second - first, 0))
+    return share / share.sum()
+
+
+def _orthonormal(x: Float[Array, "S n"]) -> Float[Array, "S k"]:
+    """Vectors of length 1, at right angles to each other, that span the columns of x; the rest of the k are 0.
+
+    The longest of what is left is taken out, over and over, so that rounding comes last (Gram and Schmidt with
+    exchanges, each vector made orthogonal twice). It is not left to LAPACK, for the reason given in `values`.
+    """
+    steps = min(x.shape)
+    least = least_size(x.shape) ** 2 * (x**2).sum(0).max()
+
+    def take(k: Any, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        found, left = carry
+        sizes = (left**2).sum(0)
+        i = jnp.argmax(sizes)
+        longest = left[:, i]
+        longest = longest - found @ (found.T @ longest)
+        size = (longest**2).sum()
+        unit = jnp.where(sizes[i] > least, longest / jnp.sqrt(jnp.where(size > 0, size, 1)), 0)
+        return found.at[:, k].set(unit), left - jnp.outer(unit, unit @ left)
+
+    return lax.fori_loop(0, steps, take, (jnp.zeros((len(x), steps), x.dtype), x))[0]

@@ -37,7 +37,13 @@ from jaxrl_tab.exact.hardness import Gaps, Hardness, Mixing, action_gaps, diamet
 from jaxrl_tab.exact.horizon import FiniteHorizon, finite_horizon
 from jaxrl_tab.exact.iterates import Iterates, generalized_policy_iteration
 from jaxrl_tab.exact.linear import LinearProgram, linear_programming
-from jaxrl_tab.exact.measure import Measure, long_run_measurer, measurer, value_measurer
+from jaxrl_tab.exact.measure import (
+    Measure,
+    linear_value_measurer,
+    long_run_measurer,
+    measurer,
+    value_measurer,
+)
 from jaxrl_tab.exact.model import (
     Model,
     backup,
@@ -53,6 +59,7 @@ from jaxrl_tab.exact.model import (
     terminal_states,
 )
 from jaxrl_tab.exact.optimum import rounding, solved, unless
+from jaxrl_tab.exact.projected import LinearValues, linear_values
 from jaxrl_tab.exact.soft import Soft, soft_value_iteration
 from jaxrl_tab.exact.systems import sparse_solver
 from jaxrl_tab.exact.values import (
@@ -69,6 +76,7 @@ __all__ = [
     "Hardness",
     "Iterates",
     "LinearProgram",
+    "LinearValues",
     "Measure",
     "Mixing",
     "Model",
@@ -102,6 +110,8 @@ __all__ = [
     "in_turn",
     "largest_return",
     "linear_programming",
+    "linear_value_measurer",
+    "linear_values",
     "long_run_measurer",
     "measurer",
     "mixing",

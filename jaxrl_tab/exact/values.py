@@ -83,7 +83,7 @@ class _Values(NamedTuple):
         size: how large the numbers are that each is added up from, so that the rounding error of v(s) is a
             few units in the last place of that, [S]. What cannot be reached from s has no part in it. Sparse,
             it is the expected sum over all steps from s on of the discounted |r| + |v|; dense, that of |r|,
-            times S (see `_solve_dense`).
+            times S (see `solve_dense`).
         caught: where the value is not finite because the policy is caught, bool [S]; gamma below 1 catches
             nothing.
     """
@@ -112,7 +112,7 @@ def _solve(model: Model, probs: Any, gamma: Any, is_zero: Bool[Any, " S"]) -> tu
     if array_module(model) is jnp:
         rows = np.arange(n)[:, None, None]
         chain = jnp.zeros((n, n), weight.dtype).at[rows, model.s_next].add(onward)
-        v, size = _solve_dense(chain, leaving, jnp.stack([reward, earned], 1)).T
+        v, size = solve_dense(chain, leaving, jnp.stack([reward, earned], 1)).T
         return v, n * size
     chain = from_state_to_state(model, onward)
     solve = sparse_solver(chain)
@@ -124,7 +124,7 @@ def _solve(model: Model, probs: Any, gamma: Any, is_zero: Bool[Any, " S"]) -> tu
 
 
 @in_turn
-def _solve_dense(
+def solve_dense(
     chain: Float[Array, "S S"], leaving: Float[Array, " S"], constants: Float[Array, "S R"]
 ) -> Float[Array, "S R"]:
     """Solves x = constants + chain x, without a single subtraction.

@@ -148,7 +148,9 @@ def _curves_of(
     ax: Axes, measure: str, settings: Iterable[tuple[str, Settings]], styles: Sequence[dict[str, Any]]
 ) -> None:
     """The curve of a measure for each of some settings, as the report has it."""
-    least, title = 0.0, ""
+    settings, least, title = list(settings), 0.0, ""
+    if measure == "value_error":
+        _reference_lines(ax, [own for _, own in settings], styles)
     for (label, own), style in zip(settings, styles, strict=True):
         measures = {one.key: one for one in measures_of(own.ds)}
         check_choice(None, "the measure", measure, measures)
@@ -164,6 +166,20 @@ def _curves_of(
     ax.set_xlim(left=0)
     if least >= 0:
         ax.set_ylim(bottom=0)
+
+
+def _reference_lines(ax: Axes, settings: Sequence[Settings], styles: Sequence[dict[str, Any]]) -> None:
+    """What the features of each setting allow at best, and where TD ends: each in the colour of its curve."""
+    lines = {
+        "least_value_error": ("the least possible", (0, (5, 3))),
+        "td_value_error": ("fixed point of TD", ":"),
+    }
+    for name, (label, dash) in lines.items():
+        heights = [float(own.ds[name]) for own in settings if name in own.ds]
+        same = len({f"{y:.6g}" for y in heights}) == 1
+        for i, (y, style) in enumerate(zip(heights[: 1 if same else None], styles, strict=False)):
+            color = INK if same else style["color"]
+            ax.axhline(y, color=color, ls=dash, lw=1.3, zorder=1, label=label if i == 0 else None)
 
 
 def sensitivity(

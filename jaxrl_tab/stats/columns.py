@@ -22,6 +22,7 @@ from jaxrl_tab.stats.bootstrap import iqm_interval
 from jaxrl_tab.stats.column import Column, text
 from jaxrl_tab.stats.comparisons import Difference
 from jaxrl_tab.stats.early import EARLY, better_early, by_length
+from jaxrl_tab.stats.errors import ERRORS
 from jaxrl_tab.stats.intervals import mean_interval, median_interval, tolerance_interval
 from jaxrl_tab.stats.measures import (
     drawn,
@@ -197,12 +198,7 @@ COLUMNS = [
     Column("tied", lambda own: own.tied_at(0.95)),
     Column("difference", lambda own: Interval(*map(own.only_at_best, own.difference.interval))),
     Column("p", lambda own: own.only_at_best(own.difference.p)),
-    Column(
-        "final_v_error",
-        lambda own: None if (x := own.at_the_end("v_error")) is None else mean_interval(x).estimate,
-        screen="RMS error\nat the end",
-        report="error at the end",
-    ),
+    *ERRORS,
     Column("steps_per_second", lambda own: own.ds.attrs.get("steps_per_second", np.nan), written="tenths"),
     Column(
         "policy_value",
@@ -463,7 +459,8 @@ def summary(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
 
         Of prediction the score is the error, and its columns are `v_error`, `v_error_low`, `v_error_high`,
         `v_error_median`, ... and `v_error_iqm`, ...; `first_tenth_v_error`, with `first_tenth_v_error_low`, ..., is
-        that of the first tenth, and `final_v_error` that at the end, mean over seeds.
+        that of the first tenth, and `final_v_error` that at the end, mean over seeds. Of values that are
+        linear in features also `final_value_error`, `least_value_error` and `td_value_error` (see `stats.errors`).
         `last_tenth_return`, `_low` and `_high` are then what the policy that acts earned in those runs that
         finished an episode there.
     """

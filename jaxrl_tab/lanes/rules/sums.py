@@ -102,7 +102,10 @@ def _kept(code: Lowering, x: Plain) -> Plain:
 
 @rule("reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "reduce_and", "reduce_or", "reduce_xor")
 def reduce(code: Lowering, equation: Any, x: Plain) -> Plain:
-    (shape, dtype), axes = aval_of(equation), equation.params["axes"]
+    (shape, dtype), axes = (
+        aval_of(equation),
+        [int(axis) for axis in equation.params["axes"]],
+    )  # `vmap` has NumPy's
     sizes = [x.shape[axis] for axis in axes]
     if len(axes) > 1 and max(sizes) > WINDOW and dtype.kind == "f":
         raise Unsupported("a sum along several long axes is not compiled")

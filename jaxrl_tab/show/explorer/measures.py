@@ -77,6 +77,8 @@ def measures_of(ds: xr.Dataset) -> list[Measure]:
         "policy_value": ("exact value of the policy that acts", "return"),
         "q_error": ("largest |Q − q*|", "cost"),
         "v_error": ("RMS error of V", "cost"),
+        "value_error": ("value error √VE", "cost"),
+        "projected_bellman_error": ("projected Bellman error √PBE", "cost"),
     }
     own = [str(n) for n, x in ds.items() if x.dims == ds.episodes.dims and n not in (*SUMS, *recorded)]
     for name in (*recorded, *own):

@@ -72,6 +72,8 @@ def scores_of(ds: xr.Dataset, measures: Sequence[Measure], levels: Sequence[floa
         "policy_value": ("return", "median"),
         "q_error": ("cost", "mean"),
         "v_error": ("cost", "mean"),
+        "value_error": ("cost", "mean"),
+        "projected_bellman_error": ("cost", "mean"),
     }
     titles = {measure.key: measure.title for measure in measures}
     for name, (kind, middle) in ends.items():

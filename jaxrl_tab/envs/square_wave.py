@@ -1,0 +1,38 @@
+"""The square wave: a function of one number, learned from examples (book, example 9.3)."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from jaxrl_tab.core.notebook import Shown
+from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.types import Outcome
+
+EXTENT, LEFT, RIGHT = 2.0, 0.5, 1.5
+
+
+@pytree
+class SquareWave(Shown):
+    """A number from [0, 2), and then its target, with a single step an episode: 1 from 0.5 to 1.5, and else 0.
+
+    So there is nothing to choose and nothing to look ahead to: the reward is the target, and the value of a state is
+    what a function of one number is at it. All numbers are equally likely.
+    """
+
+    num_states = 0  # they cannot be counted
+    num_actions = 1
+    max_steps = 1
+    low = (0.0,)
+    high = (EXTENT,)
+
+    def reset(self, key: Key[Array, ""]) -> Float[Array, " 1"]:
+        u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(float) * 2**-24
+        return (u * EXTENT)[None]
+
+    def step(self, key: Key[Array, ""], s: Float[Array, " 1"], a: Int[Array, ""]) -> Outcome:
+        return Outcome(s, wave(s[0]), jnp.asarray(True))
+
+
+def wave(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The target at a number."""
+    return ((x >= LEFT) & (x < RIGHT)).astype(float)
