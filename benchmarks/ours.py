@@ -50,6 +50,17 @@ def blackjack(lanes: int, episodes: int) -> Round:
     return _sweeps(rl.make("blackjack"), "monte-carlo", grid, _last_return, lanes, **budget)
 
 
+def mountain_car(lanes: int, episodes: int) -> Round:
+    grid = {
+        "features": f"tile-coding({problems.TILINGS}, {problems.TILES})",
+        "alpha": problems.CAR_ALPHA,
+        "per_tiling": True,
+        "epsilon": 0.0,
+    }
+    car, method = rl.approx.MountainCar(), rl.approx.SemiGradientSarsa
+    return _sweeps(car, method, grid, _mean_length, lanes, num_episodes=episodes)
+
+
 def one_run(method: str, steps: int) -> Round:
     """`train` of one run, with a key that is new in each round."""
     algorithm, env = rl.ALGORITHMS[method](**CONTROL), rl.make("windy-gridworld")
@@ -99,7 +110,7 @@ def on_devices(method: str, lanes: int, steps: int, devices: int) -> Round:
 
 
 def _sweeps(
-    env: Environment, method: str, grid: Mapping[str, Any], outcome: Outcome, lanes: int, **budget: Any
+    env: Environment, method: Any, grid: Mapping[str, Any], outcome: Outcome, lanes: int, **budget: Any
 ) -> Round:
     def sweep(num_seeds: int, seed: int) -> rl.SweepResult:
         return rl.sweep(env, method, grid, num_seeds=num_seeds, seed=seed, **budget)
@@ -120,3 +131,8 @@ def _episodes(log: rl.Log) -> np.ndarray:
 def _last_return(log: rl.Log) -> np.ndarray:
     """Mean return of each lane in the last row of the log, float [lanes]."""
     return np.asarray(log.returns[..., -1] / log.episodes[..., -1])
+
+
+def _mean_length(log: rl.Log) -> np.ndarray:
+    """Steps of an episode in each lane, float [lanes]."""
+    return np.asarray(log.lengths).mean(-1)

@@ -16,6 +16,12 @@ ALPHA = 0.5
 ALPHA_OF_TRACES = 0.1
 LAMBDA = 0.9
 
+# Of the mountain car: so many tilings with so many tiles along a number, alpha for all tilings together, and after how
+# many steps an episode is cut off, for one run in a thousand may come to a policy that goes round for ever.
+TILINGS, TILES = 8, 8
+CAR_ALPHA = 0.5
+LONGEST = 10_000
+
 
 def settings() -> dict[str, float]:
     """These numbers by name, for the record."""

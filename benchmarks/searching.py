@@ -26,11 +26,11 @@ TASKS = {
 WAYS = {
     "all to the end, 20 seeds": {"draws": 7, "rungs": 1},
     "all to the end, 5 seeds": {"draws": 28, "rungs": 1, "seeds": 5},
-    "halving, more steps, 20 seeds": {"draws": 27},
-    "halving, more steps, 10 seeds": {"draws": 54, "seeds": 10},
+    "halving, more steps, 20 seeds": {"draws": 27, "grow": "steps"},
+    "halving, more steps, 10 seeds": {"draws": 54, "seeds": 10, "grow": "steps"},
     "halving, more seeds, 3 to 20": {"draws": 24, "grow": "seeds"},
     "halving, more seeds, 1 to 9": {"draws": 60, "grow": "seeds", "seeds": 9},
-    "by Optuna in 3 rounds, more steps": {"draws": 15, "sampler": "optuna", "rounds": 3},
+    "by Optuna in 3 rounds, more steps": {"draws": 15, "sampler": "optuna", "rounds": 3, "grow": "steps"},
     "by Optuna in 3 rounds, more seeds": {"draws": 15, "sampler": "optuna", "rounds": 3, "grow": "seeds"},
     "all to the end, 20 seeds, 4 times the steps": {"draws": 27, "rungs": 1},
 }

@@ -22,6 +22,7 @@ class Size(NamedTuple):
         slow_lanes: of what takes longer a step.
         lone_steps: of one run alone.
         games: of Blackjack, in each of the slow lanes.
+        drives: episodes of the mountain car, in each of 256 lanes.
     """
 
     lanes: int
@@ -29,10 +30,11 @@ class Size(NamedTuple):
     slow_lanes: int
     lone_steps: int
     games: int
+    drives: int
 
 
-FULL = Size(lanes=4096, steps=8000, slow_lanes=1024, lone_steps=100_000, games=5000)
-QUICK = Size(lanes=256, steps=8000, slow_lanes=128, lone_steps=100_000, games=5000)
+FULL = Size(lanes=4096, steps=8000, slow_lanes=1024, lone_steps=100_000, games=5000, drives=500)
+QUICK = Size(lanes=256, steps=8000, slow_lanes=128, lone_steps=100_000, games=5000, drives=50)
 
 
 class Peer(NamedTuple):
@@ -116,6 +118,17 @@ def blackjack(size: Size, cores: int) -> list[Task]:
     work = {"lanes": size.slow_lanes, "episodes": size.games}
     task = _beside("monte-carlo, blackjack", cores, "ours:blackjack", work, peer)
     return [task._replace(unit="episodes", outcome="mean return in the last tenth")]
+
+
+def mountain_car(size: Size, cores: int) -> list[Task]:
+    """Semi-gradient Sarsa with tile coding: 256 runs, as in figure 10.2."""
+    peers = (
+        Peer(LANE_BY_LANE, "numba_mountain_car:lane_by_lane", least=1.0),
+        Peer("naive JAX", "naive_jax_mountain_car:many_runs", least=20),
+    )
+    work = {"lanes": 256, "episodes": size.drives}
+    task = _beside("semi-gradient Sarsa, mountain car", cores, "ours:mountain_car", work, *peers)
+    return [task._replace(unit="episodes", outcome="mean steps of an episode")]
 
 
 def devices(size: Size, cores: int) -> list[Task]:
@@ -209,6 +222,7 @@ ROWS: dict[str, Callable[[Size, int], list[Task]]] = {
     "sarsa-lambda": sarsa_lambda,
     "garnet": garnet,
     "blackjack": blackjack,
+    "mountain-car": mountain_car,
     "devices": devices,
     "methods": methods,
     "compiling": compiling,

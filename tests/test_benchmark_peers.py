@@ -8,13 +8,17 @@ import importlib
 import sys
 import types
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from benchmarks import problems
+from jaxrl_tab import approx
 
 STEPS = 2500
 FLOATS = 280  # of a table
+NAMES = ("benchmarks.numba_tools", "benchmarks.numba_windy", "benchmarks.numba_mountain_car")
 
 
 @pytest.fixture
@@ -24,11 +28,11 @@ def peers(monkeypatch):
     fake.njit = lambda function=None, **_: function or (lambda f: f)
     fake.prange = range
     monkeypatch.setitem(sys.modules, "numba", fake)
-    for name in ("benchmarks.numba_tools", "benchmarks.numba_windy"):
+    for name in NAMES:
         monkeypatch.delitem(sys.modules, name, raising=False)
     with np.errstate(over="ignore"):  # words of 64 bits overflow, as they should
         yield importlib.import_module("benchmarks.numba_windy")
-    for name in ("benchmarks.numba_tools", "benchmarks.numba_windy"):
+    for name in NAMES:
         sys.modules.pop(name, None)
 
 
@@ -106,3 +110,33 @@ def test_n_step_sarsa_learns_from_four_rewards_and_the_value_after_them(peers):
         if terminal:
             episode = []
         np.testing.assert_allclose(after[:FLOATS].reshape(70, 4), q, rtol=1e-5, atol=1e-6)
+
+
+def test_the_mountain_car_goes_its_way_and_learns(peers):
+    """A hundred steps of somebody who pushes anyhow, beside our own task and features.
+
+    Broken once: a second tiling moved along the speed by 1 instead of 3; the cosine of x -> each fails.
+    """
+    car = importlib.import_module("benchmarks.numba_mountain_car")
+    ours, features = approx.MountainCar(), approx.TileCoding(8, 8, low=(-1.2, -0.07), high=(0.5, 0.07))
+    rand = np.random.default_rng(0)
+    points = rand.uniform((-1.2, -0.07), (0.5, 0.07), (100, 2)).astype(np.float32)
+    actions = rand.integers(0, 3, 100)
+    after = jax.vmap(ours.step, (None, 0, 0))(jax.random.key(0), points, jnp.asarray(actions, jnp.int32))
+    ones = jax.vmap(features)(jnp.asarray(points)).ones
+    w, tiles, rng = np.zeros(car.WEIGHTS, np.float32), np.zeros(8, np.uint32), car.generator(np.uint64(1))
+    table = np.zeros((648, 3))
+    for point, a, s_next, tile in zip(points, actions, after.s_next, ones, strict=True):
+        np.testing.assert_allclose(car.drive(*point, np.uint64(a)), s_next, atol=3e-7)
+        car.find_tiles(tiles, *point)
+        np.testing.assert_array_equal(tiles, 3 * np.asarray(tile))
+        best, value, rng = car.greedy(w, tiles, rng)
+        q = table[tile].sum(0)
+        assert q[int(best)] == pytest.approx(q.max(), abs=1e-5)
+        assert value == pytest.approx(q.max(), abs=1e-5)
+        car.learn(w, tiles, np.uint64(a), np.float32(-1))
+        table[tile, a] += 0.5 / 8 * (-1 - q[a])
+    np.testing.assert_allclose(w.reshape(648, 3), table, atol=1e-6)
+    w[:] = 0
+    ties = [int(car.greedy(w, tiles, car.generator(np.uint64(seed)))[0]) for seed in range(300)]
+    assert np.bincount(ties).min() > 70

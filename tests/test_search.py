@@ -43,7 +43,15 @@ def small(monkeypatch):
 
 def wanted(**more):
     """Six settings of Sarsa: for 40 steps, then three for 120, then two for 360."""
-    given = {"seeds": 4, "steps": 360, "log_every": 20, "draws": 3, "one_in": 3, "fresh_seeds": 3}
+    given = {
+        "seeds": 4,
+        "steps": 360,
+        "log_every": 20,
+        "draws": 3,
+        "one_in": 3,
+        "fresh_seeds": 3,
+        "grow": "steps",
+    }
     return Search("windy-gridworld", SARSA, **(given | more))
 
 
@@ -407,11 +415,11 @@ def test_the_command_says_what_it_will_do_and_what_it_found(tmp_path, capsys):
     )
     words = [*words.split(), "--log-every", "20", "--fresh-seeds", "3"]
     assert cli.main([*words, "--dry-run", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["methods"] == {"sarsa": {"settings": 6, "work": 3520}}
+    assert json.loads(capsys.readouterr().out)["methods"] == {"sarsa": {"settings": 6, "work": 4320}}
     assert cli.main(words) == 0
     out = capsys.readouterr().out
     assert out.startswith(
-        "sarsa: 6 for 40 steps on 4 seeds, 2 for 120 steps on 4 seeds, 2 for 360 steps on 4 seeds"
+        "sarsa: 6 for 360 steps on 1 seed, 2 for 360 steps on 2 seeds, 2 for 360 steps on 4 seeds"
     )
-    assert "was found among 6 settings, with 41% of what it takes to run all of them to the end." in out
+    assert "was found among 6 settings, with 50% of what it takes to run all of them to the end." in out
     assert "*" not in out.split("fresh seeds, which")[1]  # there was no choice on these seeds

@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 from jaxrl_tab.algorithms.average_reward import AverageReward, RateState
-from jaxrl_tab.core import tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Transition
@@ -31,7 +30,7 @@ class DifferentialSarsa(AverageReward):
     def update(self, key, state: RateState, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
-        q_next = tables.entry(state.q, t.s_next, a_next)
-        delta = t.r - state.rate + t.discount * q_next - tables.entry(state.q, t.s, t.a)
+        q_next = self.value(state, t.s_next, a_next)
+        delta = t.r - state.rate + t.discount * q_next - self.value(state, t.s, t.a)
         state = self.learn(state, t, delta)._replace(rate=state.rate + self.beta * delta)
         return state, a_next

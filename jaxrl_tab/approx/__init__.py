@@ -4,7 +4,8 @@
     features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis,
                     or several of them together
     semi_gradient   what the semi-gradient methods share
-    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda)
+    control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda),
+                    differential Sarsa
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
     monte_carlo     gradient Monte Carlo
     off_policy      TD(0) with importance sampling, GTD2, TDC, emphatic TD
@@ -19,6 +20,7 @@ They are used in Python, wherever a method or an environment is:
 """
 
 from jaxrl_tab.approx.control import (
+    DifferentialSemiGradientSarsa,
     SemiGradientExpectedSarsa,
     SemiGradientNStepSarsa,
     SemiGradientQLearning,
@@ -57,6 +59,7 @@ __all__ = [
     "TDC",
     "Aggregation",
     "Concatenate",
+    "DifferentialSemiGradientSarsa",
     "EmphaticTD",
     "Features",
     "Fourier",

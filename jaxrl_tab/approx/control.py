@@ -2,6 +2,7 @@
 
 from typing import Literal
 
+from jaxrl_tab.algorithms.differential_sarsa import DifferentialSarsa
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.q_learning import QLearning
@@ -81,4 +82,16 @@ class SemiGradientTrueOnlineSarsaLambda(SemiGradientControl, TrueOnlineSarsaLamb
     z <- gamma lambda z,  then z(., A) <- z(., A) + [1 - alpha z(., A) . x(S)] x(S)
     w <- w + alpha (delta + q(S, A) - q_old) z,  then w(., A) <- w(., A) - alpha (q(S, A) - q_old) x(S)
     q_old <- q(S', A')      (book, box of section 12.7; van Seijen et al. 2016)
+    """
+
+
+@pytree
+class DifferentialSemiGradientSarsa(SemiGradientControl, DifferentialSarsa):
+    """Sarsa by the average reward of the policy that acts, with a Q that is linear in features of the state.
+
+    delta = R - R-bar + q(S', A') - q(S, A)
+    R-bar <- R-bar + beta delta
+    w(., A) <- w(., A) + alpha delta x(S)      (book, box of section 10.3)
+
+    For tasks that do not end.
     """

@@ -36,8 +36,8 @@ RANGES = HYPERPARAMETERS._replace(
 class Search(Where):
     """Good settings of each method, found without running all of them to the end: by successive halving.
 
-    Of all settings, which are drawn from ranges, or a grid, one in three goes on to runs three times as long, from
-    where they are, and of these one in three to runs of full length. The best of these is run again on fresh seeds,
+    Of all settings, which are drawn from ranges, or a grid, one in three goes on to three times as many seeds, and of
+    these one in three to all seeds; or to longer runs, from where they are. The best is run again on fresh seeds,
     which had no part in the choice: the table is of them. With --out, leaves a folder as `sweep` does, and search.csv:
     what was tried, and how good it was. Where that is interrupted, `jaxrl-tab resume` goes on.
 
@@ -45,7 +45,7 @@ class Search(Where):
       jaxrl-tab search windy-gridworld sarsa q-learning --alpha 0.05:1:log --epsilon 0.01:0.3 --draws 27 --out runs/best
       jaxrl-tab search windy-gridworld sarsa --alpha 0.1 0.3 0.5 0.7 0.9 --epsilon 0.01 0.03 0.1
       jaxrl-tab search cliff-walking n-step-sarsa --alpha 0.05:1:log --n 1:8 --budget 5e6
-      jaxrl-tab search cliff-walking sarsa --alpha 0.05:1:log --draws 40 --grow seeds
+      jaxrl-tab search cliff-walking sarsa --alpha 0.05:1:log --draws 40 --grow steps
       jaxrl-tab search windy-gridworld sarsa --epsilon 0.01:0.3 --draws 36 --sampler optuna
       jaxrl-tab search experiment.toml --out runs/best
 
@@ -55,9 +55,9 @@ class Search(Where):
         methods: Names of one or more methods; see `jaxrl-tab list`. An option goes to all that have it.
         draws: How many settings of each method are drawn from the ranges. (default: 27)
         budget: Instead: as many as so many steps in all (episodes, with --episodes) allow, for each method.
-        one_in: Of the settings of a rung one in so many goes on, to runs so many times as long.
-        rungs: How many rungs there are; the runs of the last one have full length.
-        grow: What is more from rung to rung: steps, or seeds. With seeds, all runs have full length.
+        one_in: Of the settings of a rung one in so many goes on, to so many times the budget.
+        rungs: How many rungs there are; in the last one runs have full length, on all seeds.
+        grow: What is more from rung to rung: seeds, where all runs have full length, or steps.
         sampler: What proposes settings: random, or optuna (pip install 'jaxrl-tab[optuna]'), which learns from those
             before.
         rounds: In how many rounds Optuna proposes them. (default: 4)
@@ -80,7 +80,7 @@ class Search(Where):
     budget: int | None = field(default=None, at_least=1)
     one_in: int = field(default=3, at_least=2)
     rungs: int = field(default=3, at_least=1)
-    grow: search.Growing = field(default="steps", static=True)
+    grow: search.Growing = field(default="seeds", static=True)
     sampler: search.Sampling = field(default="random", static=True)
     rounds: int | None = field(default=None, at_least=1)
     seeds: int = field(default=SEEDS, at_least=1)

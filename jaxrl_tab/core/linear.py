@@ -10,15 +10,13 @@ All sums go from the first feature to the last, so that they have the same bits 
 
 from collections.abc import Callable
 from functools import reduce
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int, Shaped
 
 from jaxrl_tab.core import tables
-
-T = TypeVar("T")
 
 UNROLLED = 16  # so many active features are worked through one by one; more of them in a loop
 
@@ -91,11 +89,15 @@ def change(
         lane: where this is in the body of `tables.lane_by_lane`, the lane.
     """
     if isinstance(x, Active):
-        return _one_by_one(lambda ws, i: change(formula, ws, i, a, *lane), ws, x)
+        if len(x.ones) > UNROLLED:
+            return lax.fori_loop(0, len(x.ones), lambda k, ws: change(formula, ws, x.ones[k], a, *lane), ws)
+        ones = list(x.ones)
+        # All are read before one is written, for what is written could be what is read: of that nothing is known there.
+        new = [formula(_as_it_is, *(tables.entry(w, *lane, i, a) for w in ws)) for i in ones]
+        return reduce(lambda ws, at: _put(ws, at[1], *lane, at[0], a), zip(ones, new, strict=True), ws)
     if x.ndim == 0:
-        put = tables.write if lane else tables.put
-        new = formula(lambda y: y, *(tables.entry(w, *lane, x, a) for w in ws))
-        return tuple(put(w, y, *lane, x, a) for w, y in zip(ws, new, strict=True))
+        new = formula(_as_it_is, *(tables.entry(w, *lane, x, a) for w in ws))
+        return _put(ws, new, *lane, x, a)
     new = formula(lambda y: y * x, *(_column(w, a, *lane) for w in ws))
     return tuple(_with_column(w, y, a, *lane) for w, y in zip(ws, new, strict=True))
 
@@ -117,11 +119,15 @@ def _added_up(read: Callable[[Array], Array], x: Active) -> Array:
     return lax.fori_loop(UNROLLED, len(x.ones), lambda k, total: total + read(x.ones[k]), total)
 
 
-def _one_by_one(change: Callable[[T, Array], T], ws: T, x: Active) -> T:
-    """The weights with a change at each of the active features."""
-    if len(x.ones) <= UNROLLED:
-        return reduce(change, list(x.ones), ws)
-    return lax.fori_loop(0, len(x.ones), lambda k, ws: change(ws, x.ones[k]), ws)
+def _as_it_is(y: Array) -> Array:
+    """Times a feature that is 1."""
+    return y
+
+
+def _put(ws: tuple[Array, ...], new: tuple[Array, ...], *at: Array) -> tuple[Array, ...]:
+    """The weights with other numbers at one place; inside the body of `tables.lane_by_lane` it begins with the lane."""
+    put = tables.write if len(at) > 2 else tables.put
+    return tuple(put(w, y, *at) for w, y in zip(ws, new, strict=True))
 
 
 def _at(a: Array, *lane: Array) -> tuple[Array, ...]:

@@ -52,7 +52,8 @@ class Halving:
             each method.
         one_in: of the settings of a rung one in so many goes on, and two at least.
         rungs: how many rungs there are; in the last one a run is as long as the experiment says, on all seeds.
-        grow: what is more from rung to rung: "steps" (or episodes), where runs go on from where they are, or "seeds".
+        grow: what is more from rung to rung: "seeds", where all runs have full length, or "steps" (or episodes), where
+            runs go on from where they are.
         sampler: what proposes settings: "random", or "optuna" (TPE), which learns from those before.
         rounds: in how many rounds Optuna proposes them, each of which is halved; by default 4.
         fresh_seeds: on how many fresh seeds the setting that was found is run.
@@ -62,7 +63,7 @@ class Halving:
     budget: int | None = field(default=None, at_least=1)
     one_in: int = field(default=3, at_least=2)
     rungs: int = field(default=3, at_least=1)
-    grow: Growing = static(default="steps")
+    grow: Growing = static(default="seeds")
     sampler: Sampling = static(default="random")
     rounds: int | None = field(default=None, at_least=1)
     fresh_seeds: int = field(default=100, at_least=2)
@@ -92,6 +93,10 @@ class Halving:
         """How many settings are proposed in each round, of so many in all."""
         each = -(-settings // self.number_of_rounds)
         return [min(each, settings - first) for first in range(0, settings, each)]
+
+
+def seeds_in_words(seeds: int) -> str:
+    return f"{seeds:,} seed{'s' if seeds > 1 else ''}"
 
 
 class Rung(NamedTuple):
@@ -247,7 +252,7 @@ class Search:
         """How the settings of a method are searched, in a line."""
         halving, unit = self.halving, "episodes" if self.experiment.episodes else "steps"
         rungs = [
-            f"{size:,} for {rung.length:,} {unit} on {rung.seeds:,} seeds"
+            f"{size:,} for {rung.length:,} {unit} on {seeds_in_words(rung.seeds)}"
             for size, rung in zip(
                 halving.sizes(halving.of_rounds(self.settings(label))[0]), self.ladder, strict=True
             )
@@ -309,9 +314,13 @@ def _ladder(experiment: Experiment, halving: Halving) -> list[Rung]:
         else:
             rungs.append(Rung(length, -(-experiment.seeds // times)))
     if len(set(rungs)) < len(rungs):
-        what = f"rows of {row:,} of {length:,}" if halving.grow == "steps" else f"{experiment.seeds:,} seeds"
+        if halving.grow == "steps":
+            what, more = f"rows of {row:,} of {length:,}", "a smaller log_every"
+        else:
+            what, more = seeds_in_words(experiment.seeds), "more seeds, or let steps grow"
         raise InputError(
-            f"{halving.rungs} rungs, each {halving.one_in} times the one before, are too many for {what}"
+            f"{halving.rungs} rungs, each {halving.one_in} times the one before, are too many for {what}: take "
+            f"fewer, or {more}"
         )
     return rungs
 

@@ -1,4 +1,7 @@
-"""Access control by the average reward: differential Sarsa (book, example 10.2 and figure 10.5)."""
+"""Access control by the average reward: differential Sarsa (book, example 10.2 and figure 10.5).
+
+The book solves it by a table, which is differential semi-gradient Sarsa with one feature for each state.
+"""
 
 import numpy as np
 

@@ -45,8 +45,8 @@ def _draw(datasets):
 FIGURE = Figure(
     title="Emphatic TD on Baird's counterexample",
     source="Sutton and Barto 2018, figure 11.6; the book has no runs",
-    shows="In expectation it swings, and then comes to the right values. What happens is another thing: the emphasis is "
-    "a product of ratios of 7, whose variance is so large that no run comes near.",
+    shows="In expectation it swings, and then comes to the right values. What happens is another thing: the emphasis "
+    "is a product of ratios of 7, whose variance is so large that no run comes near.",
     experiment=sampled(EmphaticTD, alpha=ALPHA),
     small={"num_seeds": 2},
     numbers=(

@@ -237,6 +237,8 @@ def _convert(site: Site) -> str:
     if after.kind == "f":
         return cast("sitofp" if before.kind == "i" else "uitofp")
     if before.kind == "f":
+        if site.width and after.kind == "i":
+            return _whole(site)
         name = f"llvm.fpto{'s' if after.kind == 'i' else 'u'}i.sat.{site.suffix(after)}.{site.suffix(before)}"
         return site.writer.call(name, to, (kind, x))
     if before.itemsize == after.itemsize:
@@ -244,6 +246,23 @@ def _convert(site: Site) -> str:
     if before.itemsize > after.itemsize:
         return cast("trunc")
     return cast("sext" if before.kind == "i" else "zext")
+
+
+def _whole(site: Site) -> str:
+    """Real numbers as signed whole ones, the nearest that there is; NaN as 0. LLVM's own function goes lane by lane."""
+    (x,), before, after = site.args, site.argument, site.value.dtype
+    ends = np.iinfo(after)
+    above = -float(ends.min)  # the least number that is too large; exact in either type
+    fits = site.instruction("fcmp olt", x, site.all(above))
+    number = lambda text: site.select(text, x, site.all(0), before)
+    is_low = site.instruction("fcmp olt", x, site.all(float(ends.min)))
+    inside = site.instruction(
+        "and", fits, site.instruction("xor", is_low, site.all(True, bool), of=bool), of=bool
+    )
+    whole = site.writer.value(f"fptosi {site.kind(before)} {number(inside)} to {site.type}")
+    whole = site.select(is_low, site.all(ends.min, after), whole)
+    is_high = site.instruction("fcmp oge", x, site.all(above))
+    return site.select(is_high, site.all(ends.max, after), whole)
 
 
 def _function(name: str) -> Callable[[Site], str]:

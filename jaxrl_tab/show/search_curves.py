@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 from jaxrl_tab.show import style
-from jaxrl_tab.show.searched import Way, Ways, decades, in_words, wide
+from jaxrl_tab.show.searched import Way, Ways, decades, in_words, seeds_in_words, wide
 from jaxrl_tab.show.words import symbol, title_of
 
 GIVEN_UP, WENT_ON, FOUND = style.GREY, style.COLORS[0], style.COLORS[1]
@@ -77,7 +77,7 @@ def _ranks(ax: Axes, one: Ways, unit: str) -> None:
     style.tidy(ax, "rung after rung", "place among those left")
     ticks = sorted({1, *(count for _, _, count, _ in one.rungs)})
     _number(ax.yaxis, ticks, [str(x) for x in ticks])
-    names = [f"{length:,} {unit}\n{seeds:,} seeds" for length, seeds, *_ in one.rungs]
+    names = [f"{length:,} {unit}\n{seeds_in_words(seeds)}" for length, seeds, *_ in one.rungs]
     _number(ax.xaxis, range(len(names)), names)
     style.legend(ax)
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from jaxrl_tab.show import searched
-from jaxrl_tab.show.searched import Way, Ways, in_words
+from jaxrl_tab.show.searched import Way, Ways, in_words, seeds_in_words
 from jaxrl_tab.show.words import symbol, title_of
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 340, 240, 46, 14, 12, 48  # of a drawing, and around its axes
@@ -92,7 +92,7 @@ def section(tried: Sequence[Any], unit: str, fresh: Mapping[str, str], seeds: in
 
 def _method(one: Ways, unit: str, logarithmic: set[str]) -> Method:
     drawings = [*([_plane(one, logarithmic)] if one.axes else []), _ranks(one, unit)]
-    head = ["setting", *(f"{length:,} {unit}, {seeds:,} seeds" for length, seeds, *_ in one.rungs)]
+    head = ["setting", *(f"{length:,} {unit}, {seeds_in_words(seeds)}" for length, seeds, *_ in one.rungs)]
     gaps = len(one.rungs)
     rows = [
         [
@@ -132,7 +132,7 @@ def _ranks(one: Ways, unit: str) -> Drawing:
         _mark(way, one, [place(k, rank) for k, rank in enumerate(way.ranks)], 3) for way in reversed(one.all)
     ]
     across = [
-        (_x(k / last), [f"{length:,} {unit}", f"{seeds:,} seeds"])
+        (_x(k / last), [f"{length:,} {unit}", seeds_in_words(seeds)])
         for k, (length, seeds, *_) in enumerate(one.rungs)
     ]
     counts = sorted({1, *(count for _, _, count, _ in one.rungs)})

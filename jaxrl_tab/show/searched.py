@@ -14,6 +14,10 @@ BY = {"score": "score", "return": "return", "episodes": "episodes", "steps": "mi
 WIDE = 10  # times its low end a range has as its high end that is drawn on a logarithmic axis
 
 
+def seeds_in_words(seeds: int) -> str:
+    return f"{seeds:,} seed{'s' if seeds > 1 else ''}"
+
+
 class Way(NamedTuple):
     """How far a setting came in a search.
 
