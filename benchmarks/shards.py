@@ -19,7 +19,7 @@ import numpy as np
 
 import jaxrl_tab as rl
 from benchmarks import machine
-from jaxrl_tab.experiment import computing, runner, shards
+from jaxrl_tab.experiment import runner, shards
 from jaxrl_tab.experiment.storage import Store
 
 SETTINGS = 10  # the shards are as many settings, each with a tenth of the seeds
@@ -51,7 +51,7 @@ class Nothing:
     def run(self, work: Any, tasks: Sequence[int]) -> Generator[tuple[int, dict[str, np.ndarray]]]:
         """As `Executor.run`."""
         part = work.parts[work.shards[0].part]
-        shapes = computing._shapes(part, 0, 1)
+        shapes = shards.shapes_of(part, 0, 1)
         arrays = {name: np.zeros(shape, dtype) for name, (shape, dtype) in shapes.items()}
         arrays |= {"seconds": np.full(2, 1e-3), "steps": np.full_like(arrays["steps"], 100)}
         for task in tasks:

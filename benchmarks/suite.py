@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxrl_tab.core.errors import InputError, RunError
+
 DERIVED = ("diverged", "optimum")  # of a dataset: what follows from the rest
 
 
@@ -240,7 +242,10 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     say = lambda text: print(text, file=sys.stderr, flush=True)
     if args.keep:
-        keep(args.keep, SUITE, say)
+        try:
+            keep(args.keep, SUITE, say)
+        except (InputError, RunError) as error:
+            parser.error(str(error))
         return 0
     if not 0 < args.check <= 1:
         parser.error(f"--check is a share of all runs, above 0 and at most 1, not {args.check:g}")

@@ -1,6 +1,7 @@
 """All that is public in the package, which shows it as its own: `jaxrl_tab.sweep` is `jaxrl_tab.api.sweep`."""
 
 import importlib
+import types
 from typing import Any
 
 from jaxrl_tab import algorithms, approx, envs, interop
@@ -91,7 +92,7 @@ from jaxrl_tab.envs import (
     make,
 )
 from jaxrl_tab.exact import expected, importance, planning
-from jaxrl_tab.experiment import executors
+from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.compare import compare
 from jaxrl_tab.experiment.reading import read
 from jaxrl_tab.experiment.runner import explain, resume, run, search
@@ -109,9 +110,20 @@ _LATER = {
 }
 
 
+class _Report(types.ModuleType):
+    """The module `show.report`, which is called as people expect: `rl.report("runs/windy")`."""
+
+    def __call__(self, folder: Any) -> Any:
+        """The report of an experiment in a folder, as `experiment.runner.report`."""
+        return runner.report(folder)
+
+
 def __getattr__(name: str) -> Any:
     if name in _LATER:
-        return importlib.import_module(f"jaxrl_tab.{_LATER[name]}")
+        module = importlib.import_module(f"jaxrl_tab.{_LATER[name]}")
+        if name == "report":
+            module.__class__ = _Report
+        return module
     raise AttributeError(f"module 'jaxrl_tab' has no attribute {name!r}")
 
 

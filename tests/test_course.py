@@ -278,6 +278,15 @@ def test_what_cannot_be_judged_is_one_line_with_the_line_of_the_file(case, check
     assert str(error.value).startswith("my_agent.py") or case == "exercise"
 
 
+def test_a_folder_is_no_agent(tmp_path, capsys):
+    """Broken once: taken for a file of another kind -> fails."""
+    assert main(["check", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.endswith("is a folder: name a file; there is none of Python in it\n")
+    (tmp_path / "mine.py").touch()
+    assert main(["check", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.endswith(f"name a file in it, such as {tmp_path / 'mine.py'}\n")
+
+
 def test_files_beside_it_are_found_and_what_it_prints_is_not_shown(tmp_path, capsys):
     (tmp_path / "exercise_1.py").write_text(agents.EPSILON_GREEDY["numpy"])
     text = changed(

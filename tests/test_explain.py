@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import re
+import shutil
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -246,6 +248,19 @@ def test_the_command_says_what_python_says(folder, capsys, tmp_path):
     assert str(rl.explain(path)) == str(expected)
     html = expected._repr_html_()
     assert html.count("<table>") == 5
+
+
+def test_the_report_of_a_folder_is_asked_for_by_its_name(folder, tmp_path):
+    """Broken once: a module that cannot be called, or one that reads what is not there -> fails."""
+    path = Path(shutil.copytree(folder[0], tmp_path / "run"))
+    page = rl.report(path)  # pyright: ignore[reportCallIssue]
+    assert page.html == (path / "report.html").read_text() and "Cliff walking" in page.title
+    (path / "report.html").unlink()
+    again = rl.report(str(path))  # pyright: ignore[reportCallIssue]
+    assert again.title == page.title and again.html == (path / "report.html").read_text()
+    next((path / "shards").glob("*.npz")).unlink()
+    with pytest.raises(rl.InputError, match=r"1 of \d+ shards are missing in .*: resume it first"):
+        rl.report(path)  # pyright: ignore[reportCallIssue]
 
 
 def test_the_report_has_the_sentences_and_a_map_of_each_method(folder):

@@ -187,13 +187,13 @@ def test_it_can_be_decided_afterwards(tmp_path, computed):
 
 
 @pytest.mark.slow
-def test_longer_runs_are_computed_anew_and_the_old_ones_stay(folder, computed, caplog):
+def test_longer_runs_whose_rows_are_others_are_computed_anew_and_the_old_ones_stay(folder, computed, caplog):
     before = kept(folder)
     outcome = rl.resume(folder, steps=40)
     assert sum(computed) == 2 * 35 + 5 and before.items() <= kept(folder).items()
     longer = rl.sweep(rl.make("windy-gridworld"), "sarsa", {"alpha": [0.5, 0.25]}, num_seeds=35, num_steps=40)
     xr.testing.assert_equal(outcome.datasets["windy-gridworld/sarsa"], longer.to_xarray())
-    assert "runs of another length are computed from their beginning" in caplog.text
+    assert "70 runs begin anew, for their last row is of 20 steps, and not of 100; the shorter" in caplog.text
     computed.clear()
     (folder / "shards" / "000000.npz").unlink()  # of no use any more, and so of no loss
     assert_same(rl.resume(folder), outcome)

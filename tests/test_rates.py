@@ -10,7 +10,7 @@ from refusals import refused
 
 from jaxrl_tab import plot, schedules
 from jaxrl_tab.cli import main
-from jaxrl_tab.show.rates import COUNTS, LONGEST, study
+from jaxrl_tab.show.rates import COUNTS, LONGEST, curve, study
 
 N = np.arange(1, LONGEST + 1, dtype=float)
 # As typed: its value for n, whether its sum is infinite, whether that of its squares is, GLIE, Robbins and Monro.
@@ -51,6 +51,16 @@ def test_its_numbers_are_those_of_the_formula(name, studies):
     rate = schedules.read(name)
     assert one.glie == tuple(schedules.is_glie(rate))
     assert one.robbins_monro == tuple(schedules.is_robbins_monro(rate))
+
+
+def test_in_a_narrow_window_the_curve_is_narrow(studies):
+    """Broken once: as wide as ever -> fails."""
+    one = [studies["glie"]]
+    assert max(map(len, curve(one))) > 60 and max(map(len, curve(one, 50))) <= 50
+    *lines, axis, below = curve(one, 50)
+    assert below.split() == [*(f"1e{k}" for k in range(7)), "n"]
+    places = [i for i, sign in enumerate(axis) if sign == "┴"]
+    assert [lines[2 * k][x] for k, x in enumerate(places[:6])] == ["o"] * 6  # 1/n is 1e-k at 1ek
 
 
 @pytest.mark.parametrize(

@@ -62,11 +62,11 @@ def assert_goes_on(method, unit, stages, by="auto"):
     with backend.using(by):
         budget = Budget(**{unit: stages[-1]}, log_every=stages[0], exact=method in rl.PREDICTION)
         part = prepare(env, METHODS[method], {}, budget, num_seeds=3, first_seed=5)
-        whole, ends, done, logs = parts.compute(part), None, 0, []
+        whole, begun, done, logs = parts.compute(part), None, 0, []
         for until in stages:
             budget = dataclasses.replace(part.budget, **{unit: until - done})
-            stage = parts.compute(dataclasses.replace(part, budget=budget, goes_on=True, begun=ends))
-            ends, done = stage.ends, until
+            stage = parts.compute(dataclasses.replace(part, budget=budget, goes_on=True), begun=begun)
+            begun, done = stage.begun, until
             logs.append(stage.log)
     log = jax.tree.map(lambda *rows: np.concatenate(rows, axis=1), *logs)
     for one, two in zip(jax.tree.leaves((stage.q, log)), jax.tree.leaves((whole.q, whole.log)), strict=True):
@@ -123,7 +123,9 @@ def computed():
 
 def searched(search, folder=None, memory=None):
     """What `Searching` gives without a folder."""
-    one = searching.Searching(search, folder, memory, lambda stage: parts.compute(stage.part))
+    one = searching.Searching(
+        search, folder, memory, lambda stage: parts.compute(stage.part, begun=stage.begun)
+    )
     one.run()
     return one
 

@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -43,6 +44,30 @@ def show(outcome, store=None):
         with files.drawing(store, outcome) as pictures:
             files.write_files(store, outcome, {"sessions": [{"command": "jaxrl-tab sweep"}]}, pictures)
     screen.show_outcome(outcome, None, SimpleNamespace(json=False, quiet=False))
+
+
+def test_of_very_many_chosen_settings_the_best_of_each_environment_are_printed(outcome, capsys, monkeypatch):
+    """Broken once: by the score on the seeds of the choice, or all -> fails."""
+    monkeypatch.setattr(screen, "MOST_CHOSEN", 2)
+    several = {f"{env}/{name.partition('/')[2]}": ds for env in "ab" for name, ds in outcome.datasets.items()}
+    fresh = {
+        name: ds.isel(alpha=[2], drop=False).assign_coords(seed=ds.seed + 100) for name, ds in several.items()
+    }
+    fresh["a/sarsa"] = fresh["a/sarsa"].assign(returns=fresh["a/sarsa"].returns * 0.5)
+    both = files.Outcome(several, fresh, dict.fromkeys("ab", outcome.envs["windy"]))
+    table = screen._best_of(both.selection, both)
+    assert table[["environment", "method"]].values.tolist() == [["a", "sarsa"], ["b", "q-learning"]]
+    screen._print_selection(both, None)
+    told = capsys.readouterr().out
+    assert "Of 6 chosen settings only the best of each environment is shown: --json has all." in told
+    alone = {f"windy/{name[2:]}": ds for name, ds in fresh.items() if name[0] == "a"}
+    one = files.Outcome(outcome.datasets, alone, outcome.envs)
+    screen._print_selection(one, Path("runs"))
+    told = capsys.readouterr().out
+    assert (
+        "Of 3 chosen settings only the 2 best are shown: selection.csv, the report and --json have all."
+        in told
+    )
 
 
 @pytest.fixture

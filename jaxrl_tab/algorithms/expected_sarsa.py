@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from jaxrl_tab.algorithms.control import TDState
+from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.off_policy import OffPolicyControl
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.declared import LearnsFrom
@@ -27,7 +27,7 @@ class ExpectedSarsa(OffPolicyControl):
         "action, state, each action", "π is the policy that acts, or the target where there is one."
     )
 
-    def update(self, key, state: TDState, t: Transition):
+    def update(self, key, state: Learner, t: Transition):
         state = self.begin(state, t)
         q_next = self.target_probs(state, t.s_next) @ self.row(state, t.s_next)
         delta = t.r + t.discount * q_next - self.value(state, t.s, t.a)

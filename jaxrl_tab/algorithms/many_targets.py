@@ -117,8 +117,8 @@ class ManyTargets(Shown):
 
     def update(self, key, state: ManyTargetsState, t: Transition):
         def learn(target, q):
-            (q, clock), a_next = self.about(target).update(key, TDState(q, state.clock), t)
-            return q, clock, a_next
+            own, a_next = self.about(target).update(key, TDState(q, state.clock), t)
+            return own.q, own.clock, a_next
 
         each = jax.vmap(learn, out_axes=(0, None, None))  # one clock and one A' for all
         q, clock, a_next = each(jnp.asarray(self.targets, state.q.dtype), state.q)

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from jaxrl_tab.algorithms.control import TDState
+from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.backups import Backup
@@ -24,7 +24,7 @@ class QLearning(TDControl):
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.TRANSITIONS
     backup: ClassVar[Backup] = Backup("action, state, max action")
 
-    def update(self, key, state: TDState, t: Transition):
+    def update(self, key, state: Learner, t: Transition):
         state = self.begin(state, t)
         q_next = policies.largest(self.row(state, t.s_next))
         delta = t.r + t.discount * q_next - self.value(state, t.s, t.a)

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from jaxrl_tab.algorithms.control import TDState
+from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.pytree import pytree
@@ -20,7 +20,7 @@ class Sarsa(TDControl):
 
     backup: ClassVar[Backup] = Backup("action, state, action", "A' is the action that is then taken.")
 
-    def update(self, key, state: TDState, t: Transition):
+    def update(self, key, state: Learner, t: Transition):
         state = self.begin(state, t)
         a_next = self.policy(key, state, t.s_next)
         delta = t.r + t.discount * self.value(state, t.s_next, a_next) - self.value(state, t.s, t.a)

@@ -22,12 +22,14 @@ class SarsaLambdaState(NamedTuple):
         values, clock: as in `traces.TraceState`.
         q_old: Q(S', A') as the last update found it, float []; with dutch traces, else None.
         q_start: Q at the start of the episode, by which it acts and learns, float [S, A]; off-line, else None.
+        optimizer: the state of the optimiser of weights, where there is one (`approx.optimized`), else None.
     """
 
     values: Credited
     clock: Clock
     q_old: Float[Array, ""] | None
     q_start: Float[Array, "S A"] | None
+    optimizer: Any = None
 
     @property
     def q(self) -> Float[Any, "... S A"]:

@@ -4,6 +4,7 @@
     features        what is known of a state: one-hot, aggregation, tile coding, polynomial, Fourier, radial basis,
                     or several of them together
     semi_gradient   what the semi-gradient methods share
+    optimized       where an optimiser of optax may change the weights, in place of alpha
     control         Sarsa, Expected Sarsa, Q-learning, n-step Sarsa, Sarsa(lambda), true online Sarsa(lambda),
                     differential Sarsa
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
@@ -11,6 +12,8 @@
     off_policy      TD(0) with importance sampling, GTD2, TDC, emphatic TD
     least_squares   LSTD
     weights         weights that are given at the start
+    network         a small neural network
+    deep            Q-learning and Sarsa by such a network, with experience replay and a target copy
     mountain_car    a task whose states cannot be counted
 
 They are used in Python, wherever a method or an environment is:
@@ -28,11 +31,13 @@ from jaxrl_tab.approx.control import (
     SemiGradientSarsaLambda,
     SemiGradientTrueOnlineSarsaLambda,
 )
+from jaxrl_tab.approx.deep import DeepQNetwork, DeepSarsa
 from jaxrl_tab.approx.features import (
     FEATURES,
     Aggregation,
     Concatenate,
     Fourier,
+    Observation,
     OneHot,
     Own,
     Polynomial,
@@ -43,6 +48,7 @@ from jaxrl_tab.approx.features import (
 from jaxrl_tab.approx.least_squares import LSTD
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.mountain_car import MountainCar
+from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features, Rows
 from jaxrl_tab.approx.off_policy import GTD2, TDC, EmphaticTD, SemiGradientOffPolicyTD
 from jaxrl_tab.approx.prediction import (
@@ -56,15 +62,19 @@ __all__ = [
     "FEATURES",
     "GTD2",
     "LSTD",
+    "MLP",
     "TDC",
     "Aggregation",
     "Concatenate",
+    "DeepQNetwork",
+    "DeepSarsa",
     "DifferentialSemiGradientSarsa",
     "EmphaticTD",
     "Features",
     "Fourier",
     "GradientMonteCarlo",
     "MountainCar",
+    "Observation",
     "OneHot",
     "Own",
     "Polynomial",

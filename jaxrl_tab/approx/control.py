@@ -7,14 +7,14 @@ from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
 from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.sarsa import Sarsa
-from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.true_online_sarsa_lambda import TrueOnlineSarsaLambda
+from jaxrl_tab.approx.optimized import OptimizedControl, OptimizedTraceControl
 from jaxrl_tab.approx.semi_gradient import SemiGradientControl
 from jaxrl_tab.core.pytree import pytree, static
 
 
 @pytree
-class SemiGradientSarsa(SemiGradientControl, Sarsa):
+class SemiGradientSarsa(OptimizedControl, Sarsa):
     """Sarsa whose Q is linear in features of the state.
 
     w(., A) <- w(., A) + alpha [R + gamma q(S', A') - q(S, A)] x(S),  q(s, a) = x(s) . w(., a)
@@ -25,7 +25,7 @@ class SemiGradientSarsa(SemiGradientControl, Sarsa):
 
 
 @pytree
-class SemiGradientExpectedSarsa(SemiGradientControl, ExpectedSarsa):
+class SemiGradientExpectedSarsa(OptimizedControl, ExpectedSarsa):
     """Expected Sarsa whose Q is linear in features of the state.
 
     w(., A) <- w(., A) + alpha [R + gamma sum_a pi(a | S') q(S', a) - q(S, A)] x(S)      (book, section 10.1)
@@ -36,7 +36,7 @@ class SemiGradientExpectedSarsa(SemiGradientControl, ExpectedSarsa):
 
 
 @pytree
-class SemiGradientQLearning(SemiGradientControl, QLearning):
+class SemiGradientQLearning(OptimizedControl, QLearning):
     """Q-learning whose Q is linear in features of the state.
 
     w(., A) <- w(., A) + alpha [R + gamma max_a q(S', a) - q(S, A)] x(S)      (book, section 11.1)
@@ -58,7 +58,7 @@ class SemiGradientNStepSarsa(SemiGradientControl, NStepSarsa):
 
 
 @pytree
-class SemiGradientSarsaLambda(SemiGradientControl, SarsaLambda):
+class SemiGradientSarsaLambda(OptimizedTraceControl):
     """Sarsa(lambda) whose Q is linear in features of the state.
 
     delta = R + gamma q(S', A') - q(S, A)

@@ -56,6 +56,20 @@ class OneHot(Features):
 
 
 @checked_dataclass
+class Observation(Ranged):
+    """The numbers that are observed themselves, each scaled to [-1, 1]; none of them is 1 everywhere."""
+
+    name = "observation"
+
+    @property
+    def size(self) -> int:
+        return self.dimensions
+
+    def __call__(self, observed: Float[Array, " d"]) -> X:
+        return 2 * jnp.stack(self.scaled(observed)) - 1
+
+
+@checked_dataclass
 class Own(Features):
     """The features that the task itself states, such as those of a counterexample."""
 
@@ -306,7 +320,8 @@ def _not_too_many(features: Concatenate) -> Concatenate:
 
 
 FEATURES: dict[str, type[Features]] = {
-    cls.name: cls for cls in (OneHot, Own, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
+    cls.name: cls
+    for cls in (OneHot, Own, Observation, Aggregation, TileCoding, Polynomial, Fourier, RadialBasis)
 }
 PLUS = re.compile(r"\+(?![^()]*\))")  # between features; within parentheses it belongs to a number
 

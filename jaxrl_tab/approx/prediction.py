@@ -9,12 +9,13 @@ from jaxrl_tab.approx.control import (
     SemiGradientSarsaLambda,
     SemiGradientTrueOnlineSarsaLambda,
 )
+from jaxrl_tab.approx.optimized import Optimized
 from jaxrl_tab.approx.semi_gradient import SemiGradientPrediction
 from jaxrl_tab.core.pytree import pytree
 
 
 @pytree
-class SemiGradientTD(SemiGradientPrediction, TD):
+class SemiGradientTD(Optimized, SemiGradientPrediction, TD):
     """TD(0) whose V is linear in features of the state.
 
     w <- w + alpha [R + gamma v(S') - v(S)] x(S),  v(s) = x(s) . w      (book, box of section 9.3)
@@ -34,7 +35,7 @@ class SemiGradientNStepTD(SemiGradientPrediction, NStepTD):
 
 
 @pytree
-class SemiGradientTDLambda(SemiGradientPrediction, TDLambda):
+class SemiGradientTDLambda(Optimized, SemiGradientPrediction, TDLambda):
     """TD(lambda) whose V is linear in features of the state.
 
     z <- gamma lambda z + x(S)      (book, equation 12.5)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrl_tab.algorithms.control import Learner
+from jaxrl_tab.algorithms.control import Learner, ValueControl
 from jaxrl_tab.algorithms.prediction import Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.approx import weights
@@ -39,6 +39,7 @@ PER_TILING = (
     "Whether alpha is divided by the number of features that are 1 at once, so that it is the part of an error that an "
     "update takes away, as on the axes of figures 10.3 and 10.4."
 )
+EPSILON_GREEDY_ALONE = "where states do not have every action it acts by an epsilon-greedy policy alone"
 W0 = (
     "Weights at the start, instead of a first value of every state: a number for all; or one for each feature, or for "
     "each feature and action, as text such as 1,1,10 or 1,2;3,4;5,6; in Python also an array [n] or [n, A]."
@@ -47,6 +48,19 @@ W0 = (
 
 Weights: TypeAlias = str | float | Sequence[Any] | np.ndarray | Array
 """Weights at the start, as they are given. They are kept as text, which is empty where none are given."""
+
+
+def check_counts(method: ValueControl, env: Environment) -> None:
+    """Raises InputError where something goes by visits, and the states of the environment cannot be counted."""
+    rates = [*method.rates, *(getattr(p, "epsilon", None) for p in method.all_policies)]
+    if not env.num_states and (
+        any(map(goes_by_visit, rates)) or any(p.by_visit for p in method.all_policies)
+    ):
+        raise InputError(
+            f"what goes by visits needs states that can be counted, and those of {type(env).__name__} cannot: "
+            "count steps or episodes",
+            who=type(method).__name__,
+        )
 
 
 @pytree
@@ -106,24 +120,12 @@ class SemiGradientControl(Linear, TDControl):
     """
 
     def fitted_to(self, env: Environment) -> Self:
-        rates = [*self.rates, *(getattr(p, "epsilon", None) for p in self.all_policies)]
-        if not env.num_states and (
-            any(map(goes_by_visit, rates)) or any(p.by_visit for p in self.all_policies)
-        ):
-            raise InputError(
-                f"what goes by visits needs states that can be counted, and those of {type(env).__name__} cannot: "
-                "count steps or episodes",
-                who=type(self).__name__,
-            )
+        check_counts(self, env)
         return super().fitted_to(env)
 
     def restricted_to(self, available: Available, **more: Any) -> Self:
         if not isinstance(self.selection, EpsilonGreedy):
-            raise InputError(
-                "where states do not have every action it acts by an epsilon-greedy policy alone",
-                who=type(self).__name__,
-                field="behaviour",
-            )
+            raise InputError(EPSILON_GREEDY_ALONE, who=type(self).__name__, field="behaviour")
         return super().restricted_to(available, q0=self.q0, **more)
 
     def initial(self, num_states: int, num_actions: int) -> Float[Array, "n A"]:

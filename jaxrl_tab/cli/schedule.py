@@ -64,16 +64,13 @@ def schedule_command(argv: list[str]) -> int:
 
 
 def _print(studies: list[Study]) -> None:
-    out = console()
-    table = Table("", "n =", *(f"{n:,}".replace(",", " ") for n in COUNTS))
-    for column in table.columns[2:]:
-        column.justify = "right"
-    for one in studies:
-        for number, (what, values) in enumerate(one.rows().items()):
-            table.add_row(escape(one.name) if number == 0 else "", what, *(f"{x:.4g}" for x in values))
-        table.add_section()
-    print_table(out, table)
-    if lines := curve(studies):
+    out, table = console(), _table(studies)
+    if table.__rich_measure__(out, out.options).maximum <= out.width:
+        print_table(out, table)
+    else:
+        for one in studies:
+            print_table(out, _upright(one))
+    if lines := curve(studies, out.width):
         names = "   ".join(f"{mark} {one.name}" for mark, one in zip(MARKS, studies, strict=False))
         out.print("\n".join(["", *lines, "", f"  {names}"]), markup=False, soft_wrap=True)
     for one in studies:
@@ -81,6 +78,29 @@ def _print(studies: list[Study]) -> None:
         out.print(f"  {one.sums}", markup=False, soft_wrap=True)
         for question, told in (("As ε, GLIE", one.glie), ("As α, Robbins and Monro", one.robbins_monro)):
             out.print(f"  {question}: [bold]{told.answer}[/]: {escape(told.why)}.", soft_wrap=True)
+
+
+def _table(studies: list[Study]) -> Table:
+    """A column for each n."""
+    table = Table("", "n =", *(f"{n:,}".replace(",", " ") for n in COUNTS))
+    for column in table.columns[2:]:
+        column.justify = "right"
+    for one in studies:
+        for number, (what, values) in enumerate(one.rows().items()):
+            table.add_row(escape(one.name) if number == 0 else "", what, *(f"{x:.4g}" for x in values))
+        table.add_section()
+    return table
+
+
+def _upright(one: Study) -> Table:
+    """A row for each n, of one schedule: where a window is narrow."""
+    rows = one.rows()
+    table = Table("n", *rows, title=escape(one.name))
+    for column in table.columns:
+        column.justify = "right"
+    for n, *values in zip(COUNTS, *rows.values(), strict=True):
+        table.add_row(str(n), *(f"{x:.4g}" for x in values))
+    return table
 
 
 def _data(one: Study) -> dict[str, Any]:

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from jaxrl_tab.stats.deciding import Verdict
 
 MOST_ROWS = 100  # of a table for people: of more settings only the best of each method is shown
+MOST_CHOSEN = 40  # of the settings that were chosen; of more only the best
 PATIENCE = 2.0  # seconds of silence, at most
 # Where a window is too narrow, these columns go, one after another, until the others fit.
 FIRST_TO_GO = (
@@ -81,7 +82,7 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
     if len(outcome.envs) > 1:
         _print_tasks(outcome)
     if outcome.fresh:
-        _print_selection(outcome.selection)
+        _print_selection(outcome, folder)
     for environment, verdict in outcome.verdicts.items():
         _print_verdict(environment, verdict, _digits(outcome.fresh_methods[environment]))
     if diverged := sum(int(ds.diverged.sum()) for ds in outcome.datasets.values()):
@@ -158,8 +159,10 @@ def _verdicts(outcome: files.Outcome) -> dict[str, Any]:
     }
 
 
-def _print_selection(table: "pd.DataFrame") -> None:
+def _print_selection(outcome: files.Outcome, folder: Path | None) -> None:
     """The settings that were chosen, with what they gave on the seeds of the choice and on fresh ones."""
+    every = outcome.selection
+    table = _best_of(every, outcome) if len(every) > MOST_CHOSEN else every
     columns = list(table.columns)
     hyperparameters = columns[2 : columns.index("chosen_score")]
     scores = ["on the seeds\nof the choice", "95% interval", "on fresh\nseeds", "95% interval"]
@@ -180,6 +183,20 @@ def _print_selection(table: "pd.DataFrame") -> None:
     out = console()
     print_table(out, view)
     out.print("The choice flatters the first number: report the second.")
+    if len(table) < len(every):
+        where = "selection.csv, the report and --json have" if folder else "--json has"
+        best = "best of each environment is" if several else f"{len(table)} best are"
+        out.print(f"Of {len(every)} chosen settings only the {best} shown: {where} all.")
+
+
+def _best_of(table: "pd.DataFrame", outcome: files.Outcome) -> "pd.DataFrame":
+    """The best row of each environment on fresh seeds; the best ones where there is one environment."""
+    sign = [-1 if outcome.methods[label].prediction else 1 for label in table["environment"]]
+    ranked = table.assign(merit=table["fresh_score"] * sign).sort_values(
+        "merit", ascending=False, kind="stable"
+    )
+    each = 1 if len(outcome.envs) > 1 else MOST_CHOSEN
+    return ranked.drop(columns="merit").groupby("environment", sort=False).head(each).sort_index()
 
 
 def _work_out(methods: "Methods") -> None:

@@ -316,7 +316,7 @@ class Resume(Anywhere):
         folder: The folder of the sweep: what --out named.
         file: An experiment with all that the sweep has, and more.
         seeds: How many seeds there are to be.
-        steps: How many steps each run is to take. Longer runs are all computed from their beginning.
+        steps: How many steps each run is to take. Runs go on from where they ended, if the folder has that.
         episodes: How many episodes each run is to finish, in the same way.
         formats: Of the pictures: png, svg, pdf, or several of them; by default those that there were, if any.
         history: Show what the sweep was begun with, and what was added when; and stop.

@@ -124,10 +124,12 @@ def repeated(values: Iterable[Any]) -> list[Any]:
 
 
 def is_list(value: Any) -> bool:
-    """Whether `value` is a list, a tuple or an array with an axis; a string is not one."""
+    """Whether `value` is a list, a tuple or an array with an axis; a string or a NamedTuple is not one."""
     if isinstance(value, np.ndarray | jax.Array):
         return value.ndim > 0
-    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
+    return (
+        isinstance(value, Sequence) and not isinstance(value, str | bytes) and not hasattr(value, "_fields")
+    )
 
 
 def check_pytree(what: str, obj: Any, registry: Mapping[str, type] | None = None) -> None:

@@ -84,6 +84,7 @@ class OfMethod(NamedTuple):
             forecast of memory; None where these are no more than some numbers of each state and action.
         behaviour: the policy that acts, where the method was given one.
         features: the features of a state of which its values are a linear function; None where they are a table.
+        left_to_xla: why `lanes` does not compile it: what it does in a step XLA does better. Empty where it does.
         backup: the diagram of what `update` looks ahead to, a `Backup` or its levels as text; None where nobody has
             drawn it. The class that defines `update` declares it, or a subclass without an `update` of its own.
     """
@@ -100,6 +101,7 @@ class OfMethod(NamedTuple):
     works_with: Callable[[Any], Any] | None = None
     behaviour: Any = None
     features: Any = None
+    left_to_xla: str = ""
     backup: Backup | None = None
 
 

@@ -5,6 +5,7 @@ Sutton and Barto (2018): S, A, R, S', A', gamma, alpha, epsilon, pi, delta.
 """
 
 import inspect
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
@@ -13,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import Protocol, runtime_checkable  # quick ones, as since Python 3.12
 
+from jaxrl_tab.core import rng
 from jaxrl_tab.core.checks import concrete, first
 from jaxrl_tab.core.declared import of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown
@@ -153,7 +155,8 @@ class Algorithm(Protocol[L]):
     def init(self, num_states: int, num_actions: int) -> L:
         """The state of the learner before the first step. It has a field `q`, float [S, A].
 
-        A method that remembers whole episodes takes a third argument, `max_steps`: how long they may get.
+        A method that remembers whole episodes also takes `max_steps`: how long they may get; and one that begins with
+        random weights a `key`.
         """
         ...
 
@@ -169,11 +172,22 @@ class Algorithm(Protocol[L]):
         ...
 
 
-def init_learner(algorithm: Algorithm[L], task: Environment | Task) -> L:
-    """The state of the learner before its first step in the task."""
+def init_learner(
+    algorithm: Algorithm[L], task: Environment | Task, key: Callable[[], Key[Array, ""]] = lambda: rng.key(0)
+) -> L:
+    """The state of the learner before its first step in the task.
+
+    Args:
+        algorithm: the method, fitted to the task.
+        task: how large it is.
+        key: gives a key, where the method begins with something random. By default that of nobody's run, for where
+            only shapes matter.
+    """
     takes = inspect.signature(algorithm.init).parameters
-    longest = {"max_steps": task.max_steps} if "max_steps" in takes else {}
-    return algorithm.init(task.num_states, task.num_actions, **longest)
+    more: dict[str, Any] = {"max_steps": task.max_steps} if "max_steps" in takes else {}
+    if "key" in takes:
+        more["key"] = key()
+    return algorithm.init(task.num_states, task.num_actions, **more)
 
 
 def available_actions(env: Any) -> Bool[Array, "S A"] | None:

@@ -137,6 +137,12 @@ def load(path: Path, exercise: str | None) -> Code:
     Raises:
         Unusable: it cannot be read or imported, or it is not clear what is meant.
     """
+    if path.is_dir():
+        inside = sorted(x.name for x in path.glob("*.py"))
+        such = (
+            f"a file in it, such as {path / inside[0]}" if inside else "a file; there is none of Python in it"
+        )
+        raise Unusable(f"{path} is a folder: name {such}")
     if path.suffix != ".py":
         raise Unusable(f"{path} is no file of Python: its name must end in .py")
     file = modules.read(path)

@@ -19,6 +19,7 @@ from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.by_lanes import ByLanes
 from jaxrl_tab.engine.by_xla import ByXLA
+from jaxrl_tab.engine.loop import Run
 from jaxrl_tab.engine.onward import Onward, split
 from jaxrl_tab.engine.runs import Runs
 from jaxrl_tab.lanes.code import Unsupported
@@ -42,6 +43,7 @@ def run(
     room: int = sys.maxsize,
     devices: Sequence[Any] | None = None,
     runs: np.ndarray | None = None,
+    begun: Run | None = None,
 ) -> Seconds:
     """Trains every run of a batch, or some of them.
 
@@ -53,14 +55,16 @@ def run(
         room: the bytes that a call may take on each device, or in each thread.
         devices: the JAX devices to use; all of this process by default. `lanes` has a thread for each.
         runs: the numbers of the runs to train, int [n]; all by default.
+        begun: where these are, as in `Runs`.
 
     Raises:
         InputError: `lanes` was asked for, and does not compile this.
         RunError: the memory runs out, even with the smallest call. Calls that are too large are made smaller.
     """
     seeds = np.asarray(seeds, np.uint32)
-    batch = Runs(env, algorithms, root, seeds, budget, np.arange(seeds.size) if runs is None else runs)
-    begun = time.perf_counter()
+    numbers = np.arange(seeds.size) if runs is None else runs
+    batch = Runs(env, algorithms, root, seeds, budget, numbers, begun)
+    started = time.perf_counter()
     compiled_runs = _compiled(batch, room, devices)
     compiled, done = time.perf_counter(), 0
     with contextlib.closing(compiled_runs.results()) as results:
@@ -68,7 +72,7 @@ def run(
             keep(places, output)
             done += len(places)
             progress(done)
-    return Seconds(time.perf_counter() - compiled, compiled - begun)
+    return Seconds(time.perf_counter() - compiled, compiled - started)
 
 
 def _compiled(runs: Runs, room: int, devices: Sequence[Any] | None) -> ByLanes | ByXLA:

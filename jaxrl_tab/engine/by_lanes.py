@@ -18,11 +18,13 @@ import numpy as np
 
 from jaxrl_tab.core import memory, rng
 from jaxrl_tab.core.cores import cores
+from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import RunError
 from jaxrl_tab.core.types import Algorithm, Environment, fitted, init_learner
 from jaxrl_tab.engine import backend, programs, provenance
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
+from jaxrl_tab.engine.onward import split
 from jaxrl_tab.engine.room import (
     CALL_BYTES,
     LANES,
@@ -43,6 +45,12 @@ from jaxrl_tab.lanes.target import Target, host
 TASK_SECONDS = 0.1  # about so long a thread works before it hands results back
 MEASURED_ROWS = 1000  # of a run alone: what XLA measures at the end of a row is a call, of some 0.14 ms
 ASK_SECONDS = 0.2  # after so long at most the main thread sees that it is interrupted
+
+
+def check(method: Any) -> None:
+    """Raises Unsupported where a method says that XLA does better what it does."""
+    if why := of_method(method).left_to_xla:
+        raise Unsupported(why)
 
 
 def threads(devices: Sequence[Any] | None = None) -> int:
@@ -76,6 +84,7 @@ class ByLanes:
 
     def __init__(self, runs: Runs, room: int, devices: Sequence[Any] | None):
         """Compiles. Raises Unsupported where the program holds something for which there is no rule."""
+        check(split(runs.algorithms).method)
         # `room` is that of a device. There may be more threads, but no more than there is memory for.
         on_all = room * len(devices or jax.local_devices())
         self.runs = runs
@@ -160,6 +169,7 @@ def alone(key: Any, algorithm: Algorithm, env: Environment, budget: Budget) -> t
     program = signature(arguments)
     kinds, structure = gives(budget, program)
     try:
+        check(algorithm)
         of_one = kernel(budget, program, Shared(arguments[-1], program), len(kinds), 1)
     except Unsupported as reason:
         backend.fall_back(algorithm, env, reason)

@@ -60,8 +60,8 @@ class Counted:
     def restricted_to(self, available: Available) -> Self:
         return self  # its method was, when it was fitted
 
-    def init(self, num_states: int, num_actions: int, max_steps: int) -> CountedState:
-        learner = init_learner(self.method, Task(num_states, num_actions, max_steps))
+    def init(self, num_states: int, num_actions: int, max_steps: int, key: Key[Array, ""]) -> CountedState:
+        learner = init_learner(self.method, Task(num_states, num_actions, max_steps), lambda: key)
         return CountedState(learner, jnp.zeros((num_states, num_actions), jnp.int32))
 
     def policy(self, key: Key[Array, ""], state: CountedState, s: Int[Array, ""]) -> Int[Array, ""]:

@@ -76,6 +76,7 @@ class _Decisions(NamedTuple):
 IN_A_STEP = _Decisions(update=0, start=1, step=2, reset=3)
 BEFORE_RESET, BEFORE_START = 4, 5  # at time 0
 INSTANCE = 6  # the problem of a run, where the environment draws one
+LEARNER = 7  # with what a method begins, where that is random
 
 Step: TypeAlias = Callable[[Run, _Decisions], tuple[Run, Log, "Happened"]]
 
@@ -240,7 +241,13 @@ def _start(stream: rng.Stream, algorithm: Algorithm, env: Environment, start: _S
     reset_key, start_key = (
         rng.as_key(rng.word(stream, jnp.int32(0), decision)) for decision in (BEFORE_RESET, BEFORE_START)
     )
-    return _begin(start, reset_key, start_key, init_learner(algorithm, env), jnp.int32(0))
+    learner = init_learner(algorithm, env, lambda: learner_key(stream))
+    return _begin(start, reset_key, start_key, learner, jnp.int32(0))
+
+
+def learner_key(stream: rng.Stream) -> Any:
+    """What a method begins with where that is random."""
+    return rng.as_key(rng.word(stream, jnp.int32(0), LEARNER))
 
 
 def _begin(start: _Start, reset_key: Any, start_key: Any, learner: Any, t: Int[Array, ""]) -> Run:

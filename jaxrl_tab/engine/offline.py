@@ -39,6 +39,7 @@ from jaxrl_tab.core.types import (
     init_learner,
     restricted,
 )
+from jaxrl_tab.engine.loop import learner_key
 from jaxrl_tab.engine.train import train
 from jaxrl_tab.envs import ENVS
 
@@ -221,7 +222,7 @@ def collect(
     method = _method(behaviour)
     check_pytree("env", env, ENVS)
     method = fitted(method, env)
-    logged = _Logged(method, init_learner(method, env))
+    logged = _Logged(method, init_learner(method, env, lambda: learner_key(rng.stream(key))))
     _, log = train(key, logged, env, num_steps=num_steps, log_every=1, record=_transition)
     assert log.recorded is not None
     t = Transition(**log.recorded)

@@ -7,6 +7,8 @@ that is made at once.
 
 from typing import Any, NamedTuple
 
+import jax
+
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.engine.loop import Run
 
@@ -22,6 +24,23 @@ class Onward:
 
     method: Any
     run: Run | None = None
+
+
+@pytree
+class Table:
+    """Stands where the table of a run is that is given beside it, so that it is not given twice."""
+
+
+def without_table(run: Run, place: int | None) -> Run:
+    """Where a run is, but for its table: the leaf at this place; where it has no such leaf, as it is."""
+    leaves, structure = jax.tree.flatten(run)
+    return jax.tree.unflatten(structure, [Table() if i == place else x for i, x in enumerate(leaves)])
+
+
+def with_table(run: Run, table: Any) -> Run:
+    """Where a run is, of what `without_table` made of it."""
+    is_table = lambda x: isinstance(x, Table)
+    return jax.tree.map(lambda x: table if is_table(x) else x, run, is_leaf=is_table)
 
 
 class Split(NamedTuple):

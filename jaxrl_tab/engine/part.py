@@ -16,7 +16,7 @@ from jaxrl_tab.engine import batch
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.loop import Run
-from jaxrl_tab.engine.onward import Onward
+from jaxrl_tab.engine.onward import Onward, with_table
 from jaxrl_tab.engine.room import Needs, needs_of, plan
 from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
@@ -32,13 +32,18 @@ class Computed(NamedTuple):
         q: their final tables, float [n, S, A].
         log: what happened, [n, rows] each; see `log.Log`.
         seconds: how long it took.
-        ends: where the runs are in the end, [n, ...] each, of runs that may go on; else None.
+        ends: where the runs are in the end but for `q`, [n, ...] each, of a part that goes on; else None.
     """
 
     q: np.ndarray
     log: Log
     seconds: batch.Seconds
     ends: Run | None = None
+
+    @property
+    def begun(self) -> Run | None:
+        """Where the runs are in the end, as `compute` takes it for them to go on."""
+        return with_table(self.ends, self.q) if self.ends else None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,8 +67,6 @@ class Part:
         budget: how long each run is and what it records.
         fresh: whether the seeds are fresh ones, of the root that is kept for them.
         goes_on: whether it is wanted where the runs are in the end, so that they can go on.
-        begun: where they are, [runs, ...] each, as the `ends` of `Computed`: they go on for as long as the budget
-            says. By default they begin at time 0.
     """
 
     env: Environment
@@ -76,7 +79,6 @@ class Part:
     budget: Budget
     fresh: bool = False
     goes_on: bool = False
-    begun: Run | None = None
 
     @property
     def root(self) -> Any:
@@ -123,16 +125,25 @@ class Part:
     @functools.cached_property
     def needs(self) -> list[Needs]:
         """What one run of each program needs of memory. Raises InputError where the method does not fit the task."""
-        root, one = self.root, jax.tree.map(lambda x: x[0], self.begun)
         instances = (leaves_as_arrays(self.configs[members[0]]) for members in self.programs)
-        instances = (Onward(x, one) if self.goes_on else x for x in instances)
-        return [needs_of(self.env, algorithm, root, self.budget) for algorithm in instances]
+        instances = (Onward(x) if self.goes_on else x for x in instances)
+        return [needs_of(self.env, algorithm, self.root, self.budget) for algorithm in instances]
+
+    @functools.cached_property
+    def onward(self) -> "list[Part]":
+        """For each program a part of its configurations alone, of which it is wanted where its runs are in the end.
+
+        Alone, for where runs are has another shape in each program.
+        """
+        configs = ([self.configs[i] for i in members] for members in self.programs)
+        return [dataclasses.replace(self, axes={}, configs=own, goes_on=True) for own in configs]
 
 
 def compute(
     part: Part,
     runs: np.ndarray | None = None,
     *,
+    begun: Run | None = None,
     memory: int | None = None,
     progress: Callable[[int, int], None] = lambda done, steps: None,
 ) -> Computed:
@@ -140,6 +151,8 @@ def compute(
 
     Args:
         runs: their numbers, int [n]; all by default.
+        begun: where they are, [n, ...] each, of a part that goes on, as `Computed.begun`: they go on for as long as the
+            budget says. By default they begin at time 0.
         memory: as in `sweep`.
         progress: is called with the number of runs finished and of the steps they took, as blocks of them
             finish.
@@ -166,15 +179,17 @@ def compute(
         # [members, 1]: broadcast to [members, seeds], which `batch.run` numbers in C order.
         stacked = jax.tree.map(lambda *x: np.stack(x)[:, None], *leaves)
         if part.goes_on:
-            by_setting = lambda x, of=members: x.reshape(-1, part.num_seeds, *x.shape[1:])[of]
-            stacked: Any = Onward(stacked, jax.tree.map(by_setting, part.begun))
+            stacked: Any = Onward(stacked)
         seeds = part.first_seed + np.arange(part.num_seeds, dtype=np.uint32)
         seeds = np.broadcast_to(seeds, (len(members), part.num_seeds))
         # `members` ascends, so this is the place of each configuration among them.
         within = np.searchsorted(members, config[at]) * part.num_seeds + place[at]
         # `done` is bound now, as it is before these runs; `steps` is looked up in each call.
         report = lambda n, done=done: progress(done + n, steps)
-        seconds = batch.run(part.env, stacked, root, seeds, part.budget, keep, report, room, runs=within)
+        own = jax.tree.map(lambda x, at=at: x[at], begun)
+        seconds = batch.run(
+            part.env, stacked, root, seeds, part.budget, keep, report, room, None, within, own
+        )
         done, running, compiling = done + len(at), running + seconds.running, compiling + seconds.compiling
     q, log, *ends = results.arrays
     return Computed(q, log, batch.Seconds(running, compiling), *ends)

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.clock import Schedule
 from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.core.errors import one_line
 from jaxrl_tab.core.notebook import table
+from jaxrl_tab.core.optimizers import Transformation
 from jaxrl_tab.core.policies import UNAVAILABLE, Policy
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.engine import provenance
@@ -219,8 +221,10 @@ def is_diverged(q: Any, *sums: Any, largest: Any = np.inf) -> np.ndarray:
 
 
 def label(value: Any) -> Any:
-    """A hyperparameter as a coordinate: a number as it is, a schedule, a policy or features as they are typed."""
-    return str(value) if isinstance(value, Schedule | Policy | Features) else value
+    """A hyperparameter as a coordinate: a number as it is, what else it may be as it is typed."""
+    is_transformation = hasattr(value, "_fields")  # of gradients, as optax makes it in Python
+    is_typed = isinstance(value, Schedule | Policy | Features | MLP | Transformation)
+    return str(value) if is_transformation or is_typed else value
 
 
 def labels(values: Iterable[Any]) -> Any:

@@ -14,8 +14,8 @@ from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, fitted, table_of
 from jaxrl_tab.engine import provenance
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.onward import Onward, split
-from jaxrl_tab.engine.traced import gives, in_full, unchecked
+from jaxrl_tab.engine.onward import Onward, split, without_table
+from jaxrl_tab.engine.traced import gives, in_full, place_of_table, unchecked
 from jaxrl_tab.exact import planning
 
 LANES = 64
@@ -236,7 +236,7 @@ def needs_of_program(budget: Budget, signature: Signature) -> Needs:
 def traced_program(budget: Budget, signature: Signature) -> Any:
     """One run, traced: what `program_arguments` gives -> ((table, Log), state of the learner).
 
-    Of a method that is `Onward` it is ((table, Log, where the run is), None).
+    Of a method that is `Onward` it is ((table, Log, where the run is but for the table), None).
     """
 
     def one(root, seed, algorithms, envs):
@@ -246,9 +246,11 @@ def traced_program(budget: Budget, signature: Signature) -> Any:
         key = key if seed is None else jax.random.fold_in(key, seed)
         end, log = unchecked(key, algorithm, env, full, budget)
         method, _, goes_on = split(algorithm)
-        learner = end.learner if goes_on else end
-        table = table_of(fitted(method, env), env, learner)
-        return ((table, log, end), None) if goes_on else ((table, log), learner)
+        learner, method = end.learner if goes_on else end, fitted(method, env)
+        table = table_of(method, env, learner)
+        if not goes_on:
+            return (table, log), learner
+        return (table, log, without_table(end, place_of_table(method, env, learner))), None
 
     return jax.jit(one).trace(*signature.arguments)
 

@@ -9,7 +9,8 @@ from jaxtyping import Int
 
 from jaxrl_tab.core.types import Algorithm, Environment
 from jaxrl_tab.engine.budget import Budget
-from jaxrl_tab.engine.onward import Onward
+from jaxrl_tab.engine.loop import Run
+from jaxrl_tab.engine.onward import Onward, split
 from jaxrl_tab.engine.room import Needs, needs_of, program_arguments
 
 
@@ -24,6 +25,7 @@ class Runs:
         seeds: the number of each run's seed, uint32 [...]; runs are numbered in C order.
         budget: what to do in each run.
         numbers: the numbers of the runs to train, int [n]. A place is one in this list.
+        begun: where these runs are, which go on, [n, ...] each; None: at time 0.
     """
 
     env: Environment
@@ -32,6 +34,7 @@ class Runs:
     seeds: np.ndarray
     budget: Budget
     numbers: Int[np.ndarray, " n"]
+    begun: Run | None = None
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -42,9 +45,12 @@ class Runs:
         Beyond the last run it is that of the last one.
         """
         shape = self.seeds.shape
-        index = np.unravel_index(self.numbers[np.minimum(places, len(self) - 1)], shape)
+        places = np.minimum(places, len(self) - 1)
+        index = np.unravel_index(self.numbers[places], shape)
         broadcast = lambda x: np.broadcast_to(x, shape + x.shape[len(shape) :])
         seeds, algorithms = jax.tree.map(lambda x: broadcast(x)[index], (self.seeds, self.algorithms))
+        if self.begun is not None:
+            algorithms = Onward(split(algorithms).method, jax.tree.map(lambda x: x[places], self.begun))
         return program_arguments(self.budget, self.root, seeds, algorithms, self.env)
 
     @cached_property

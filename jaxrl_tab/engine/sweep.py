@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxrl_tab.algorithms.prediction import METHOD, METHODS
+from jaxrl_tab.approx.optimized import Optimized
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build, check_held, check_pytree, checked, foreign, is_list, repeated
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
@@ -171,8 +172,10 @@ def result(part: Part, computed: Computed) -> SweepResult:
     """The result of a sweep from what all runs of it gave, in the order of their numbers."""
     axes, first = part.axes, part.configs[0]
     method = of_method(first)
-    # Where a behaviour policy is given epsilon is not looked at, and it would mislead to show it.
+    # Where a behaviour policy is given epsilon is not looked at, nor alpha beside an optimiser that has its own, and it
+    # would mislead to show it.
     unused = {"epsilon"} if method.behaviour is not None else set()
+    unused |= {"alpha"} if isinstance(first, Optimized) and first.optimizer is not None else set()
     shape = (*(len(values) for values in axes.values()), part.num_seeds)
     q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(

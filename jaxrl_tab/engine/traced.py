@@ -18,7 +18,7 @@ from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.log import Log, record_of, recorded
 from jaxrl_tab.engine.loop import Measure
-from jaxrl_tab.engine.onward import split
+from jaxrl_tab.engine.onward import split, without_table
 from jaxrl_tab.exact import planning
 from jaxrl_tab.lanes.outside import prepared
 
@@ -54,8 +54,8 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Any, ...], An
     """Arrays of the shapes of what a run gives, and of what it carries beside. No step and no exact value is traced.
 
     Returns:
-        (table, Log), and where the run is in the end of a method that is `Onward`; what else is in the state of the
-        learner; and states of it that wait to be measured, with what its update works with.
+        (table, Log), and where the run is in the end, but for the table, of a method that is `Onward`; what else is
+        in the state of the learner; and states of it that wait to be measured, with what its update works with.
     """
     method, _, goes_on = split(algorithm)
     algorithm = fitted(method, env)
@@ -72,9 +72,24 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Any, ...], An
         waiting = jax.tree.map(lambda x: jnp.zeros((rows, *x.shape), x.dtype), learner)
     works_with = of_method(algorithm).works_with
     beside = (waiting, None if works_with is None else works_with(learner))
-    any_stream = rng.stream(rng.key(0))
-    end = (loop.at_start(any_stream, algorithm, problem_of(any_stream, env)),) if goes_on else ()
-    return (q, loop.empty_log(q.dtype, budget, measured), *end), others, beside
+    results = q, loop.empty_log(q.dtype, budget, measured)
+    if goes_on:
+        any_stream = rng.stream(rng.key(0))
+        end = loop.at_start(any_stream, algorithm, problem_of(any_stream, env))
+        results = *results, without_table(end, place_of_table(algorithm, env, end.learner))
+    return results, others, beside
+
+
+def place_of_table(algorithm: Any, env: Any, learner: Any) -> int | None:
+    """Which leaf of the state of a learner is its table; None where that is worked out of others."""
+    places = []
+
+    def look(learner: Any) -> None:
+        table = table_of(algorithm, env, learner)
+        places.append(next((i for i, x in enumerate(jax.tree.leaves(learner)) if x is table), None))
+
+    jax.eval_shape(look, learner)  # in which no two leaves are the same array
+    return places[0]
 
 
 def problem_of(stream: rng.Stream, env: Any) -> Any:

@@ -104,10 +104,11 @@ class _Run:
             InputError: `lanes` was asked for, and does not.
         """
         lanes = by_lanes.lanes_for(-(-runs // _threads(runs)))
+        _, _, (algorithm, _) = jax.tree.unflatten(self.tree, self.known)
         try:
+            by_lanes.check(algorithm)
             return by_lanes.kernel(self.budget, self.program, self.shared, len(self.gives), lanes)
         except Unsupported as reason:
-            _, _, (algorithm, _) = jax.tree.unflatten(self.tree, self.known)
             backend.fall_back(algorithm, self.env, reason)
             return None
 

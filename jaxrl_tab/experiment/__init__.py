@@ -23,6 +23,7 @@ Its modules, from the ground up:
     progress   how far an experiment is, and how long it will go on
     executors  where shards are computed: in this process, or in others, here or on other machines
     computing  the shards that are missing are computed, and results collected
+    going_on   longer runs that go on where shorter ones ended
     again      settings run again, to record what was learned on the way
     painter    a process beside this one that draws pictures
     files      the files of results in the folder

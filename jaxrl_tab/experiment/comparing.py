@@ -19,7 +19,7 @@ from jaxrl_tab.engine.part import Part
 from jaxrl_tab.engine.results import label
 from jaxrl_tab.experiment import disk
 from jaxrl_tab.experiment.growth import Block
-from jaxrl_tab.experiment.shards import Job, Shard, again, arrays_of, shard_runs
+from jaxrl_tab.experiment.shards import Job, Shard, again, arrays_of, runs, shard_runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import Store
 
@@ -94,7 +94,8 @@ class Look(NamedTuple):
         """What the runs of a shard give, and what is raised: as `Job` has it."""
         self.job.check_libraries()
         shard = self.shards[number]
-        return arrays_of(self.parts[shard.part], shard, self.job.memory)
+        part = self.parts[shard.part]
+        return arrays_of(part, runs(part, shard), self.job.memory)
 
 
 @functools.lru_cache(maxsize=4)

@@ -3,7 +3,7 @@
 import contextlib
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -18,7 +18,7 @@ from jaxrl_tab.experiment import shards
 from jaxrl_tab.experiment.executors import Executor, Local
 from jaxrl_tab.experiment.progress import Meter
 from jaxrl_tab.experiment.records import Origin
-from jaxrl_tab.experiment.shards import Shard, Sharded, computed_of, named, runs
+from jaxrl_tab.experiment.shards import BEGUN, END, Shard, Sharded, computed_of, runs, shapes_of
 from jaxrl_tab.experiment.storage import Store, warn
 
 if TYPE_CHECKING:
@@ -45,14 +45,16 @@ def compute(
     meter.begin(store, job, lacking, later, clock.known)
     # Where it stops, the workers do.
     with _heard(meter.underway), contextlib.closing(executor.run(job, lacking)) as finished:
-        for number, arrays in finished:
+        for number, given in finished:
+            arrays = dict(given)
+            begun = int(arrays.pop(BEGUN, 0))
             shard, sums = all_shards[number], (arrays["returns"], arrays["rewards"])
             part = parts[shard.part]
             largest = part.largest_values[runs(part, shard) // part.num_seeds]
             diverged = int(is_diverged(arrays["q"], *sums, largest=largest).sum())
             store.write(number, arrays, diverged, job.setting(shard), origin.name)
             let_go()
-            meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)), diverged)
+            meter.finished(number, int(arrays["steps"].sum(dtype=np.int64)) - begun, diverged)
             if isinstance(executor, Local):  # others may have other machines
                 clock.finished(part, shard.program, shard.runs, *map(float, arrays["seconds"]))
     if lacking:
@@ -75,25 +77,19 @@ def missing(store: Store, job: Sharded) -> list[int]:
     """The numbers of the shards that are to be computed.
 
     Those that are there are of the setting that is chosen now, and of the shapes that their runs give. They may lack
-    what an earlier version did not record.
+    what an earlier version did not record, and where their runs are in the end.
     """
     parts, lacking = job.parts, []
-    shapes = functools.cache(lambda part, program, runs: _shapes(parts[part], program, runs))
+    shapes = functools.cache(lambda part, program, runs: shapes_of(parts[part], program, runs))
     for number, shard in job.shards.items():
         if number not in store.shards or store.shards[number].setting != job.setting(shard):
             lacking.append(number)
             continue
         expected, found = shapes(shard.part, shard.program, shard.runs), store.shapes(number)
+        found = {name: x for name, x in found.items() if name in expected or not name.startswith(END)}
         if found != expected and {**{x: expected[x] for x in LATER & expected.keys()}, **found} != expected:
             lacking.append(number)
     return lacking
-
-
-def _shapes(part: Part, program: int, runs: int) -> dict[str, tuple[Any, Any]]:
-    """(shape, dtype) of each array of a shard with so many runs of a program."""
-    arrays = named(*part.needs[program].results)
-    shapes = {name: ((runs, *x.shape), x.dtype) for name, x in arrays.items()}
-    return shapes | {"seconds": ((2,), np.dtype(float))}
 
 
 def collect(
@@ -119,10 +115,11 @@ def collected(store: Store, part: Part, own: Mapping[int, Shard], room: int) -> 
     results, seconds = None, np.zeros(2)
     some = next(iter(own.values()))
     # Only these may be lacking: for others no shard is opened twice.
-    later = LATER & _shapes(part, some.program, some.runs).keys()
+    later = LATER & shapes_of(part, some.program, some.runs).keys()
     lacking = {key for key in later if any(key not in store.shapes(number) for number in own)}
     for number, shard in own.items():
-        arrays = {key: x for key, x in store.read(number).items() if key not in lacking}
+        unwanted = () if part.goes_on else (END,)
+        arrays = {key: x for key, x in store.read(number, unwanted).items() if key not in lacking}
         seconds += arrays.pop("seconds")
         if results is None:
             like = {key: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for key, x in arrays.items()}

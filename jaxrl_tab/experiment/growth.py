@@ -183,9 +183,19 @@ def added(old: Experiment, new: Experiment) -> str:
     return "; ".join(lines) or "the same in another order"
 
 
-def is_anew(old: Experiment, new: Experiment) -> bool:
-    """Whether nothing that was computed of one is of use to the other, whose runs are longer."""
+def are_longer(old: Experiment, new: Experiment) -> bool:
+    """Whether the runs of one, which the other grew to, have another length."""
     return _length(old) != _length(new)
+
+
+def shared(old: Experiment, new: Experiment) -> dict[str, tuple[str, list[int]]]:
+    """For each part of one experiment that another had: its name there, and the number there of each setting, or -1."""
+    before, after = _parts(old), _parts(new)
+    return {
+        own.name: (before[key].name, [before[key].numbers.get(x, -1) for x in own.numbers])
+        for key, own in after.items()
+        if key in before
+    }
 
 
 def _parts(experiment: Experiment, alone: bool = False) -> dict[Any, _Own]:

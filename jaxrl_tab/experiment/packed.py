@@ -7,7 +7,7 @@ import io
 import math
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +34,18 @@ def save(file: Path, arrays: Mapping[str, np.ndarray]) -> str:
         return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
-def load(file: Path, of: Any = None) -> dict[str, Any] | None:
-    """All arrays in a shard, or what `of` reads of each; None where it is damaged.
+def array_of(file: Any) -> np.ndarray:
+    """An array in a file, which cannot be written to."""
+    (shape, dtype), data = shape_of(file), file.read()
+    if dtype.hasobject or len(data) != dtype.itemsize * math.prod(shape):
+        raise ValueError("it is not what we write")
+    return np.ndarray(shape, dtype, data)
 
-    The checksums in the file are looked at, too.
+
+def load(file: Path, of: Callable[[Any], Any] = array_of, but: tuple[str, ...] = ()) -> dict[str, Any] | None:
+    """The arrays in a file, or what `of` reads of each; None where it is damaged.
+
+    The checksums in the file are looked at, too. Arrays whose names begin as one of `but` are left out.
     """
     with file.open("rb") as opened:
         try:
@@ -48,22 +56,15 @@ def load(file: Path, of: Any = None) -> dict[str, Any] | None:
                     return None  # we pack nothing, and what is packed could unpack to any size
                 arrays = {}
                 for member in members:
-                    with whole.open(member) as array:
-                        arrays[member.filename.removesuffix(".npy")] = (of or _array)(array)
+                    if not member.filename.startswith(but):
+                        with whole.open(member) as array:
+                            arrays[member.filename.removesuffix(".npy")] = of(array)
                 return arrays
         except Exception as error:  # there is no end to what a flipped bit makes zipfile and NumPy raise
             # EINVAL is damage, too: an offset that lies outside of the file.
             if isinstance(error, OSError) and error.errno != errno.EINVAL:
                 raise
             return None
-
-
-def _array(file: Any) -> np.ndarray:
-    """An array in a file, which cannot be written to."""
-    (shape, dtype), data = shape_of(file), file.read()
-    if dtype.hasobject or len(data) != dtype.itemsize * math.prod(shape):
-        raise ValueError("it is not what we write")
-    return np.ndarray(shape, dtype, data)
 
 
 def shape_of(file: Any) -> tuple[Any, Any]:

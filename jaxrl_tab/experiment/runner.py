@@ -25,7 +25,7 @@ from jaxrl_tab.core.memory import free, size, words
 from jaxrl_tab.engine import backend
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.room import plan
-from jaxrl_tab.experiment import comparing, disk, growth, searching, sources, storage
+from jaxrl_tab.experiment import comparing, disk, going_on, growth, searching, sources, storage
 from jaxrl_tab.experiment.again import RunAgain, toml_of_settings
 from jaxrl_tab.experiment.comparing import Look, Looked
 from jaxrl_tab.experiment.computing import collect, collected, compute, missing, warn_of_damage
@@ -44,7 +44,7 @@ from jaxrl_tab.experiment.records import (
 )
 from jaxrl_tab.experiment.samplers import check_installed, versions
 from jaxrl_tab.experiment.search import Search
-from jaxrl_tab.experiment.shards import FRESH, Job, shard_runs
+from jaxrl_tab.experiment.shards import FRESH, Job, kept_bytes, shard_runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import AS_WRITTEN, PROVENANCE, RESOLVED, Store, warn
 from jaxrl_tab.show.progress import Report
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from jaxrl_tab.show.explained import Explanation
+    from jaxrl_tab.show.report import Page
 
 
 def run(
@@ -121,8 +122,9 @@ def resume(
     An experiment can also grow: have more seeds, values of hyperparameters, methods, or environments. What is there
     stays, and only the runs that are new are computed; then settings are chosen anew, and tables, pictures and
     report are made anew. All is, to the last bit, what the larger experiment gives that is run at once. Where it is
-    interrupted, `resume` goes on with it. Longer runs, `steps` or `episodes`, are computed from their beginning, for
-    no folder has the state in which a run ended.
+    interrupted, `resume` goes on with it. Longer runs, `steps` or `episodes`, go on from where they ended, where the
+    folder has that, and rows are as in the longer runs; else they are computed from their beginning: a warning says
+    how many, and why.
 
     What is damaged is named in a warning, by a logger below `jaxrl_tab`, and set aside. The settings of JAX that
     change numbers are as in `run` while it computes, and afterwards what they were.
@@ -218,17 +220,33 @@ def explain(folder: str | Path) -> "Explanation":
     """
     path = _folder(folder)
     with disk.lock(path):
-        found = find(path)
-        experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
-        job = Job.of(experiment, None, library_versions(experiment.data()), found.experiments[:-1])
-        if lacking := missing(store, job):
-            raise InputError(
-                f"{len(lacking)} of {len(job.shards)} shards are missing in {path}: resume it first"
-            )
+        experiment, store, job = _ended(path)
         datasets, _ = collect(store, job, list(job.parts), free() // 2)
         envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
         with backend.using(experiment.backend), settings_of(store, records_of(store)):
             return Outcome(datasets, {}, envs, job.parts).explain()
+
+
+def report(folder: str | Path) -> "Page":
+    """The report of an experiment in a folder, made again where it is missing. Raises InputError as `explain`."""
+    from jaxrl_tab.show.report import FILE, Page
+
+    path = _folder(folder)
+    with disk.lock(path):
+        _, store, _ = _ended(path)
+    if FILE not in store.files:
+        resume(path, progress=False)
+    return Page.read(path / FILE)
+
+
+def _ended(path: Path) -> tuple[Experiment, Store, Job]:
+    """An experiment in a locked folder, of which all was computed. Raises InputError where shards are missing."""
+    found = find(path)
+    experiment, store = found.experiment, Store(path, found.experiment.fingerprint, found.entries)
+    job = Job.of(experiment, None, library_versions(experiment.data()), found.experiments[:-1])
+    if lacking := missing(store, job):
+        raise InputError(f"{len(lacking)} of {len(job.shards)} shards are missing in {path}: resume it first")
+    return experiment, store, job
 
 
 def history(folder: str | Path) -> list[tuple[str, str, str]]:
@@ -320,14 +338,18 @@ def _grown(path: Path, found: Found, new: Experiment, limit: int | None, command
     warn_of_damage(store)
     records = records_of(store)
     with backend.using(new.backend), settings_of(store, records):
-        Origin.of(store, records, mixed, libraries).check(path)
-        there = sum(file.stat().st_size for file in (path / storage.SHARDS).iterdir())
+        origin = Origin.of(store, records, mixed, libraries)
+        origin.check(path)
+        job = Job.of(new, limit, libraries, found.experiments)
+        told = going_on.told(store, job, origin)
+        own = (
+            (path / storage.SHARDS).iterdir() if not growth.are_longer(old, new) else ()
+        )  # else all shards are new
+        there = sum(file.stat().st_size for file in own)
         _check_room(new.parts(), limit, path, there)
     what = growth.added(old, new)
-    if growth.is_anew(old, new):
-        what += (
-            "; runs of another length are computed from their beginning: those that are there stay in shards/"
-        )
+    if growth.are_longer(old, new):
+        what += f"; {told}"
     warn(f"{what}; what is there is kept, and what is new is computed now")
     grow(path, found, new, command, store.checksums)
     if new.source and new.source.path.parent != path:
@@ -347,7 +369,7 @@ def _results(
     """What the experiment gives, of which the missing shards are computed; and whether there were any."""
     fresh_seeds = experiment.select["fresh_seeds"] if experiment.select else 0
     later = {FRESH + name: fresh_seeds for name in job.parts if fresh_seeds}
-    new = compute(store, job, executor, meter, later, origin)
+    new = compute(store, going_on.longer(store, job, origin), executor, meter, later, origin)
     datasets, room = collect(store, job, list(job.parts), free() // 2 if job.memory is None else job.memory)
     envs = {name.partition("/")[0]: part.env for name, part in job.parts.items()}
     outcome = Outcome(datasets, {}, envs, job.parts, tried=searching.history(store.path))
@@ -364,7 +386,7 @@ def _results(
         new |= more
     elif fresh_seeds:
         job = job._replace(chosen=json.dumps(outcome.chosen))
-        new |= compute(store, job, executor, meter, {}, origin)
+        new |= compute(store, going_on.longer(store, job, origin), executor, meter, {}, origin)
         fresh, _ = collect(store, job, list(later), room)
         outcome.fresh.update((name.removeprefix(FRESH), ds) for name, ds in fresh.items())
     return outcome, new
@@ -437,12 +459,13 @@ def _found(
 
 def _check_room(parts: Mapping[str, Part], limit: int | None, folder: Path, there: int = 0) -> None:
     """Raises InputError where there is not enough memory for a shard, or disk for all but what is `there` already."""
-    needed = 0
+    needed = kept = 0
     for part in parts.values():
         runs = min(part.runs, shard_runs(part))
         planned = plan(part.needs, runs, limit)
         needed += size(planned.results.arrays) // runs * part.runs
-    more = max(2 * needed - there, needed)  # the shards, and results.nc
+        kept += kept_bytes(part)
+    more = max(2 * needed + kept - there, needed)  # the shards, and results.nc
     if more > (room := shutil.disk_usage(folder).free):
         raise InputError(
             f"the results need {words(more)} on the disk, and there is room for {words(room)} in "

@@ -29,6 +29,7 @@ from jaxrl_tab.experiment.resolve import as_plain
 from jaxrl_tab.experiment.samplers import Optuna, Told
 from jaxrl_tab.experiment.search import Halving, Rung, Search
 from jaxrl_tab.experiment.shards import Shard, arrays_of, split
+from jaxrl_tab.experiment.shards import runs as numbers_of
 from jaxrl_tab.experiment.spec import Experiment
 
 FOLDER, PLAN, HISTORY, STUDIES = "search", "search.json", "history.json", "optuna.log"
@@ -77,6 +78,7 @@ class Stage(NamedTuple):
         first: the number of the first shard.
         identity: a number for what is computed, by which a shard is known that was computed of something else.
         memory: how many bytes may be taken, as in `Job`.
+        begun: where the runs are, [runs, ...] each, which go on from there; None: at time 0.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Stage(NamedTuple):
     first: int
     identity: int
     memory: int | None
+    begun: Run | None = None
 
     @property
     def parts(self) -> dict[str, Part]:
@@ -103,7 +106,8 @@ class Stage(NamedTuple):
 
     def __call__(self, number: int) -> dict[str, np.ndarray]:
         """What the runs of a shard give, and what is raised: as `Job` has it."""
-        return arrays_of(self.part, self.shards[number], self.memory)
+        own = numbers_of(self.part, self.shards[number])
+        return arrays_of(self.part, own, self.memory, jax.tree.map(lambda x: x[own], self.begun))
 
 
 Compute = Callable[[Stage], Computed]
@@ -282,7 +286,9 @@ class Searching:
         found: list[Computed] = [*runs] or [None] * len(part.configs)  # pyright: ignore[reportAssignmentType]
         for members in part.programs:
             begun = (
-                jax.tree.map(lambda *x: np.concatenate(x), *[runs[i].ends for i in members]) if runs else None
+                jax.tree.map(lambda *x: np.concatenate(x), *[runs[i].begun for i in members])
+                if runs
+                else None
             )
             stage = self._stage(one, _subset(part, members), before, now, begun)
             computed = self._compute(stage)
@@ -310,11 +316,10 @@ class Searching:
             num_seeds=len(seeds),
             first_seed=FIRST_SEED + seeds.start,
             goes_on=self._in_steps,
-            begun=begun if self._in_steps else None,
         )
         count = len(part.configs)
         name = f"{self.search.part_name(one.label)}, {count} settings until {now.length:,} on {now.seeds:,} seeds"
-        return Stage(name, part, self._number, identity, self._memory)
+        return Stage(name, part, self._number, identity, self._memory, begun if self._in_steps else None)
 
     @property
     def _in_steps(self) -> bool:

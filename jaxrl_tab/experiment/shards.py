@@ -6,7 +6,7 @@ import json
 import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, ParamSpec, Protocol, TypeVar, runtime_checkable
 from weakref import WeakValueDictionary
 
 import jax
@@ -16,17 +16,32 @@ from jaxrl_tab.core import memory, modules
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import batch, provenance, room
 from jaxrl_tab.engine.log import Log, recorded_shapes
+from jaxrl_tab.engine.loop import Run
 from jaxrl_tab.engine.part import Computed, Part, compute
 from jaxrl_tab.experiment.growth import Block, Fresh, Generation, generations
 from jaxrl_tab.experiment.records import library_versions
 from jaxrl_tab.experiment.spec import Experiment
 
+P = ParamSpec("P")
+T = TypeVar("T")
 SHARD_STEPS = 2**27  # of all runs in a shard together, about: a few seconds on two cores
 SHARD_BYTES = 2**26  # of the results in a shard, at most, unless one block of lanes gives more
+# Where the runs of a program are in the end is kept where it takes no more than so many bytes, or no more than so many
+# times what their results take.
+KEPT_BYTES, KEPT_TIMES = 2**24, 4
 EPISODE_STEPS = 100  # the assumed length of an episode, where episodes are the budget
 FRESH = "fresh seeds/"  # before the name of a part that runs a chosen setting again
 END = "end."  # before the number of an array that says where runs are in the end
+BEGUN = "begun"  # of runs that went on: how many steps they had in all before; that is not kept
 _read: WeakValueDictionary[str, Experiment] = WeakValueDictionary()  # by their data
+_to_forget: list[Callable[[], None]] = []
+
+
+def remembered(function: Callable[P, T]) -> Callable[P, T]:
+    """Keeps what a function gives of experiments, until their parts are forgotten."""
+    kept: Any = functools.lru_cache(maxsize=16)(function)
+    _to_forget.append(kept.cache_clear)
+    return kept
 
 
 class Shard(NamedTuple):
@@ -111,14 +126,20 @@ class Job(NamedTuple):
             raise InputError(f"{'; '.join(changed)} on {platform.node()}: install the same on all machines")
 
     def __call__(self, number: int) -> dict[str, np.ndarray]:
-        """What the runs of a shard give: `q`, what is in the log, and the `seconds` it took.
+        """What the runs of a shard give: `q`, what is in the log, where they are in the end, and the `seconds` it took.
+
+        Where they are is left out where it would take much room: see `is_kept`.
 
         Raises:
             InputError: this process has another version of a library; or as `sweep.compute`.
         """
         self.check_libraries()
         shard = self.shards[number]
-        return arrays_of(self.parts[shard.part], shard, self.memory)
+        part = self.parts[shard.part]
+        numbers = runs(part, shard)
+        if is_kept(part, shard.program):
+            part, numbers = onward(part, shard.program, numbers)
+        return arrays_of(part, numbers, self.memory)
 
 
 @runtime_checkable
@@ -136,9 +157,11 @@ class Sharded(Protocol):
     def __call__(self, number: int) -> Mapping[str, np.ndarray]: ...
 
 
-def arrays_of(part: Part, shard: Shard, memory: int | None) -> dict[str, np.ndarray]:
-    """What the runs of a shard of a part give, by name, and the `seconds` it took; errors as `part.compute`."""
-    computed = compute(part, runs(part, shard), memory=memory, progress=progress.get())
+def arrays_of(
+    part: Part, numbers: np.ndarray, memory: int | None, begun: Run | None = None
+) -> dict[str, np.ndarray]:
+    """What the runs with these numbers give, by name, and the `seconds` it took; as `part.compute`."""
+    computed = compute(part, numbers, begun=begun, memory=memory, progress=progress.get())
     ends = () if computed.ends is None else (computed.ends,)
     return named(computed.q, computed.log, *ends) | {"seconds": np.array(computed.seconds)}
 
@@ -148,32 +171,60 @@ def named(q: Any, log: Log, *ends: Any) -> dict[str, Any]:
     return {"q": q, **log.named()} | {f"{END}{i}": x for i, x in enumerate(jax.tree.leaves(ends))}
 
 
+def shapes_of(part: Part, program: int, runs: int) -> dict[str, tuple[Any, Any]]:
+    """(shape, dtype) of each array of a shard with so many runs of a program."""
+    arrays = named(*part.needs[program].results)
+    shapes = {name: ((runs, *x.shape), x.dtype) for name, x in arrays.items()}
+    return shapes | {"seconds": ((2,), np.dtype(float))}
+
+
+def is_kept(part: Part, program: int) -> bool:
+    """Whether shards keep where the runs of a program of a part are in the end, so that longer runs can go on there."""
+    one = part.onward[program]
+    table, log, end = one.needs[0].results
+    enough = max(KEPT_BYTES, KEPT_TIMES * memory.size((table, log)) * one.runs)
+    return part.goes_on or memory.size(end) * one.runs <= enough
+
+
+def kept_bytes(part: Part) -> int:
+    """How many bytes that takes in all shards of a part."""
+    sizes = (memory.size(one.needs[0].results[2]) * one.runs for one in part.onward)
+    return sum(size for program, size in enumerate(sizes) if is_kept(part, program))
+
+
+def onward(part: Part, program: int, numbers: np.ndarray) -> tuple[Part, np.ndarray]:
+    """The part of one program of a part that gives where its runs are, and the numbers that runs have there."""
+    config, place = np.divmod(numbers, part.num_seeds)
+    return part.onward[program], np.searchsorted(part.programs[program], config) * part.num_seeds + place
+
+
 def computed_of(part: Part, arrays: Mapping[str, np.ndarray], seconds: batch.Seconds) -> Computed:
-    """What runs of a part gave, from what `named` made of it."""
+    """What runs of a part gave, from what `named` made of it, but for where they are if that is not wanted here."""
     structure = jax.tree.structure(part.needs[0].results[2:])
     ends = jax.tree.unflatten(structure, [arrays[f"{END}{i}"] for i in range(structure.num_leaves)])
     return Computed(arrays["q"], Log.of(arrays), seconds, *ends)
 
 
-def _experiment(data: str) -> Experiment:
+def experiment_of(data: str) -> Experiment:
+    """The experiment that has these data, as JSON."""
     return _read.get(data) or Experiment.from_data(json.loads(data))
 
 
-@functools.lru_cache(maxsize=4)
+@remembered
 def _parts(experiment: str, chosen: str | None) -> dict[str, Part]:
     if chosen is None:
-        return _experiment(experiment).parts()
+        return experiment_of(experiment).parts()
     parts, seeds = _parts(experiment, None), json.loads(experiment)["select"]["fresh_seeds"]
     on_fresh = {FRESH + name: again(parts[name], i, seeds) for name, i in json.loads(chosen).items()}
     return parts | on_fresh
 
 
-@functools.lru_cache(maxsize=4)
+@remembered
 def _generations(experiment: str, before: tuple[str, ...]) -> tuple[list[Generation], dict[str, list[int]]]:
-    return generations([_experiment(data) for data in (*before, experiment)])
+    return generations([experiment_of(data) for data in (*before, experiment)])
 
 
-@functools.lru_cache(maxsize=4)
+@remembered
 def _shards(experiment: str, chosen: str | None, before: tuple[str, ...] = ()) -> dict[int, Shard]:
     parts, found, number = _parts(experiment, chosen), {}, 0
     for generation in _generations(experiment, before)[0]:
@@ -190,9 +241,8 @@ def _shards(experiment: str, chosen: str | None, before: tuple[str, ...] = ()) -
 def forget_parts() -> None:
     """Forgets all parts, which are then made anew, of classes that were loaded from copies since."""
     _read.clear()
-    _parts.cache_clear()
-    _generations.cache_clear()
-    _shards.cache_clear()
+    for forget in _to_forget:
+        forget()
 
 
 def again(part: Part, config: int, seeds: int, first: int = 0) -> Part:

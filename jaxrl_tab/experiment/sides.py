@@ -27,7 +27,7 @@ from jaxrl_tab.experiment.files import Outcome
 from jaxrl_tab.experiment.found import HISTORY
 from jaxrl_tab.experiment.reading import TABLES, Readings, is_of_runs, read
 from jaxrl_tab.experiment.records import library_versions, mixture, recorded, records_in
-from jaxrl_tab.experiment.shards import Job, runs
+from jaxrl_tab.experiment.shards import END, Job, runs
 from jaxrl_tab.experiment.spec import Experiment
 from jaxrl_tab.experiment.storage import AS_WRITTEN, DATA, FRESH_DATA, PROVENANCE, RESOLVED
 
@@ -204,7 +204,7 @@ def _in_shards(
             arrays = storage.peek(path, number, sums[number]) if number in sums else None
             if arrays is None:
                 continue
-            arrays.pop("seconds", None)
+            arrays = {key: x for key, x in arrays.items() if key != "seconds" and not key.startswith(END)}
             if results is None:
                 like = {key: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for key, x in arrays.items()}
                 results = Results(like, part.runs, on_disk=size(like) * part.runs > free() // 8)

@@ -120,9 +120,9 @@ class Store:
         if len(self.shards) - len(self._listed) > len(self._listed) // 4:
             self.write_manifest()
 
-    def read(self, number: int) -> dict[str, np.ndarray]:
-        """The arrays of a shard that is there."""
-        return self._of_arrays(number)
+    def read(self, number: int, but: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+        """The arrays of a shard that is there, but for those whose names begin so."""
+        return self._of_arrays(number, packed.array_of, but)
 
     def shapes(self, number: int) -> "Shapes":
         """(shape, dtype) of each array of a shard that is there, by its name."""
@@ -134,7 +134,7 @@ class Store:
         return self._kinds.setdefault(tuple(shapes.items()), shapes)
 
     def _of_arrays(self, number: int, *of: Any) -> dict[str, Any]:
-        """What `packed.load` gives of each array of a shard that is there."""
+        """What `packed.load` gives of a shard that is there."""
         file = self.path / SHARDS / _name(number)
         with disk.as_run_error(file, "read"):
             found = packed.load(file, *of)

@@ -11,7 +11,7 @@ from jaxrl_tab.exact.projected import linear_values
 from jaxrl_tab.figures.figure import EXACT, Figure, Number, swept
 
 TASK, GAMMA = Baird(), 0.99
-START = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 10.0, 1.0)
+START = np.array([1.0, 1, 1, 1, 1, 1, 10, 1])
 STEPS, EVERY = 1000, 5
 ALPHA = 0.01
 

@@ -1,5 +1,7 @@
 """The cost to go of the mountain car as it is learned (book, figure 10.1)."""
 
+from typing import Any
+
 import numpy as np
 
 from jaxrl_tab.approx import MountainCar, SemiGradientSarsa
@@ -28,10 +30,11 @@ def _experiment(num_seeds=20, most=EPISODES[-1]):
 def _cost_to_go(w, position, velocity):
     """-max q(s, a), of weights [..., n, A] in states that are given by arrays of one shape: [..., *shape]."""
     import jax
+    import jax.numpy as jnp
 
     features = read(FEATURES).ranged(CAR.low, CAR.high)
     states = np.stack([np.ravel(position), np.ravel(velocity)], -1).astype(np.float32)
-    x = jax.vmap(features)(states)
+    x = jax.vmap(features)(jnp.asarray(states))
     assert isinstance(x, Active)
     w = np.asarray(w)
     q = w[..., np.asarray(x.ones), :].sum(-2)
@@ -51,7 +54,7 @@ def _draw(datasets):
         *(np.linspace(a, b, POINTS) for a, b in zip(CAR.low, CAR.high, strict=True)), indexing="ij"
     )
     for i, (name, ds) in enumerate(datasets.items()):
-        ax = canvas.add_subplot(2, 3, i + 1, projection="3d")
+        ax: Any = canvas.add_subplot(2, 3, i + 1, projection="3d")
         cost = _cost_to_go(ds.q.values[0], position, velocity)
         ax.plot_surface(
             position, velocity, cost, cmap="viridis", ec="#00000055", lw=0.2, rcount=40, ccount=40

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnax
 import jax
@@ -21,7 +21,8 @@ from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Environment, Outcome, available_actions, stand_ins
 from jaxrl_tab.envs import ENVS, FiniteMDP
-from jaxrl_tab.interop.gymnax_states import States, Task, explore, named
+from jaxrl_tab.interop.gymnax_numbers import ContinuousGymnax, can_be_told, of_numbers
+from jaxrl_tab.interop.gymnax_states import States, Task, continuum, explore, named
 
 # Wrappers that change no reward, action, observation, end or dynamics, by their exact class.
 HARMLESS = (LogWrapper, LegacyStepAPIWrapper)
@@ -95,9 +96,15 @@ class SampledGymnax:
         return jnp.argmax(same).astype(jnp.int32), same.any()
 
 
+Imported: TypeAlias = EnumeratedGymnax | SampledGymnax | ContinuousGymnax
+
+
 @jax.threefry_partitionable(True)  # what is drawn to find the states is the same whatever JAX is set to
-def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGymnax | SampledGymnax:
+def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> Imported:
     """An environment of gymnax as a finite task: all states that can be reached, and what may happen in them.
+
+    Where states come from a continuum, as those of CartPole-v1, the task is a `ContinuousGymnax`, for methods with
+    features.
 
     A state here is what matters of a state there: those of its fields on which rewards, terminations,
     observations or such fields of the next state depend. The time of the episode is seldom one of them, so a
@@ -122,6 +129,13 @@ def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> EnumeratedGy
     """
     env, params = _made(env, params, parameters)
     task = Task(env, params)
+    if (name := continuum(task)) is not None:
+        if can_be_told(task):
+            return of_numbers(task)
+        raise InputError(
+            f"{task.name}: {name} of the start state is another one with each key, as if from a continuum, and is not "
+            "observed; a table needs few states, and features what is observed"
+        )
     reached = States(task)
     start, outcomes = explore(task, reached)
     number, num_states = reached.numbering()
@@ -159,7 +173,7 @@ def arguments(name: str) -> dict[str, Any]:
     return defaults | {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
 
 
-def by_name(name: str, **values: Any) -> EnumeratedGymnax | SampledGymnax:
+def by_name(name: str, **values: Any) -> Imported:
     """The environment with some of its `arguments`."""
     keywords = inspect.signature(type(_made(name, None, {})[0])).parameters
     params = {key: value for key, value in values.items() if key not in keywords}

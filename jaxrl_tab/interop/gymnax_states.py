@@ -1,5 +1,6 @@
 """All states of an environment of gymnax that can be reached, and what may happen in them; see `from_gymnax`."""
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -78,10 +79,12 @@ class Task:
         self.states_are_exact = all((*self.reset.is_exact[:size], *states, ending))
         self.is_exact = self.states_are_exact and reward_is_exact
 
-    def beginnings(self, keys: Any) -> "Seen":
-        """What may be at the start, [K, C]: for each key and choice."""
+    @functools.cached_property
+    def start(self) -> tuple[Any, "Seen"]:
+        """Keys [K], and what may be at the start, [K, C]: for each key and choice."""
+        keys = jax.random.split(rng.key(0), 1 if self.states_are_exact else KEYS)
         outcomes = jax.jit(_over_draws(self.reset.function))(self.reset.choices, keys)
-        return Seen.of(outcomes, len(self.leaves))
+        return keys, Seen.of(outcomes, len(self.leaves))
 
     def transitions(self, block: int) -> Callable[[Any, list[np.ndarray]], "Seen"]:
         """A function of keys and the leaves of B = `block` states [B, ...]: what may follow, [B, A, K, C]."""
@@ -218,21 +221,18 @@ def _bytes(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate([np.zeros((n, 0), np.uint8), *flat], axis=1)
 
 
-def _check_countable(task: Task, seen: Seen) -> None:
-    """Raises InputError where a real number of the start state is another one with each key."""
+def continuum(task: Task) -> str | None:
+    """Of the start state a real number that is another one with each key; None where there is none."""
+    seen = task.start[1]
     for i, x in zip(task.leaves, seen.state, strict=True):
         if len(x) > 1 and np.issubdtype(x.dtype, np.floating) and len(np.unique(x, axis=0)) == len(x):
-            raise InputError(
-                f"{task.name}: {len(x)} keys give {len(x)} different values of {task.names[i]} in the start "
-                "state, as if from a continuum; a table needs few states"
-            )
+            return task.names[i]
+    return None
 
 
 def explore(task: Task, reached: States) -> tuple[dict[int, float], list[Any]]:
     """Finds all states, breadth first. Returns the probabilities of start states, and outcomes [S][A]."""
-    keys = jax.random.split(rng.key(0), 1 if task.states_are_exact else KEYS)
-    seen = task.beginnings(keys)
-    _check_countable(task, seen)
+    keys, seen = task.start
     numbers = reached.add(seen, seen.observation, np.zeros(seen.prob.shape, bool))
     start: dict[int, float] = {}
     for i in map(tuple, np.argwhere(numbers >= 0)):

@@ -15,7 +15,11 @@ from jaxrl_tab.core.schedules import is_glie, is_robbins_monro, read, typed
 LONGEST = 10**6  # how far it is followed
 COUNTS = tuple(10**k for k in range(7))  # the n at which people see its values
 MARKS = "ox+*#%@&"  # of curves in a terminal, which is how many there can be
-COLUMNS, DECADE = 61, 10  # of such a curve: how wide it is, and how wide a power of ten
+WIDE, NARROW, BESIDE = (
+    10,
+    5,
+    9,
+)  # characters of such a curve: of a power of ten, where there is room or not; beside it
 LEAST = 1e-6  # the part of the largest value below which nothing is drawn
 COUNTED = {
     "step": "steps",
@@ -133,28 +137,34 @@ def _values(rate: Any) -> np.ndarray:
     return values
 
 
-def curve(studies: Sequence[Study]) -> list[str]:
-    """The values against n as lines of text, both axes logarithmic; values near 0 are left out."""
+def curve(studies: Sequence[Study], room: int = 100) -> list[str]:
+    """The values against n as lines of text, both axes logarithmic; values near 0 are left out.
+
+    It is so wide that it fits into so many characters, where these are not too few.
+    """
     largest = max(float(one.values.max()) for one in studies)
     if largest <= 0:
         return []
-    at = np.unique(np.round(10 ** (np.arange(COLUMNS) / DECADE)).astype(int))
-    columns = np.round(DECADE * np.log10(at)).astype(int)
+    decade = next((x for x in (WIDE, NARROW) if BESIDE + x * len(COUNTS) <= room), NARROW)
+    width = decade * (len(COUNTS) - 1) + 1
+    at = np.unique(np.round(10 ** (np.arange(width) / decade)).astype(int))
+    columns = np.round(decade * np.log10(at)).astype(int)
     drawn = np.concatenate([one.values[at - 1] for one in studies])
     smallest = float(drawn[drawn >= LEAST * largest].min())
     top, bottom = int(np.ceil(np.log10(largest) - 1e-9)), int(np.floor(np.log10(smallest) + 1e-9))
     bottom = min(bottom, top - 1)
     rows = 4 if top - bottom <= 2 else 2  # to a power of ten
-    marks = [[" "] * COLUMNS for _ in range(rows * (top - bottom) + 1)]
+    marks = [[" "] * width for _ in range(rows * (top - bottom) + 1)]
     for one, mark in zip(studies, MARKS, strict=False):
         for column, value in zip(columns, one.values[at - 1], strict=True):
             if value >= LEAST * largest:
                 row = round(rows * (top - np.log10(value)))
                 if marks[row][column] == " ":
                     marks[row][column] = mark
-    width = max(len(f"{10.0**k:g}") for k in range(bottom, top + 1))
+    beside = max(len(f"{10.0**k:g}") for k in range(bottom, top + 1))
     names = [f"{10.0 ** (top - row // rows):g}" if row % rows == 0 else "" for row in range(len(marks))]
-    lines = [f"{name:>{width}} │{''.join(row)}".rstrip() for name, row in zip(names, marks, strict=True)]
-    axis = "└" + "".join("┴" if column % DECADE == 0 else "─" for column in range(COLUMNS))
-    below = "".join(f"{n:<{DECADE},}".replace(",", " ") for n in COUNTS)
-    return [*lines, f"{'':{width}} {axis}", f"{'':{width}}  {below}".rstrip() + "  n"]
+    lines = [f"{name:>{beside}} │{''.join(row)}".rstrip() for name, row in zip(names, marks, strict=True)]
+    axis = "└" + "".join("┴" if column % decade == 0 else "─" for column in range(width))
+    names = [f"{n:,}".replace(",", " ") if decade == WIDE else f"1e{k}" for k, n in enumerate(COUNTS)]
+    below = "".join(f"{name:<{decade}}" for name in names)
+    return [*lines, f"{'':{beside}} {axis}", f"{'':{beside}}  {below}".rstrip() + "  n"]

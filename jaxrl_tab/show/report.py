@@ -6,6 +6,7 @@ first; then how to read it, and how it was made. Pictures are drawn in the brows
 
 import dataclasses
 import html
+import re
 from collections.abc import Mapping, Sequence
 from itertools import count
 from pathlib import Path
@@ -136,6 +137,13 @@ class Page:
         return (
             f'<iframe title="{title}" srcdoc="{page}" style="width: 100%; height: 60rem; border: 0"></iframe>'
         )
+
+    @classmethod
+    def read(cls, file: Path) -> "Page":
+        """A page that was saved."""
+        text = file.read_text(encoding="utf-8")
+        title = re.search("<title>(.*?)</title>", text, re.DOTALL)
+        return cls(html.unescape(title[1]) if title else file.name, text)
 
     def save(self, file: Path | str) -> Path:
         """Writes the page into a file, over one that is there."""

@@ -1,0 +1,107 @@
+"""Linear methods whose weights an optimiser of optax changes, in place of the book's alpha.
+
+The gradient is the semi-gradient of 1/2 [target - q(S, A)]^2 by all weights: -delta x(S) for the action A, and 0 for
+the others; with eligibility traces -delta z. An optimiser that remembers, such as Adam, changes all weights in each
+step, which so costs as much as there are weights, however few features are 1.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
+from jaxrl_tab.algorithms.traces import marked
+from jaxrl_tab.approx.semi_gradient import SemiGradientControl
+from jaxrl_tab.core import linear, optimizers
+from jaxrl_tab.core.checks import assign, concrete
+from jaxrl_tab.core.clock import Clock, end_step
+from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.pytree import pytree, static
+from jaxrl_tab.core.types import Transition
+
+OPTIMIZER = (
+    'An optimiser in place of alpha, as the call that makes it in optax, with its learning rate: "optax:adam(0.01)"; '
+    "in Python also any transformation of gradients."
+)
+
+
+class OptimizedState(NamedTuple):
+    """As `TDState`, with the state of an optimiser of the weights."""
+
+    q: Float[Array, "n A"]
+    clock: Clock
+    optimizer: Any
+
+
+@pytree
+class Optimized:
+    """What a method has whose weights an optimiser may change."""
+
+    optimizer: Any = static(default=None, help=OPTIMIZER)
+
+    def __post_init__(self):
+        own: Any = self
+        super().__post_init__()  # pyright: ignore[reportAttributeAccessIssue]
+        if self.optimizer is None:
+            return
+        who = type(self).__name__
+        try:
+            assign(self, optimizer=optimizers.whole(self.optimizer))
+        except InputError as error:
+            raise error.renamed(who, "optimizer") from None
+        alpha = concrete(own.alpha)
+        if alpha is not None and np.any(alpha != type(own).alpha):
+            raise InputError("give alpha or optimizer, not both", who=who, field="alpha")
+        if own.per_tiling:
+            problem = "alpha is divided by the number of tilings, and there is none with an optimizer"
+            raise InputError(problem, who=who, field="per_tiling")
+
+
+@pytree
+class OptimizedControl(Optimized, SemiGradientControl):
+    """One-step control whose weights an optimiser may change."""
+
+    def init(self, num_states: int, num_actions: int) -> Any:
+        state = super().init(num_states, num_actions)
+        if self.optimizer is None:
+            return state
+        return OptimizedState(state.q, state.clock, optimizers.start(self.optimizer, state.q))
+
+    def learn(self, state: Any, t: Transition, delta: Float[Array, ""]) -> Any:
+        """w <- w + what the optimiser makes of delta x(S) at A; and counts the episode where it is over."""
+        if self.optimizer is None:
+            return super().learn(state, t, delta)
+        ascent = linear.add(jnp.zeros_like(state.q), self.x(t.s), t.a, delta)
+        change, optimizer = optimizers.change(self.optimizer, ascent, state.optimizer, state.q)
+        return OptimizedState(state.q + change, end_step(state.clock, t.last), optimizer)
+
+
+@pytree
+class OptimizedTraceControl(Optimized, SemiGradientControl, SarsaLambda):
+    """Sarsa(lambda) whose weights an optimiser may change."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.optimizer is not None and (self.trace == "dutch" or self.offline):
+            problem = "an optimizer goes with accumulating and replacing traces, and not off-line"
+            raise InputError(problem, who=type(self).__name__, field="optimizer")
+
+    def init(self, num_states: int, num_actions: int) -> Any:
+        state = super().init(num_states, num_actions)
+        if self.optimizer is None:
+            return state
+        return state._replace(optimizer=optimizers.start(self.optimizer, state.q))
+
+    def learn(
+        self, state: Any, t: Transition, delta: Float[Array, ""], cut: Bool[Array, ""] | bool = False
+    ) -> Any:
+        """Marks (S, A), and w <- w + what the optimiser makes of delta z; then z <- gamma lambda z."""
+        if self.optimizer is None:
+            return super().learn(state, t, delta, cut)
+        # Nothing is credited by the marks: so the base is w, all of which the optimiser changes.
+        values = marked(state.values, self.trace, 0.0, self.x(t.s), t.a, jnp.zeros_like(delta))
+        change, optimizer = optimizers.change(self.optimizer, delta * values.z, state.optimizer, values.base)
+        values = values._replace(base=values.base + change).faded(jnp.where(t.last, 0, t.discount * self.lam))
+        return state._replace(values=values, clock=end_step(state.clock, t.last), optimizer=optimizer)
