@@ -57,7 +57,7 @@ def mountain_car(lanes: int, episodes: int) -> Round:
         "per_tiling": True,
         "epsilon": 0.0,
     }
-    car, method = rl.approx.MountainCar(), rl.approx.SemiGradientSarsa
+    car, method = rl.MountainCar(), rl.approx.SemiGradientSarsa
     return _sweeps(car, method, grid, _mean_length, lanes, num_episodes=episodes)
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 from jaxrl_tab import algorithms, approx, envs, interop
 from jaxrl_tab.algorithms import (
-    ALGORITHMS,
     PSRL,
     UCBVI,
     ActorCritic,
@@ -52,7 +51,6 @@ from jaxrl_tab.algorithms import (
     moments,
     prediction,
 )
-from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core import backups, policies, schedules, tables
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.core.experience import Experience
@@ -83,6 +81,7 @@ from jaxrl_tab.envs import (
     KArmedTestbed,
     MaximizationBias,
     Maze,
+    MountainCar,
     RandomWalk,
     ShortCorridor,
     TraceGridworld,
@@ -98,6 +97,7 @@ from jaxrl_tab.experiment.reading import read
 from jaxrl_tab.experiment.runner import explain, resume, run, search
 from jaxrl_tab.experiment.search import Search
 from jaxrl_tab.experiment.spec import Experiment
+from jaxrl_tab.methods import ALGORITHMS, PREDICTION
 
 # Imported when they are first used, because they take a second: name -> where it is.
 _LATER = {
@@ -174,6 +174,7 @@ __all__ = [
     "MaxminQLearning",
     "Maze",
     "MonteCarlo",
+    "MountainCar",
     "NStepExpectedSarsa",
     "NStepOffPolicySarsa",
     "NStepSarsa",

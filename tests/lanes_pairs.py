@@ -12,15 +12,15 @@ from collections.abc import Iterator
 
 from lanes_runs import runs_of
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.engine import by_lanes
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.runs import Runs
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import ENVS, make
 from jaxrl_tab.lanes import machine
 from jaxrl_tab.lanes.code import Unsupported
+from jaxrl_tab.methods import METHODS
 
 BUDGETS = {
     "steps": Budget(250, None, 100, exact=False),  # the last row is shorter
@@ -41,12 +41,16 @@ def pairs(env: str) -> Iterator[tuple[str, str]]:
     """(method, budget): Sarsa and some of the others, in the next environment the next ones; in one all.
 
     So that each is in two environments besides that one, whatever their number: in one by steps, in the other by
-    episodes. Methods of the average reward are in `GOES_ON` alone, and those that need a horizon in `HAS_HORIZON`.
+    episodes. Where states cannot be counted it is those that have features. Methods of the average reward are in
+    `GOES_ON` alone, and those that need a horizon in `HAS_HORIZON`.
     """
     every = max(1, len(ENVS) // 2)
     for k, method in enumerate(METHODS, list(ENVS).index(env)):
         declared = of_method(METHODS[method])
-        if declared.in_the_long_run or declared.needs_horizon:
+        if not make(env).num_states:
+            if declared.features is not None:
+                yield method, list(BUDGETS)[k % 2]
+        elif declared.in_the_long_run or declared.needs_horizon:
             alone = GOES_ON if declared.in_the_long_run else HAS_HORIZON
             yield from ((method, by) for by in BUDGETS if env == alone)
         elif env == "random-walk" or method == "sarsa":
@@ -81,8 +85,9 @@ if __name__ == "__main__":
     for env in sys.argv[1:]:
         compiled = 0
         for method, by in pairs(env):
+            told = {} if of_method(METHODS[method]).features is None else {"features": "tile-coding(4, 4)"}
             try:
-                runs = runs_of(env, method, BUDGETS[by])
+                runs = runs_of(env, method, BUDGETS[by], **told)
             except InputError as refused:
                 if "action" not in str(refused):
                     print(f"{env} {method} by {by}: {refused}")

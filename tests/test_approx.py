@@ -12,7 +12,7 @@ from jaxrl_tab.approx.features import read
 from jaxrl_tab.core.types import Transition, fitted, init_learner
 
 KEY = jax.random.key(0)
-CAR = approx.MountainCar()
+CAR = rl.MountainCar()
 
 
 # --- features ------------------------------------------------------------------------------------------
@@ -266,9 +266,8 @@ def test_the_mountain_car_is_learned_as_in_figure_10_2(cars):
 def test_a_run_alone_has_the_bits_of_the_batch_and_of_xla(cars):
     method = approx.SemiGradientSarsa(features="tile-coding(8, 8)", alpha=0.5, per_tiling=True, epsilon=0.0)
     key = jax.random.fold_in(KEY, 7)
-    alone, log = rl.train(key, method, CAR, num_episodes=500)
-    np.testing.assert_array_equal(alone.q, cars.q[7])
-    np.testing.assert_array_equal(log.lengths, cars.log.lengths[7])
+    _, log = rl.train(key, method, CAR, num_episodes=20)
+    np.testing.assert_array_equal(log.lengths, cars.log.lengths[7, :20])
     by_xla = rl.sweep(
         CAR, approx.SemiGradientSarsa, cars.fixed | {"behaviour": None}, num_seeds=2, num_episodes=20,
         backend="xla", progress=False,

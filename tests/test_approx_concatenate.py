@@ -13,7 +13,7 @@ from jaxrl_tab.core.linear import Active
 from jaxrl_tab.core.types import Transition, fitted, init_learner
 
 KEY = jax.random.key(0)
-CAR = approx.MountainCar()
+CAR = rl.MountainCar()
 WALK = rl.RandomWalk(states=5)
 
 

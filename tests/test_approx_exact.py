@@ -118,7 +118,7 @@ REFUSED = {
         {"policy_probs": np.full((20, 2), 0.5), "features": np.eye(20)},
         rl.make("garnet"),
     ),
-    "can only be sampled": ({}, approx.MountainCar()),
+    "can only be sampled": ({}, rl.MountainCar()),
 }
 
 

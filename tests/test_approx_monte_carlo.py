@@ -67,7 +67,7 @@ def test_one_hot_features_are_a_table():
 
 def test_states_need_not_be_counted():
     """The features of each step are remembered: of one that is always 1, by hand."""
-    car = approx.MountainCar(max_steps=3)
+    car = rl.MountainCar(max_steps=3)
     state, _ = rl.train(KEY, approx.GradientMonteCarlo(features="polynomial(0)", alpha=0.5), car, num_steps=3)
     # The returns are -3, -2 and -1, for the value 0 of what is reached at the time limit is the rest.
     np.testing.assert_allclose(state.v, [-1.375])

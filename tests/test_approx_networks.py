@@ -11,7 +11,7 @@ from jaxrl_tab.approx import network
 from jaxrl_tab.core.types import Transition, fitted, init_learner
 
 KEY = jax.random.key(0)
-CAR = approx.MountainCar()
+CAR = rl.MountainCar()
 CLIFF = rl.CliffWalking()
 DEEP = {"q": approx.DeepQNetwork, "sarsa": approx.DeepSarsa}
 SMALL = {"network": "mlp(5, 4, activation='tanh')", "memory": 6, "batch": 3, "target_every": 4, "gamma": 0.9}

@@ -167,7 +167,7 @@ REFUSED = {
         approx.SemiGradientSarsa(w0="1,2;3,4"), GRID
     ),
     "MountainCar has no features of its own": lambda: train(
-        approx.SemiGradientSarsa(features="own"), approx.MountainCar()
+        approx.SemiGradientSarsa(features="own"), rl.MountainCar()
     ),
     "behaviour leaves out action 0 in state 0": lambda: approx.TDC(behaviour=[[0, 1]], pi=[[0.5, 0.5]]),
     "LSTD: ridge must be": lambda: approx.LSTD(ridge=0.0),

@@ -17,12 +17,12 @@ from test_reference import STEPS, task_of, words_of
 
 import jaxrl_tab as rl
 from jaxrl_tab import bridge, importance, planning, schedules
-from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.policies import UCB, UNAVAILABLE, EpsilonGreedy, Greedy, Softmax, Table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome, restricted
 from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.methods import PREDICTION
 
 pytestmark = pytest.mark.usefixtures("optimised")
 

@@ -12,11 +12,11 @@ from refusals import refused
 import jaxrl_tab as rl
 from jaxrl_tab import plot
 from jaxrl_tab.algorithms import ManyTargets
-from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli import main
 from jaxrl_tab.core.backups import ACTION, DOTS, END, STATE, Backup, labels, lambda_return, tree
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.methods import METHODS, PREDICTION
 
 # --- as a person reads it ------------------------------------------------------------------------------
 
@@ -176,6 +176,9 @@ SHAPES["q-lambda"] = (
     "action, state, action, ..., end",
     "action, state, action, ..., state, max action",
 )
+# Those with features look ahead as those with a table do.
+SHAPES |= {name: SHAPES[name.removeprefix("semi-gradient-")] for name in METHODS if "semi-gradient" in name}
+SHAPES["gradient-monte-carlo"] = SHAPES["monte-carlo-prediction"]
 IN_WORDS = {  # what no circle shows
     "double-q-learning": "one table chooses the action, the other gives its value",
     "q-learning-target": "A' is drawn from the target policy",

@@ -118,7 +118,7 @@ def test_the_mountain_car_goes_its_way_and_learns(peers):
     Broken once: a second tiling moved along the speed by 1 instead of 3; the cosine of x -> each fails.
     """
     car = importlib.import_module("benchmarks.numba_mountain_car")
-    ours, features = approx.MountainCar(), approx.TileCoding(8, 8, low=(-1.2, -0.07), high=(0.5, 0.07))
+    ours, features = rl.MountainCar(), approx.TileCoding(8, 8, low=(-1.2, -0.07), high=(0.5, 0.07))
     rand = np.random.default_rng(0)
     points = rand.uniform((-1.2, -0.07), (0.5, 0.07), (100, 2)).astype(np.float32)
     actions = rand.integers(0, 3, 100)

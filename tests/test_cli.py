@@ -18,8 +18,6 @@ from rich.console import Console
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning, plot, stats
-from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli import main, screen
 from jaxrl_tab.cli import sweep as sweep_module
 from jaxrl_tab.cli.solve import Solve
@@ -33,6 +31,7 @@ from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import runner, shards
 from jaxrl_tab.figures import FIGURES, figure
 from jaxrl_tab.lanes import versions
+from jaxrl_tab.methods import ALGORITHMS, METHODS, PREDICTION
 from jaxrl_tab.show import rows as of_report
 from jaxrl_tab.stats.columns import Methods
 

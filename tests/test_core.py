@@ -12,11 +12,11 @@ from scipy import stats
 
 import jaxrl_tab as rl
 from jaxrl_tab import policies, schedules
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, tables
 from jaxrl_tab.core.errors import nearest
 from jaxrl_tab.core.types import Transition
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.methods import METHODS
 
 # --- tables ------------------------------------------------------------------------------------------
 

@@ -8,10 +8,10 @@ import pytest
 import jaxrl_tab as rl
 from jaxrl_tab import plot, stats
 from jaxrl_tab.algorithms import PolicyGradient
-from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.core.declared import Learns, LearnsFrom, OfMethod, of_environment, of_method
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Outcome
+from jaxrl_tab.methods import METHODS, PREDICTION
 from jaxrl_tab.stats.measures import has_errors
 
 

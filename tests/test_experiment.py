@@ -10,7 +10,6 @@ import quick
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning, plot
-from jaxrl_tab.algorithms.prediction import METHODS, PREDICTION
 from jaxrl_tab.cli import main
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.policies import EpsilonGreedy, Softmax, Table
@@ -22,6 +21,7 @@ from jaxrl_tab.experiment.plan import plan
 from jaxrl_tab.experiment.progress import seconds_left
 from jaxrl_tab.experiment.resolve import Selection
 from jaxrl_tab.experiment.spec import Experiment, difference, template
+from jaxrl_tab.methods import METHODS, PREDICTION
 
 FILE = """\
 seeds = 10

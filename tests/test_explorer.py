@@ -12,7 +12,12 @@ from made_up import make_result
 
 import jaxrl_tab as rl
 from jaxrl_tab import report, stats
-from jaxrl_tab.engine.counted import Counted, Tables
+from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.counted import Counted, TablesAndVisits
+from jaxrl_tab.engine.part import compute
+from jaxrl_tab.engine.sweep import prepare
+from jaxrl_tab.experiment.again import RunAgain
+from jaxrl_tab.methods import METHODS
 from jaxrl_tab.show.explorer import chapter, packing, scores
 from jaxrl_tab.show.explorer.measures import STATISTICS
 from jaxrl_tab.show.explorer.over_time import OverTime, block, ranks
@@ -150,7 +155,7 @@ def test_methods_with_arrays_or_records_of_their_own_are_recorded(method):
     """Shapes alone. Broken once: what the method declares, with the state that has the counts, too -> fails."""
     env = "finite-horizon:5:river-swim" if method == "ucbvi" else "river-swim"
     (part,) = rl.Experiment(env, method, seeds=1, steps=20, log_every=10).parts().values()
-    budget = dataclasses.replace(part.budget, record=Tables())
+    budget = dataclasses.replace(part.budget, record=TablesAndVisits(part.env.num_states))
     (needs,) = dataclasses.replace(part, configs=[Counted(part.configs[0])], budget=budget).needs
     _, log = needs.results
     table = (2, part.env.num_states, part.env.num_actions)
@@ -277,3 +282,13 @@ def test_of_many_settings_the_page_keeps_the_best(windy, windy_set, tmp_path):
     assert 200 < len(data["kept"]) < 1000
     assert len(floats(found["data-1-scores-0"], -1, 4)) % 10000 == 0
     assert len(data["tables"]) < 10000
+
+
+@pytest.mark.parametrize("method", ["semi-gradient-td-lambda", "semi-gradient-sarsa"])
+def test_what_is_recorded_of_features_are_values_of_states(method):
+    """At the end it is what the results hold. Broken once: `Counted` without a `row` of its own -> fails."""
+    budget = Budget(num_episodes=6, log_every=3)
+    part = prepare(rl.RandomWalk(9), METHODS[method], {"features": "aggregation(3)"}, budget, num_seeds=2)
+    over = RunAgain({"walk": part})("walk", 0, np.arange(2), 1)
+    np.testing.assert_allclose(over.tables[:, -1], compute(part, np.arange(2)).q, rtol=1e-6)
+    assert over.tables.shape[1:3] == over.visits.shape[1:3] == (2, 11)

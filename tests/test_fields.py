@@ -9,10 +9,10 @@ import pytest
 
 import jaxrl_tab as rl
 from jaxrl_tab import policies, schedules
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import describe
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.methods import METHODS
 
 REGISTERED = [*ENVS.values(), *METHODS.values()]
 CLASSES = [*REGISTERED, *policies.POLICIES.values(), *schedules.FAMILIES.values()]

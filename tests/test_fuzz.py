@@ -28,7 +28,6 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, planning, policies, schedules, stats
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.cli import bridge, figure, listing, schedule, sweep, watch
 from jaxrl_tab.cli.bridge import Bridge
 from jaxrl_tab.cli.figure import Figure
@@ -44,6 +43,7 @@ from jaxrl_tab.experiment import runner
 from jaxrl_tab.experiment.resolve import Selection
 from jaxrl_tab.experiment.spec import Experiment, template
 from jaxrl_tab.figures import FIGURES
+from jaxrl_tab.methods import METHODS
 
 pytestmark = pytest.mark.filterwarnings("ignore:Python iterable type:DeprecationWarning")  # JAX, of iterators
 LONGEST = 400  # characters of a message

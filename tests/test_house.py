@@ -19,7 +19,7 @@ FLOORS = [
     ["core"],
     ["lanes"],
     ["exact", "envs", "stats"],
-    ["algorithms", "approx", "interop", "show"],
+    ["algorithms", "approx", "interop", "methods", "show"],
     ["engine"],
     ["experiment", "figures", "course"],
     ["api"],

@@ -14,7 +14,6 @@ from marks import slow_but, slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import Outcome, policies, pytree, schedules, static
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.engine import by_lanes
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.room import signature, traced_program
@@ -24,6 +23,7 @@ from jaxrl_tab.interop import from_gymnasium
 from jaxrl_tab.lanes import program
 from jaxrl_tab.lanes.kernel import Kernel
 from jaxrl_tab.lanes.target import host
+from jaxrl_tab.methods import METHODS
 
 pytestmark = pytest.mark.usefixtures("optimised")
 
@@ -147,6 +147,14 @@ CASES = {
     "control variates": Case("random-walk", "n-step-off-policy-td", ALPHAS | {"control_variates": True}),
     "off-policy-td": Case("jacks-car-rental", "off-policy-td", ALPHAS | {"gamma": 0.9}),
     "off-policy-monte-carlo-prediction": Case("two-doors", "off-policy-monte-carlo-prediction", episodes=20),
+    **{
+        name: Case("mountain-car", name, ALPHAS | {"features": "tile-coding(4, 4)"})
+        for name in rl.approx.CONTROL
+    },
+    **{
+        name: Case("random-walk", name, ALPHAS | {"features": "tile-coding(2, 3)"}, episodes=8)
+        for name in rl.approx.OF_STATES
+    },
     "one task for each run": Case(
         rl.make("garnet", own=True, states=6), "q-learning", ALPHAS | {"gamma": 0.9}
     ),

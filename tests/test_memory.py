@@ -11,7 +11,6 @@ import psutil
 import pytest
 
 import jaxrl_tab as rl
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import memory
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError
@@ -19,6 +18,7 @@ from jaxrl_tab.engine import by_lanes, by_xla, room
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.part import leaves_as_arrays
 from jaxrl_tab.experiment import shards
+from jaxrl_tab.methods import METHODS
 
 pytestmark = pytest.mark.usefixtures("optimised")
 

@@ -12,12 +12,11 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import policies, schedules, stats
-from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import notebook
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment.files import Outcome
+from jaxrl_tab.methods import ALGORITHMS, METHODS
 
 EVIL = "<img src=x onerror='&'>"
 

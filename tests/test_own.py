@@ -19,11 +19,11 @@ from refusals import refused
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, plot
-from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.engine import programs, provenance
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import shards
+from jaxrl_tab.methods import METHOD
 
 OWN = '''
 """An environment and a method of one's own."""

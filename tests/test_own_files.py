@@ -15,9 +15,9 @@ from refusals import refused
 
 import jaxrl_tab as rl
 from jaxrl_tab import plot
-from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.experiment import shards
+from jaxrl_tab.methods import METHOD
 
 # Sarsa whose steps are as long as the neighbours say: half of alpha, and a quarter of that where it is asked for.
 MINE = """

@@ -14,8 +14,8 @@ from matplotlib.text import Text
 
 import jaxrl_tab as rl
 from jaxrl_tab import plot, stats
-from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core.declared import Learns
+from jaxrl_tab.methods import PREDICTION
 from jaxrl_tab.show import words
 from jaxrl_tab.stats.columns import Methods
 

@@ -21,7 +21,7 @@ from test_reference import STEPS, env_and_task
 import jaxrl_tab as rl
 from jaxrl_tab import batch, planning
 from jaxrl_tab.algorithms.prediction import (
-    PREDICTION,
+    OF_STATES,
     TD,
     MonteCarloPrediction,
     NStepOffPolicyTD,
@@ -51,12 +51,12 @@ KINDS = {
     "dutch": (TDLambda, {"lam": LAM, "trace": "dutch"}, reference.TraceValues, "constant"),
     "offline": (TDLambda, {"lam": LAM, "offline": True}, reference.TraceValues, "episode"),
     "true online": (
-        PREDICTION["true-online-td-lambda"],
+        OF_STATES["true-online-td-lambda"],
         {"lam": LAM},
         partial(reference.TraceValues, trace="dutch"),
         "constant",
     ),
-    "off-line": (PREDICTION["offline-lambda-return"], {"lam": LAM}, reference.LambdaReturnValues, "1/N"),
+    "off-line": (OF_STATES["offline-lambda-return"], {"lam": LAM}, reference.LambdaReturnValues, "1/N"),
     "every visit": (MonteCarloPrediction, {}, reference.ReturnValues, "1/N"),
     "first visit": (MonteCarloPrediction, {"first_visit": True}, reference.ReturnValues, "episode"),
     "n-step off-policy": (NStepOffPolicyTD, {"n": 3}, reference.NStepOffPolicyValues, "1/N"),
@@ -128,7 +128,7 @@ def with_a_state_out_of_reach():
 
 
 @pytest.mark.one_in(3)
-@pytest.mark.parametrize("name", slow_but(["td", "n-step-td", "monte-carlo-prediction"], PREDICTION))
+@pytest.mark.parametrize("name", slow_but(["td", "n-step-td", "monte-carlo-prediction"], OF_STATES))
 def test_what_all_methods_promise(name):
     """Shapes and dtypes; a sweep by name; no run depends on those beside it, to the last bit; the error of V;
 
@@ -137,7 +137,7 @@ def test_what_all_methods_promise(name):
     Broken once: the error over all states; that from the values of another policy; off-policy TD without its
     ratio -> each fails.
     """
-    cls, env = PREDICTION[name], with_a_state_out_of_reach()
+    cls, env = OF_STATES[name], with_a_state_out_of_reach()
     append = lambda probs: Table(np.append(probs, [[0.5, 0.5]], 0))
     policies = {field: append(table.probabilities) for field, table in policies_for(cls).items()}
     fades = {} if isinstance(cls().alpha, Schedule) else {"alpha": Power(0.8, clock="visit")}
@@ -184,9 +184,9 @@ def values(state):
     return {"v": state.v}
 
 
-@pytest.mark.parametrize("name", PREDICTION)
+@pytest.mark.parametrize("name", OF_STATES)
 def test_methods_keep_the_protocol(name):
-    cls = PREDICTION[name]
+    cls = OF_STATES[name]
     algorithm: Algorithm = cls()
     assert algorithm.gamma == 1.0
     assert cls.__doc__
@@ -255,9 +255,9 @@ def test_bad_input_is_refused_in_one_line(cls, fields, message):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("name", PREDICTION)
+@pytest.mark.parametrize("name", OF_STATES)
 def test_policies_that_do_not_fit_the_task_are_refused(name):
-    cls = PREDICTION[name]
+    cls = OF_STATES[name]
     for field in policies_for(cls):
         with pytest.raises(
             rl.InputError, match=r"of shape \(2, 2\), and the task has 4 states and 2 actions"

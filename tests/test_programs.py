@@ -18,13 +18,12 @@ import pytest
 from keeping import forget, kept_in, plant, thing
 
 import jaxrl_tab as rl
-from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.algorithms.prediction import PREDICTION
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.engine import by_lanes, programs, provenance, room
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.lanes import machine
+from jaxrl_tab.methods import ALGORITHMS, PREDICTION
 
 BUDGET = {"num_steps": 40, "log_every": 20}
 

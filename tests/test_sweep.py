@@ -8,7 +8,6 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import batch
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core.policies import Softmax, Table
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.schedules import glie
@@ -18,6 +17,7 @@ from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.results import is_diverged
 from jaxrl_tab.engine.sweep import _exact_value, compute, configurations, prepare, result
 from jaxrl_tab.envs.base import Finite
+from jaxrl_tab.methods import METHODS
 
 
 @pytree

@@ -17,13 +17,13 @@ from PIL import Image
 from rich.console import Console
 
 import jaxrl_tab as rl
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.cli import main, tables
 from jaxrl_tab.cli import watch as command
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.steps import Change, Steps
 from jaxrl_tab.engine import stepwise
 from jaxrl_tab.engine import watch as module
+from jaxrl_tab.methods import METHODS
 from jaxrl_tab.show.states import state_names
 from jaxrl_tab.show.steps import Told
 

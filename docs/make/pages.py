@@ -99,6 +99,14 @@ def _methods() -> dict[str, str]:
 def method_commands(name: str) -> list[str]:
     """What a person may type to see a method at work, in a task that suits it."""
     declared = of_method(METHODS[name])
+    if declared.features is not None and declared.learns is Learns.ACTIONS:
+        return [_of_features("mountain-car", name, out=name)]
+    if declared.features is not None and declared.learns_from.needs_behaviour:
+        return [_off_policy("baird", name, out=name)]
+    if declared.features is not None:
+        told = '--states 99 --features one-hot "aggregation(9)" "fourier(3)"'
+        told += " --alpha 0.02" if any(p.name == "alpha" for p in describe.parameters(METHODS[name])) else ""
+        return [f"jaxrl-tab sweep random-walk {name} {told} --episodes 200 --exact --out runs/{name}"]
     if declared.learns is Learns.STATES:
         return [
             f"jaxrl-tab watch random-walk {name} --episodes 20",
@@ -124,7 +132,8 @@ def _environments() -> dict[str, str]:
     made = {}
     for name, cls in rl.ENVS.items():
         env = rl.make(name)
-        size = f"{env.num_states} states and {env.num_actions} actions, as it is by default"
+        states = f"{env.num_states} states" if env.num_states else "states that cannot be counted,"
+        size = f"{states} and {env.num_actions} actions, as it is by default"
         ends = (
             "it does not end"
             if of_environment(env).continuing
@@ -144,10 +153,27 @@ def _environments() -> dict[str, str]:
     return {"environments/index.md": _page("# Environments", table), **made}
 
 
+def _of_features(env: str, method: str, out: str) -> str:
+    """A sweep where states cannot be counted."""
+    told = '--features "tile-coding(8, 8)" --per-tiling --alpha 0.1 0.2 0.5 --epsilon 0'
+    return f"jaxrl-tab sweep {env} {method} {told} --episodes 200 --seeds 20 --out runs/{out}"
+
+
+def _off_policy(env: str, methods: str, out: str) -> str:
+    """A sweep in a task that states its features and its policies."""
+    second = " --beta 0.05" if {"gtd2", "tdc"} & {*methods.split()} else ""
+    told = f"--features own --w0 1,1,1,1,1,1,10,1 --gamma 0.99 --alpha 0.005{second}"
+    return f"jaxrl-tab sweep {env} {methods} {told} --steps 1000 --exact --out runs/{out}"
+
+
 def environment_commands(name: str) -> list[str]:
     """What a person may type to see an environment."""
     env = rl.make(name)
+    if not env.num_states:
+        return [_of_features(name, "semi-gradient-sarsa", out=name)]
     declared = of_environment(env)
+    if declared.behaviour_policy is not None:
+        return [f"jaxrl-tab solve {name}", _off_policy(name, "semi-gradient-off-policy-td tdc", out=name)]
     method = "r-learning" if declared.continuing else "q-learning"
     solve = [] if declared.at else [f"jaxrl-tab solve {name}"]
     return [*solve, f"jaxrl-tab sweep {name} {method} --steps 8000 --seeds 20 --out runs/{name}"]
@@ -378,6 +404,8 @@ def _place(name: str, modules: Mapping[str, types.ModuleType]) -> tuple[str, boo
         return name, True
     if isinstance(thing, type) and thing in PAGE_OF:
         return PAGE_OF[thing], True
+    if thing is rl.ALGORITHMS or thing is rl.PREDICTION:
+        return "methods/index.md", True
     for other, module in modules.items():
         if name in public_names(module) and getattr(module, name) is thing:
             return other, True

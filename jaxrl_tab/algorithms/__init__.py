@@ -1,6 +1,6 @@
-"""The control methods, one file each. To add one: write its file, and add its line to ALGORITHMS.
+"""The control methods, one file each. To add one: write its file, and add its line to CONTROL.
 
-ALGORITHMS holds those that can be made from their name alone; `ManyTargets` needs its policies, and so is a
+CONTROL holds those that can be made from their name alone; `ManyTargets` needs its policies, and so is a
 class only.
 """
 
@@ -47,7 +47,7 @@ from jaxrl_tab.algorithms.ucb_q_learning import UCBQLearning
 from jaxrl_tab.algorithms.ucbvi import UCBVI
 from jaxrl_tab.algorithms.weighted_double_q_learning import WeightedDoubleQLearning
 
-ALGORITHMS: dict[str, type] = {
+CONTROL: dict[str, type] = {
     "sarsa": Sarsa,
     "q-learning": QLearning,
     "expected-sarsa": ExpectedSarsa,
@@ -91,7 +91,7 @@ ALGORITHMS: dict[str, type] = {
 }
 
 __all__ = [
-    "ALGORITHMS",
+    "CONTROL",
     "PSRL",
     "UCBVI",
     "ActorCritic",

@@ -21,8 +21,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from jaxrl_tab.algorithms import CONTROL
 from jaxrl_tab.algorithms.every_draw import no_words, over_draws
-from jaxrl_tab.algorithms.prediction import METHODS, Prediction, ValueState
+from jaxrl_tab.algorithms.prediction import OF_STATES, Prediction, ValueState
 from jaxrl_tab.algorithms.td import TDControl
 from jaxrl_tab.core import policies
 from jaxrl_tab.core.backups import Backup
@@ -41,7 +42,7 @@ class Row(NamedTuple):
         full, full_update, full_diagram: the method of dynamic programming, its update, and what that looks ahead to.
         backup: the function of `planning` that is one sweep of it.
         sample, sample_update: the method of temporal differences, and its update.
-        methods: the names of all registered methods that sample it, in ALGORITHMS and PREDICTION; those with
+        methods: the names of all registered methods that sample it, in CONTROL and OF_STATES; those with
             a target policy of their own sample it for that policy, the others for the policy that acts.
     """
 
@@ -55,9 +56,14 @@ class Row(NamedTuple):
     methods: tuple[str, ...]
 
     @property
+    def classes(self) -> tuple[type, ...]:
+        """The classes of its methods, whose values are tables."""
+        return tuple((CONTROL | OF_STATES)[name] for name in self.methods)
+
+    @property
     def sample_diagram(self) -> Backup:
         """What the update of the method of temporal differences looks ahead to, as that declares it."""
-        diagram = of_method(METHODS[self.methods[0]]).backup
+        diagram = of_method(self.classes[0]).backup
         assert diagram
         return diagram._replace(words="")
 
@@ -121,8 +127,7 @@ def row_of(method: TDControl | Prediction) -> Row:
         InputError: it is on none of them.
     """
     for row in TABLE:
-        is_one = isinstance(method, tuple(METHODS[name] for name in row.methods))
-        if is_one and of_method(method).features is None:
+        if isinstance(method, row.classes) and of_method(method).features is None:
             return row
     names = ", ".join(name for row in TABLE for name in row.methods)
     raise InputError(f"{type(method).__name__} is on no row of the table, whose methods are {names}")
@@ -173,12 +178,16 @@ def expected_backup(
 
     Raises:
         InputError: `values` has the wrong shape; `env` can only be sampled; the method remembers more from
-            step to step than tables, so that it learns from more than one transition; or it draws in another
-            way.
+            step to step than tables, so that it learns from more than one transition; its values are a function of
+            features; or it draws in another way.
     """
     if not isinstance(method, TDControl | Prediction):
         raise InputError(
             f"method must be an instance of a one-step method such as Sarsa(), not {shown(method)}"
+        )
+    if of_method(method).features is not None:
+        raise InputError(
+            "its values are a function of features, and this is for tables", who=type(method).__name__
         )
     model = planning.exact_model(env)
     learns = of_method(method).learns

@@ -12,8 +12,7 @@ Off-policy, b acts while v_pi is learned; ratios rho = pi(A | S) / b(A | S) then
 """
 
 import dataclasses
-from collections import ChainMap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import jax
@@ -22,7 +21,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.algorithms import (
-    ALGORITHMS,
     MonteCarlo,
     NStepSarsa,
     OffPolicyMonteCarlo,
@@ -33,12 +31,12 @@ from jaxrl_tab.algorithms import (
 )
 from jaxrl_tab.algorithms.n_step_of_states import NStepOfStates
 from jaxrl_tab.algorithms.off_policy_monte_carlo import Weighting
-from jaxrl_tab.core import names, policies, tables
+from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.clock import Rate
 from jaxrl_tab.core.coverage import check_coverage
-from jaxrl_tab.core.declared import Learns, LearnsFrom, of_environment, of_method
-from jaxrl_tab.core.errors import InputError, nearest, unfit
+from jaxrl_tab.core.declared import Learns, LearnsFrom, of_environment
+from jaxrl_tab.core.errors import InputError, unfit
 from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import EpsilonGreedy, Policy, Table
 from jaxrl_tab.core.pytree import field, pytree, static
@@ -443,7 +441,7 @@ def _probabilities(table: Table | None, num_states: int, num_actions: int) -> Fl
     return jnp.asarray(table.probabilities, float)
 
 
-PREDICTION: dict[str, type] = {
+OF_STATES: dict[str, type] = {
     "td": TD,
     "n-step-td": NStepTD,
     "td-lambda": TDLambda,
@@ -454,17 +452,3 @@ PREDICTION: dict[str, type] = {
     "n-step-off-policy-td": NStepOffPolicyTD,
     "off-policy-monte-carlo-prediction": OffPolicyMonteCarloPrediction,
 }
-# The methods of control come first, for a ChainMap begins with its last map.
-METHODS: Mapping[str, type] = ChainMap(PREDICTION, ALGORITHMS)
-
-
-METHOD = names.Kind(
-    noun="a method",
-    registry=METHODS,
-    group="jaxrl_tab.methods",
-    needs=("gamma", "init", "policy", "update"),
-    add=lambda name, cls: (PREDICTION if of_method(cls).learns is Learns.STATES else ALGORITHMS).__setitem__(
-        name, cls
-    ),
-    hint=lambda name: nearest(name, METHODS),
-)

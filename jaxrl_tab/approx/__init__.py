@@ -14,12 +14,11 @@
     weights         weights that are given at the start
     network         a small neural network
     deep            Q-learning and Sarsa by such a network, with experience replay and a target copy
-    mountain_car    a task whose states cannot be counted
 
-They are used in Python, wherever a method or an environment is:
+To add a method: write its class, and add its line here. They are used wherever a method is:
 
     method = rl.approx.SemiGradientSarsa(features="tile-coding(8, 8)", alpha=0.5, per_tiling=True, epsilon=0)
-    state, log = rl.train(key, method, rl.approx.MountainCar(), num_episodes=500)
+    state, log = rl.train(key, method, rl.MountainCar(), num_episodes=500)
 """
 
 from jaxrl_tab.approx.control import (
@@ -47,7 +46,6 @@ from jaxrl_tab.approx.features import (
 )
 from jaxrl_tab.approx.least_squares import LSTD
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
-from jaxrl_tab.approx.mountain_car import MountainCar
 from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features, Rows
 from jaxrl_tab.approx.off_policy import GTD2, TDC, EmphaticTD, SemiGradientOffPolicyTD
@@ -58,11 +56,34 @@ from jaxrl_tab.approx.prediction import (
     SemiGradientTrueOnlineTDLambda,
 )
 
+CONTROL: dict[str, type] = {
+    "semi-gradient-sarsa": SemiGradientSarsa,
+    "semi-gradient-expected-sarsa": SemiGradientExpectedSarsa,
+    "semi-gradient-q-learning": SemiGradientQLearning,
+    "semi-gradient-n-step-sarsa": SemiGradientNStepSarsa,
+    "semi-gradient-sarsa-lambda": SemiGradientSarsaLambda,
+    "semi-gradient-true-online-sarsa-lambda": SemiGradientTrueOnlineSarsaLambda,
+}
+OF_STATES: dict[str, type] = {
+    "semi-gradient-td": SemiGradientTD,
+    "semi-gradient-n-step-td": SemiGradientNStepTD,
+    "semi-gradient-td-lambda": SemiGradientTDLambda,
+    "semi-gradient-true-online-td-lambda": SemiGradientTrueOnlineTDLambda,
+    "gradient-monte-carlo": GradientMonteCarlo,
+    "lstd": LSTD,
+    "semi-gradient-off-policy-td": SemiGradientOffPolicyTD,
+    "gtd2": GTD2,
+    "tdc": TDC,
+    "emphatic-td": EmphaticTD,
+}
+
 __all__ = [
+    "CONTROL",
     "FEATURES",
     "GTD2",
     "LSTD",
     "MLP",
+    "OF_STATES",
     "TDC",
     "Aggregation",
     "Concatenate",
@@ -73,7 +94,6 @@ __all__ = [
     "Features",
     "Fourier",
     "GradientMonteCarlo",
-    "MountainCar",
     "Observation",
     "OneHot",
     "Own",

@@ -1,6 +1,6 @@
 """Semi-gradient control: the methods of the lecture with a Q that is linear in features (book, chapters 10 and 12)."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from jaxrl_tab.algorithms.differential_sarsa import DifferentialSarsa
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
@@ -67,6 +67,8 @@ class SemiGradientSarsaLambda(OptimizedTraceControl):
 
     A replacing trace of a feature that is 1 is 1 (figure 12.10); with dutch ones it is true online Sarsa(lambda).
     """
+
+    offline: ClassVar = False  # pyright: ignore[reportIncompatibleVariableOverride]
 
     trace: Literal["accumulating", "replacing", "dutch"] = static(  # pyright: ignore[reportIncompatibleVariableOverride]
         default="replacing",

@@ -42,6 +42,8 @@ class SemiGradientTDLambda(Optimized, SemiGradientPrediction, TDLambda):
     w <- w + alpha [R + gamma v(S') - v(S)] z      (book, equation 12.7)
     """
 
+    offline: ClassVar = False  # pyright: ignore[reportIncompatibleVariableOverride]
+
     method: ClassVar[type] = SemiGradientSarsaLambda
 
 

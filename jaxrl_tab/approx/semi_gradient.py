@@ -25,6 +25,7 @@ from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import goes_by_visit
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.linear import X
+from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.policies import EpsilonGreedy
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Available, Environment, State, Transition, fitted
@@ -64,7 +65,7 @@ def check_counts(method: ValueControl, env: Environment) -> None:
 
 
 @pytree
-class Linear:
+class Linear(Shown):
     """What a method has whose values are linear in features."""
 
     features: Any = static(default="one-hot", help=OF_FEATURES)

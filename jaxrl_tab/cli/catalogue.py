@@ -103,8 +103,6 @@ def _added_to(group: Group) -> bool:
 def live() -> Catalogue:
     """The same, of the classes."""
     from jaxrl_tab import interop  # noqa: F401  which adds its libraries
-    from jaxrl_tab.algorithms import ALGORITHMS
-    from jaxrl_tab.algorithms.prediction import PREDICTION
     from jaxrl_tab.cli.common import ENVIRONMENT, ENVIRONMENTS, EXECUTOR, HYPERPARAMETERS, OF_ONE_METHOD
     from jaxrl_tab.cli.moments import EXACT
     from jaxrl_tab.cli.search import RANGES
@@ -112,6 +110,7 @@ def live() -> Catalogue:
     from jaxrl_tab.core import names
     from jaxrl_tab.envs import ENVS, GYMNASIUM
     from jaxrl_tab.figures import FIGURES
+    from jaxrl_tab.methods import ALGORITHMS, PREDICTION
 
     unavailable = [line for kind in names.KINDS for line in names.add_entry_points(kind)]
     registries = {"environments": ENVS, "methods": ALGORITHMS, "prediction": PREDICTION}
@@ -145,12 +144,12 @@ def of_own(name: str) -> Catalogue:
         InputError: the name stands for neither.
     """
     from jaxrl_tab import interop  # noqa: F401  which adds its libraries
-    from jaxrl_tab.algorithms.prediction import METHOD
     from jaxrl_tab.cli.typed import Classes
     from jaxrl_tab.core import names
     from jaxrl_tab.core.declared import Learns, of_method
     from jaxrl_tab.core.modules import is_table
     from jaxrl_tab.envs import ENVIRONMENT
+    from jaxrl_tab.methods import METHOD
 
     no_method = is_table(name) or name.partition(":")[0] in (*ENVIRONMENT.libraries, *ENVIRONMENT.around)
     refusals = []

@@ -10,8 +10,6 @@ from typing import Any
 import jax
 
 from jaxrl_tab import envs, interop  # noqa: F401  interop adds the libraries that it imports from
-from jaxrl_tab.algorithms import ALGORITHMS
-from jaxrl_tab.algorithms.prediction import METHOD, METHODS, PREDICTION
 from jaxrl_tab.cli.options import Typed
 from jaxrl_tab.cli.typed import Classes, values_of
 from jaxrl_tab.core import names
@@ -21,6 +19,7 @@ from jaxrl_tab.core.errors import InputError, listed, one_line
 from jaxrl_tab.engine import by_xla, programs
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.experiment import disk, executors
+from jaxrl_tab.methods import ALGORITHMS, METHOD, METHODS, PREDICTION
 
 ALPHAS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)  # the step sizes of a sweep that names none
 SEEDS, STEPS = 100, 8000

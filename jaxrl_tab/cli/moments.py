@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.algorithms.moments import METHODS, SWEPT, Best, LearningCurve, best_alpha, learning_curve
-from jaxrl_tab.algorithms.prediction import PREDICTION, OffPolicyPrediction
+from jaxrl_tab.algorithms.prediction import OffPolicyPrediction
 from jaxrl_tab.cli.common import ALPHAS, ENVIRONMENT, build_named, named_in, new_folder, start_jax, with_own
 from jaxrl_tab.cli.options import Typed, checked_name
 from jaxrl_tab.cli.printed import print_table
@@ -22,6 +22,7 @@ from jaxrl_tab.cli.typed import Classes, parameters, parse, values, word, words
 from jaxrl_tab.core.checks import build
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import checked_dataclass, field
+from jaxrl_tab.methods import PREDICTION
 from jaxrl_tab.show.words import cell, counted, in_words, title_of, unusual
 
 PARTS = ("mse", "squared_bias", "variance")
@@ -30,7 +31,9 @@ EXACT = Classes(
     {
         name: cls
         for name, cls in PREDICTION.items()
-        if issubclass(cls, METHODS) and not issubclass(cls, OffPolicyPrediction)
+        if issubclass(cls, METHODS)
+        and not issubclass(cls, OffPolicyPrediction)
+        and not hasattr(cls, "features")
     },
     "Of the method; several values of alpha, lam and n make a grid.",
     grids=True,

@@ -60,4 +60,4 @@ def _same(x: Any, default: Any) -> bool:
         return False
     if one.dtype.kind in "biuf" and other.dtype.kind in "biuf":
         return other.shape in ((), one.shape) and bool(np.all(one == other))
-    return repr(x) == repr(default)
+    return repr(x) == repr(default) or str(x) == default

@@ -221,11 +221,11 @@ def fitted(method: T, env: Any) -> T:
     return restricted(method if fit is None else fit(env), available_actions(env))
 
 
-def table_of(method: Any, env: Any, learner: Any) -> Float[Array, "*tables _ _"]:
+def table_of(method: Any, num_states: int, learner: Any) -> Float[Array, "*tables _ _"]:
     """What was learned, as a table: Q [S, A], or V [S, 1]; weights [n, A] where states cannot be counted."""
-    if of_method(method).features is None or not env.num_states:
+    if of_method(method).features is None or not num_states:
         return learner.q
-    return jax.vmap(method.row, (None, 0))(learner, jnp.arange(env.num_states, dtype=jnp.int32))
+    return jax.vmap(method.row, (None, 0))(learner, jnp.arange(num_states, dtype=jnp.int32))
 
 
 def stand_ins(available: Available) -> Int[Array, "S A"]:
@@ -247,6 +247,13 @@ def check_available(what: str, available: Any, num_states: int, num_actions: int
         raise InputError(f"{what} must be True or False in each place, not {shown(is_available)}")
     if (s := first(np.asarray(~is_available.any(1)))) is not None:
         raise InputError(f"{what} must name an action in every state, in terminal ones too; {s[0]} has none")
+
+
+def check_counted(who: str, env: Any) -> None:
+    """Raises InputError where the states of an environment cannot be counted."""
+    if not env.num_states:
+        problem = f"it is for states that can be counted, and those of {type(env).__name__} cannot"
+        raise InputError(problem, who=who)
 
 
 def restricted(chooser: T, available: Available | None) -> T:

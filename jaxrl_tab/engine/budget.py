@@ -8,8 +8,27 @@ from jaxtyping import Array
 
 from jaxrl_tab.core import names
 from jaxrl_tab.core.errors import InputError, is_whole, shown
+from jaxrl_tab.core.types import table_of
 
 Record: TypeAlias = Callable[[Any], dict[str, Array]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Tables:
+    """Records the table of values. It is an object with a name, so that its program can be kept.
+
+    Attributes:
+        num_states: of the task; a method with features works out the value of each.
+    """
+
+    num_states: int
+
+    def of(self, method: Any, learner: Any) -> dict[str, Array]:
+        """What is recorded of a method, fitted to the task, and the state of its learner."""
+        return {"table": table_of(method, self.num_states, learner)}
+
+
+Recorder: TypeAlias = Record | Tables
 
 NO_RECORDER = "record must be a function from the state of the learner to a dict of arrays"
 RECORDER = names.Functions(
@@ -40,7 +59,7 @@ class Budget:
     num_episodes: int | None = None
     log_every: int | None = None
     exact: bool = False
-    record: Record | None = None
+    record: Recorder | None = None
     exact_every: int | None = None
 
     def __post_init__(self):
@@ -49,7 +68,7 @@ class Budget:
         for name in ("num_steps", "num_episodes", "log_every", "exact_every"):
             if (value := getattr(self, name)) is not None and not is_whole(value):
                 raise InputError(f"{name} must be a whole number of at least 1, not {shown(value)}")
-        if self.record is not None and not callable(self.record):
+        if not (self.record is None or isinstance(self.record, Tables) or callable(self.record)):
             raise InputError(NO_RECORDER)
         object.__setattr__(self, "exact", self.exact or self.exact_every is not None)
 

@@ -15,6 +15,7 @@ from jaxrl_tab.core import tables
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.pytree import pytree
 from jaxrl_tab.core.types import Available, Task, Transition, fitted, init_learner
+from jaxrl_tab.engine.budget import Tables
 
 
 class CountedState(NamedTuple):
@@ -64,6 +65,9 @@ class Counted:
         learner = init_learner(self.method, Task(num_states, num_actions, max_steps), lambda: key)
         return CountedState(learner, jnp.zeros((num_states, num_actions), jnp.int32))
 
+    def row(self, state: CountedState, s: Int[Array, ""]) -> Float[Array, " A"]:
+        return self.method.row(state.learner, s)
+
     def policy(self, key: Key[Array, ""], state: CountedState, s: Int[Array, ""]) -> Int[Array, ""]:
         return self.method.policy(key, state.learner, s)
 
@@ -75,8 +79,8 @@ class Counted:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tables:
-    """Records Q and N of a `Counted` method. It is an object with a name, so that its program can be kept."""
+class TablesAndVisits(Tables):
+    """Records the table of a `Counted` method, and N."""
 
-    def __call__(self, state: CountedState) -> dict[str, Array]:
-        return {"table": state.q, "visits": state.visits}
+    def of(self, method: Any, learner: CountedState) -> dict[str, Array]:
+        return super().of(method, learner) | {"visits": learner.visits}

@@ -2,9 +2,9 @@
 
 import contextlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +12,12 @@ from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.errors import InputError, reason, shown
-from jaxrl_tab.core.types import Environment, init_learner
+from jaxrl_tab.core.types import Environment, fitted, init_learner
 from jaxrl_tab.engine.axes import DRAW
-from jaxrl_tab.engine.budget import NO_RECORDER, Record
+from jaxrl_tab.engine.budget import NO_RECORDER, Recorder, Tables
+
+Recording: TypeAlias = Callable[[Any, Any], dict[str, Array]]
+"""What is recorded: a function of the method, which is fitted to its task, and of the state of its learner."""
 
 _NAMES = {"q", "diverged", "optimum", "environment", "method", DRAW, "seed", "row", "state", "action"}
 # Fields that earlier versions did not record: files of theirs lack them.
@@ -69,30 +72,34 @@ class Log(NamedTuple):
         return cls(**{name: x for name, x in named.items() if name in cls._fields}, recorded=own or None)
 
 
-def record_of(record: Record | None, algorithm: Any) -> Record | None:
+def record_of(record: Recorder | None, algorithm: Any) -> Recording | None:
     """What is recorded of a run: what the method declares, and what `record` says; None where that is nothing."""
-    if not (names := of_method(algorithm).records):
-        return record
+    names = of_method(algorithm).records
+    if record is None and not names:
+        return None
 
-    def both(learner: Any) -> dict[str, Array]:
+    def both(algorithm: Any, learner: Any) -> dict[str, Array]:
         own = {name: getattr(learner, name) for name in names}
-        more = {} if record is None else record(learner)
+        if record is None:
+            return own
+        more = record.of(algorithm, learner) if isinstance(record, Tables) else record(learner)
         return own | more if isinstance(more, dict) else more
 
+    both.__name__ = getattr(record, "__name__", "it")
     return both
 
 
-def recorded(record: Record, algorithm: Any, learner: Any) -> dict[str, Array]:
-    """What `record` says of the learner, as arrays.
+def recorded(record: Recording, algorithm: Any, learner: Any) -> dict[str, Array]:
+    """What `record` says of the learner of a method that is fitted to its task, as arrays.
 
     Raises:
         InputError: it raises something, or gives anything but arrays of numbers, each with a name of its own.
     """
     try:
-        arrays = record(learner)
+        arrays = record(algorithm, learner)
     except Exception as error:
-        name = getattr(record, "__name__", "it")
-        raise InputError(f"record: {name} raised {type(error).__name__}: {reason(error)}") from error
+        problem = f"record: {record.__name__} raised {type(error).__name__}: {reason(error)}"
+        raise InputError(problem) from error
     if not isinstance(arrays, dict):
         raise InputError(NO_RECORDER)
     arrays = {name: _as_array(name, x) for name, x in arrays.items()}
@@ -104,11 +111,12 @@ def recorded(record: Record, algorithm: Any, learner: Any) -> dict[str, Array]:
 
 
 def recorded_shapes(
-    record: Record | None, algorithm: Any, env: Environment
+    record: Recorder | None, algorithm: Any, env: Environment
 ) -> dict[str, jax.ShapeDtypeStruct]:
     """The shapes of what `record` says of a learner; nothing is computed. Raises InputError as `recorded`."""
     if (whole := record_of(record, algorithm)) is None:
         return {}
+    algorithm = fitted(algorithm, env)
     return jax.eval_shape(lambda: recorded(whole, algorithm, init_learner(algorithm, env)))
 
 

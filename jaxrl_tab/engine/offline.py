@@ -20,7 +20,6 @@ from jax import lax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxrl_tab.algorithms.control import ValueControl
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, tables
 from jaxrl_tab.core.checks import check_pytree, concrete, numbers
 from jaxrl_tab.core.declared import LearnsFrom, of_method
@@ -35,6 +34,7 @@ from jaxrl_tab.core.types import (
     Task,
     Transition,
     check_available,
+    check_counted,
     fitted,
     init_learner,
     restricted,
@@ -42,6 +42,7 @@ from jaxrl_tab.core.types import (
 from jaxrl_tab.engine.loop import learner_key
 from jaxrl_tab.engine.train import train
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.methods import METHODS
 
 L = TypeVar("L")
 
@@ -221,6 +222,7 @@ def collect(
     """
     method = _method(behaviour)
     check_pytree("env", env, ENVS)
+    check_counted("collect", env)
     method = fitted(method, env)
     logged = _Logged(method, init_learner(method, env, lambda: learner_key(rng.stream(key))))
     _, log = train(key, logged, env, num_steps=num_steps, log_every=1, record=_transition)

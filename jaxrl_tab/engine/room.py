@@ -247,7 +247,7 @@ def traced_program(budget: Budget, signature: Signature) -> Any:
         end, log = unchecked(key, algorithm, env, full, budget)
         method, _, goes_on = split(algorithm)
         learner, method = end.learner if goes_on else end, fitted(method, env)
-        table = table_of(method, env, learner)
+        table = table_of(method, env.num_states, learner)
         if not goes_on:
             return (table, log), learner
         return (table, log, without_table(end, place_of_table(method, env, learner))), None

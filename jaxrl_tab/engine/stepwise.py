@@ -5,6 +5,7 @@ what is learned is the same, to the last bit.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,7 +16,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxrl_tab.algorithms import PolicyGradient, TDControl
 from jaxrl_tab.algorithms.prediction import Prediction
 from jaxrl_tab.core import rng
-from jaxrl_tab.core.types import Transition, fitted
+from jaxrl_tab.core.types import Transition, fitted, table_of
 from jaxrl_tab.engine import loop
 from jaxrl_tab.engine.loop import Happened, Run
 from jaxrl_tab.engine.traced import problem_of
@@ -56,17 +57,18 @@ def next_step(key: PRNGKeyArray, algorithm: Any, env: Any, run: Run) -> tuple[Ru
 def _steps(number: Int[Array, ""], key: PRNGKeyArray, algorithm: Any, env: Any, run: Run) -> tuple[Run, Step]:
     """So many steps, and the last of them. There is one alone: the compiler must not know, or it has no loop."""
     stream, method, problem = _of_run(key, algorithm, env)
+    table = partial(table_of, method, problem.num_states)
 
     def one(_, carry: tuple[Run, Step]) -> tuple[Run, Step]:
         run, before = carry
         heard: list[Float[Array, ""]] = []
         run, happened = loop.one_step(stream, _telling(method, heard.append), problem, run)
         delta = heard[0] if len(heard) == 1 else jnp.full_like(before.delta, jnp.nan)
-        return run, Step(happened, jnp.asarray(delta, before.delta.dtype), run.learner.q)
+        return run, Step(happened, jnp.asarray(delta, before.delta.dtype), table(run.learner))
 
     zero, no = jnp.zeros_like(run.g), jnp.bool(False)
     nothing = Transition(run.s, run.a, zero, run.s, zero, no)
-    return lax.fori_loop(0, number, one, (run, Step(Happened(nothing, no), zero, run.learner.q)))
+    return lax.fori_loop(0, number, one, (run, Step(Happened(nothing, no), zero, table(run.learner))))
 
 
 def _of_run(key: PRNGKeyArray, algorithm: Any, env: Any) -> tuple[rng.Stream, Any, Any]:

@@ -12,7 +12,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxrl_tab.algorithms.prediction import METHOD, METHODS
 from jaxrl_tab.approx.optimized import Optimized
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build, check_held, check_pytree, checked, foreign, is_list, repeated
@@ -29,6 +28,7 @@ from jaxrl_tab.engine.results import SweepResult, label, parameters
 from jaxrl_tab.engine.train import check_end
 from jaxrl_tab.envs import ENVS
 from jaxrl_tab.exact import planning
+from jaxrl_tab.methods import METHOD, METHODS
 from jaxrl_tab.show.progress import Progress, Report, reporting
 
 

@@ -15,8 +15,8 @@ from jaxrl_tab.core.checks import concrete
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment, fitted, init_learner, table_of
 from jaxrl_tab.engine import loop
-from jaxrl_tab.engine.budget import Budget, Record
-from jaxrl_tab.engine.log import Log, record_of, recorded
+from jaxrl_tab.engine.budget import Budget
+from jaxrl_tab.engine.log import Log, Recording, record_of, recorded
 from jaxrl_tab.engine.loop import Measure
 from jaxrl_tab.engine.onward import split, without_table
 from jaxrl_tab.exact import planning
@@ -60,7 +60,7 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Any, ...], An
     method, _, goes_on = split(algorithm)
     algorithm = fitted(method, env)
     learner = init_learner(algorithm, env)
-    q = table_of(algorithm, env, learner)  # some methods work it out
+    q = table_of(algorithm, env.num_states, learner)  # some methods work it out
     others = [x for x in jax.tree.leaves(learner) if x is not q]
     measured, waiting = {}, None
     if budget.exact:
@@ -85,7 +85,7 @@ def place_of_table(algorithm: Any, env: Any, learner: Any) -> int | None:
     places = []
 
     def look(learner: Any) -> None:
-        table = table_of(algorithm, env, learner)
+        table = table_of(algorithm, env.num_states, learner)
         places.append(next((i for i, x in enumerate(jax.tree.leaves(learner)) if x is table), None))
 
     jax.eval_shape(look, learner)  # in which no two leaves are the same array
@@ -136,7 +136,7 @@ class _Measured(NamedTuple):
     """
 
     exact: bool
-    record: Record | None
+    record: Recording | None
     every: int = 1
 
 
@@ -162,14 +162,15 @@ def _make_measure(what: _Measured, algorithm: Algorithm, env: Environment, full:
             acting = fitted(algorithm, env)
             measures.append(_exact_measurer(exact_algorithm, exact_env, acting))
         if record is not None:
-            of_learner = partial(recorded, record, algorithm)
+            of_learner = partial(recorded, record, fitted(algorithm, env))
             measures.append(lambda learner: {"recorded": of_learner(learner)})
         return lambda learner: {name: x for measure in measures for name, x in measure(learner).items()}
 
-    like = jax.eval_shape(lambda: init_learner(fitted(algorithm, env), env))
-    if record is not None and _is_free(what, algorithm, like):
-        return Measure(lambda learner: {"recorded": recorded(record, algorithm, learner)}, most=1)
-    at_once = rows_at_once(what, algorithm, like)
+    fit = fitted(algorithm, env)
+    like = jax.eval_shape(lambda: init_learner(fit, env))
+    if record is not None and _is_free(what, fit, like):
+        return Measure(lambda learner: {"recorded": recorded(record, fit, learner)}, most=1)
+    at_once = rows_at_once(what, fit, like)
     return Measure(prepared(make, algorithm, env, full, like=like), at_once, what.every)
 
 
@@ -211,7 +212,7 @@ def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[
     @planning.in_turn
     def measure(learner: Any) -> dict[str, Any]:
         policies = [jax.vmap(acting.probs, (None, 0))(learner, states)] if "policy_value" in fields else []
-        greedy_value, q_error, *values = of_table(table_of(acting, env, learner), *policies)
+        greedy_value, q_error, *values = of_table(table_of(acting, env.num_states, learner), *policies)
         found = {"greedy_value": greedy_value, "q_error": q_error} | dict(
             zip(fields[-1:], values, strict=False)
         )

@@ -10,7 +10,6 @@ import jax
 from jax.core import Tracer
 from jaxtyping import PRNGKeyArray
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
 from jaxrl_tab.core.declared import of_environment, of_method
@@ -23,11 +22,12 @@ from jaxrl_tab.core.types import (
     fitted,
 )
 from jaxrl_tab.engine import by_lanes, within
-from jaxrl_tab.engine.budget import Budget, Record
+from jaxrl_tab.engine.budget import Budget, Recorder
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.traced import in_full, unchecked
 from jaxrl_tab.envs import ENVS, PREFIX
 from jaxrl_tab.exact import planning
+from jaxrl_tab.methods import METHODS
 
 L = TypeVar("L")
 T = TypeVar("T")
@@ -42,7 +42,7 @@ def train(
     num_episodes: int | None = None,
     log_every: int | None = None,
     exact: bool = False,
-    record: Record | None = None,
+    record: Recorder | None = None,
     exact_every: int | None = None,
 ) -> tuple[L, Log]:
     """Runs `algorithm` in `env` and returns what it learned and what happened.

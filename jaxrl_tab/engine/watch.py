@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Float, Int, PRNGKeyArray
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError, whole
@@ -17,11 +16,13 @@ from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.notebook import table
 from jaxrl_tab.core.steps import Change, Steps
-from jaxrl_tab.core.types import Algorithm, Environment, fitted, init_learner
+from jaxrl_tab.core.types import Algorithm, Environment, check_counted, fitted, init_learner, table_of
 from jaxrl_tab.engine import stepwise
+from jaxrl_tab.engine.budget import Tables
 from jaxrl_tab.engine.results import label, parameters
 from jaxrl_tab.engine.train import checked_pair, train
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.methods import METHODS
 from jaxrl_tab.show import learning
 from jaxrl_tab.show.steps import Told
 from jaxrl_tab.show.tasks import policy_of
@@ -69,9 +70,9 @@ class Watched:
     learner: Any
 
     @property
-    def q(self) -> Float[Array, "S A"]:
+    def q(self) -> Float[np.ndarray, "S A"]:
         """The table of values after the episode, float [S, A]; in prediction V as [S, 1]."""
-        return self.learner.q
+        return _table(self.algorithm, self.env, self.learner)
 
     @property
     def name(self) -> str:
@@ -97,12 +98,12 @@ class Watched:
             self.env,
             num_episodes=self.num_episodes,
             log_every=every,
-            record=TableRecorder(),
+            record=Tables(self.env.num_states),
         )
         assert log.recorded is not None
         tables = np.asarray(log.recorded["table"])
         rows = np.unique(np.rint(np.geomspace(1, len(tables), MOMENTS)).astype(int))
-        before = np.asarray(_first_learner(self.algorithm, self.env).q)
+        before = _table(self.algorithm, self.env, _first_learner(self.algorithm, self.env))
         episodes = np.minimum(rows * every, self.num_episodes)
         return OverTime(np.append(0, episodes), np.concatenate([before[None], tables[rows - 1]]))
 
@@ -179,6 +180,7 @@ def watch(
             who="watch",
             field="at",
         )
+    check_counted("watch", env)
     if jax.eval_shape(lambda: _first_learner(algorithm, env).q).ndim != 2:
         raise InputError(
             f"watch shows one table of values [S, A], and {type(algorithm).__name__} has several"
@@ -197,6 +199,10 @@ def _first_learner(algorithm: Any, env: Any) -> Any:
     return init_learner(fitted(algorithm, env), env)
 
 
+def _table(algorithm: Any, env: Any, learner: Any) -> Float[np.ndarray, "S A"]:
+    return np.asarray(table_of(fitted(algorithm, env), env.num_states, learner))
+
+
 def _episode(key: PRNGKeyArray, algorithm: Any, env: Any, at: int) -> tuple[np.ndarray, Steps, Any]:
     """Of episode `at` of a run: the table of values before it, its steps, and the learner after it."""
     if at == 1:
@@ -205,7 +211,7 @@ def _episode(key: PRNGKeyArray, algorithm: Any, env: Any, at: int) -> tuple[np.n
         learner, log = train(key, algorithm, env, num_episodes=at - 1)
         run = stepwise.after_episode(key, algorithm, env, learner, log.steps.sum())
     transitions, deltas, changes, last = [], [], [], False
-    before = q = np.asarray(run.learner.q)
+    before = q = _table(algorithm, env, run.learner)
     while not last:
         run, step = stepwise.next_step(key, algorithm, env, run)
         (t, terminal), delta, after = jax.device_get(step)
@@ -215,11 +221,3 @@ def _episode(key: PRNGKeyArray, algorithm: Any, env: Any, at: int) -> tuple[np.n
         q, last = after, bool(t.last)
     experience = Experience(*map(np.array, zip(*transitions, strict=True)))
     return before, Steps(experience, np.array(deltas), tuple(changes)), run.learner
-
-
-@dataclasses.dataclass(frozen=True)
-class TableRecorder:
-    """Records the table of values. It is an object with a name, so that its program can be kept."""
-
-    def __call__(self, state: Any) -> dict[str, Array]:
-        return {"table": state.q}

@@ -94,7 +94,7 @@ class _Run:
         """What it gives, as JAX traces it."""
         data, _, (algorithm, _) = jax.tree.unflatten(self.tree, self.arguments(traced))
         learner, log = unchecked(rng.from_data(data), algorithm, self.env, None, self.budget)
-        table = table_of(fitted(algorithm, self.env), self.env, learner)
+        table = table_of(fitted(algorithm, self.env), self.env.num_states, learner)
         return tuple(jax.tree.leaves(((table, log), learner)))
 
     def kernel(self, runs: int) -> Kernel | None:

@@ -30,6 +30,7 @@ from jaxrl_tab.envs.k_armed_testbed import KArmedTestbed
 from jaxrl_tab.envs.long_walk import LongWalk
 from jaxrl_tab.envs.maximization_bias import MaximizationBias
 from jaxrl_tab.envs.maze import FrozenLake, Maze
+from jaxrl_tab.envs.mountain_car import MountainCar
 from jaxrl_tab.envs.racetrack import Racetrack
 from jaxrl_tab.envs.random_walk import RandomWalk
 from jaxrl_tab.envs.recycling_robot import RecyclingRobot
@@ -73,6 +74,7 @@ ENVS: dict[str, type] = {
     "recycling-robot": RecyclingRobot,
     "jacks-car-rental": JacksCarRental,
     "gamblers-problem": GamblersProblem,
+    "mountain-car": MountainCar,
 }
 
 # What people look for under these names, without hyphens, as Gymnasium calls it.
@@ -155,6 +157,7 @@ __all__ = [
     "LongWalk",
     "MaximizationBias",
     "Maze",
+    "MountainCar",
     "Racetrack",
     "RandomWalk",
     "RecyclingRobot",

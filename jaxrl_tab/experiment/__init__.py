@@ -5,6 +5,7 @@ Its modules, from the ground up:
     disk       files and folders that are whole or not there
     packed     arrays in a file
     places     where in a TOML file something is wrong
+    plain      values of hyperparameters as JSON and TOML have them
     instances  environments and methods that are given as instances
     tasks      what an environment has of its own: the length of its runs, and gamma
     sources    the copies of the files that somebody's own classes and tables are in

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxrl_tab.engine.axes import DRAW
-from jaxrl_tab.engine.counted import Counted, Tables
+from jaxrl_tab.engine.counted import Counted, TablesAndVisits
 from jaxrl_tab.engine.part import Part, compute
 from jaxrl_tab.experiment.spec import Experiment, as_toml
 from jaxrl_tab.show.explorer.over_time import OverTime
@@ -32,7 +32,11 @@ class RunAgain:
     def __call__(self, name: str, setting: int, places: np.ndarray, every: int) -> OverTime:
         part = self.parts[name]
         budget = dataclasses.replace(
-            part.budget, log_every=part.budget.row * every, exact=False, exact_every=None, record=Tables()
+            part.budget,
+            log_every=part.budget.row * every,
+            exact=False,
+            exact_every=None,
+            record=TablesAndVisits(part.env.num_states),
         )
         one: Any = [Counted(part.configs[setting])]
         recorded = compute(

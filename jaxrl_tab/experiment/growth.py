@@ -14,7 +14,8 @@ import numpy as np
 from jaxrl_tab.engine.part import Part
 from jaxrl_tab.engine.results import parameters
 from jaxrl_tab.engine.sweep import configurations
-from jaxrl_tab.experiment.resolve import as_plain, grid_of
+from jaxrl_tab.experiment.plain import as_plain
+from jaxrl_tab.experiment.resolve import grid_of
 from jaxrl_tab.experiment.spec import Experiment, change, difference
 
 LENGTH = ("steps", "episodes", "log_every")

@@ -1,6 +1,5 @@
 """From what a person wrote in an experiment to environments, methods and values."""
 
-import contextlib
 import dataclasses
 import itertools
 import json
@@ -11,10 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
-from jaxrl_tab.algorithms.prediction import METHOD
-from jaxrl_tab.core import clock, describe, names, policies, schedules
+from jaxrl_tab.core import describe, names, policies
 from jaxrl_tab.core.checks import build, repeated
 from jaxrl_tab.core.declared import Learns, of_method
 from jaxrl_tab.core.errors import InputError, listed, nearest, shown
@@ -26,7 +22,9 @@ from jaxrl_tab.engine.sweep import configurations
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import tasks
 from jaxrl_tab.experiment.instances import is_array, made, table_of
-from jaxrl_tab.experiment.places import DEEPEST, Source, at, blame
+from jaxrl_tab.experiment.places import Source, at, blame
+from jaxrl_tab.experiment.plain import as_lists, as_plain, depth_of
+from jaxrl_tab.methods import METHOD
 
 LONGEST_LABEL = 200  # characters
 ABOUT = ("name", "label", "sha256")  # in a table, beside parameters; the last is the checksum of its file
@@ -104,7 +102,7 @@ def _environment(table: Mapping[str, Any], cls: type, others: int, base: Path | 
         with blame(values):
             made(cls, label, values)
         own = [f"{key}={_short(value, tried[key])}" for key, value in values.items() if len(tried[key]) > 1]
-        data = {key: values.get(key, _listed(p.default)) for key, p in parameters.items()}
+        data = {key: values.get(key, as_lists(p.default)) for key, p in parameters.items()}
         data = {key: value for key, value in data.items() if value is not None}
         resolved.append(about | {"label": ",".join([label, *own])} | of_runs | data)
     return resolved
@@ -118,7 +116,7 @@ def _texts(key: str, written: Any, base: Path | None) -> list[Any]:
         raise InputError(
             f"{key} takes a text, a list of lines, or a list of such lists, not {shown(wrong[0])}"
         )
-    texts = [_listed(describe.read_lines(x, base)) for x in tried]
+    texts = [as_lists(describe.read_lines(x, base)) for x in tried]
     if repeated(texts):
         raise InputError(f"the grid of {key} holds one text more than once")
     return texts
@@ -139,12 +137,12 @@ def _values_of_environment(key: str, written: Any, parameter: describe.Parameter
     written = axis(key, written)
     if isinstance(written, axes.Random):
         raise InputError(f"{key}: an environment can have grids, but nothing random")
-    written = _listed(written.values() if isinstance(written, axes.Grid) else written)
+    written = as_lists(written.values() if isinstance(written, axes.Grid) else written)
     depth = _depth_of_value(parameter)
     if parameter.type == describe.Plain and parameter.default is None:
         return [written]  # a list may be meant as one
-    tried = written if _depth(written) == depth + 1 else [written]
-    if any(_depth(x) != depth for x in tried):
+    tried = written if depth_of(written) == depth + 1 else [written]
+    if any(depth_of(x) != depth for x in tried):
         what = "a list, or a list of lists" if depth else "a value, or a list"
         raise InputError(f"{key} takes {what} to be tried one by one, not {shown(written)}")
     values = [_deep(x, lambda entry: describe.value(key, entry, parameter)) for x in tried]
@@ -159,7 +157,7 @@ def _depth_of_value(parameter: describe.Parameter) -> int:
     """How deeply lists are nested in a value of a parameter."""
     if parameter.default is dataclasses.MISSING:
         return 1 if typing.get_origin(parameter.type) is tuple else 0
-    return _depth(parameter.default) if isinstance(parameter.default, tuple) else 0
+    return depth_of(parameter.default) if isinstance(parameter.default, tuple) else 0
 
 
 def _deep(value: Any, change: Callable[[Any], Any]) -> Any:
@@ -226,7 +224,7 @@ def grid_of(table: Mapping[str, Any], cls: type, seed: int) -> dict[str, Any]:
     for key, x in grid.items():
         with at(key):
             p = parameters[key]
-            several = _depth(x) > 0 and not (_takes_table(p) and _depth(x) == 2)
+            several = depth_of(x) > 0 and not (_takes_table(p) and depth_of(x) == 2)
             grid[key] = [_value(key, y, p) for y in x] if several else _value(key, x, p)
     for key, x in drawn.items():
         with at(key if key in own else DRAW):
@@ -367,8 +365,8 @@ def axis(key: str, written: Any) -> Any:
 
 def _value(key: str, written: Any, parameter: describe.Parameter) -> Any:
     """`written` as a value of a hyperparameter."""
-    if _takes_table(parameter) and _depth(written) == 2:
-        return policies.Table(_listed(written))
+    if _takes_table(parameter) and depth_of(written) == 2:
+        return policies.Table(as_lists(written))
     if _only_table(parameter):
         if isinstance(written, policies.Table):
             return written
@@ -383,40 +381,6 @@ def _takes_table(parameter: describe.Parameter) -> bool:
 def _only_table(parameter: describe.Parameter) -> bool:
     is_text = parameter.type == str | None
     return parameter.default is None and not is_text and not describe.takes_policy(parameter)
-
-
-def as_plain(key: str, value: Any) -> Any:
-    """A hyperparameter as JSON has it, and as it can be written again."""
-    if isinstance(value, Mapping):
-        return {name: as_plain(name, x) for name, x in value.items()}
-    if isinstance(value, list | tuple):
-        return [as_plain(key, x) for x in value]
-    if isinstance(value, policies.Table):
-        return np.asarray(value.probabilities).tolist()
-    if not isinstance(value, clock.Schedule | policies.Policy):
-        return value
-    parse = schedules.parse if isinstance(value, clock.Schedule) else policies.parse
-    with contextlib.suppress(InputError):  # its text will do only if that is read as the same value again
-        if repr(parse(str(value))) == repr(value):
-            return str(value)
-    raise InputError(f"{key}: {shown(value)} cannot be written in a file; sweep(...) takes it")
-
-
-def _listed(value: Any, depth: int = 0) -> Any:
-    """Lists in place of tuples and arrays."""
-    if depth > DEEPEST:
-        raise InputError(f"more than {DEEPEST} lists are in one another")
-    value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-    return [_listed(x, depth + 1) for x in value] if isinstance(value, list | tuple) else value
-
-
-def _depth(value: Any) -> int:
-    """How deeply lists are nested, at the deepest place."""
-    return _depth_of_lists(_listed(value))
-
-
-def _depth_of_lists(value: Any) -> int:
-    return 1 + max(map(_depth_of_lists, value), default=0) if isinstance(value, list) else 0
 
 
 def recorder(record: Any, source: Source | None, references: References) -> dict[str, Any]:

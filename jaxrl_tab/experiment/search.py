@@ -29,7 +29,8 @@ from jaxrl_tab.core.pytree import checked_dataclass, field, static
 from jaxrl_tab.engine.axes import DRAW, MOST_SETTINGS, WRITTEN, Grid, Random
 from jaxrl_tab.engine.part import Part
 from jaxrl_tab.experiment.places import Source, at, blame, located
-from jaxrl_tab.experiment.resolve import ABOUT, as_plain, axis, keys
+from jaxrl_tab.experiment.plain import as_plain
+from jaxrl_tab.experiment.resolve import ABOUT, axis, keys
 from jaxrl_tab.experiment.spec import Experiment, as_toml, read_source, source_of
 
 ROUNDS = 4  # of Optuna, which learns from one to the next

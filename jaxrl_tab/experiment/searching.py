@@ -25,7 +25,7 @@ from jaxrl_tab.engine.results import parameters
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import disk, storage
 from jaxrl_tab.experiment.growth import Block
-from jaxrl_tab.experiment.resolve import as_plain
+from jaxrl_tab.experiment.plain import as_plain
 from jaxrl_tab.experiment.samplers import Optuna, Told
 from jaxrl_tab.experiment.search import Halving, Rung, Search
 from jaxrl_tab.experiment.shards import Shard, arrays_of, split

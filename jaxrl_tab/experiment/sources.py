@@ -9,13 +9,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxrl_tab.algorithms.prediction import METHOD
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.modules import File
 from jaxrl_tab.engine.budget import RECORDER
 from jaxrl_tab.envs import ENVIRONMENT
 from jaxrl_tab.experiment import disk
+from jaxrl_tab.methods import METHOD
 
 SOURCES, INDEX = "sources", "sources.json"
 KEYS = {"name", "label", "sha256", "original", "copies"}

@@ -31,7 +31,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core import memory, modules, notebook
 from jaxrl_tab.core.checks import checked
 from jaxrl_tab.core.declared import Learns, of_method
@@ -58,6 +57,7 @@ from jaxrl_tab.experiment.resolve import (
     recorder,
     selection,
 )
+from jaxrl_tab.methods import METHODS
 
 MOST_BYTES = 2**26  # of a file
 LATER = {"first_seed": 0}  # what was added to experiments since: left out as it was before, fingerprints stay

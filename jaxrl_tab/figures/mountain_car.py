@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxrl_tab.approx import MountainCar, SemiGradientSarsa
+from jaxrl_tab.approx import SemiGradientSarsa
 from jaxrl_tab.approx.features import read
 from jaxrl_tab.core.linear import Active
+from jaxrl_tab.envs import MountainCar
 from jaxrl_tab.figures.figure import Figure, Number, swept
 from jaxrl_tab.figures.mountain_car_steps import FEATURES, GREEDY
 

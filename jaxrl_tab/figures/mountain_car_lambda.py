@@ -1,6 +1,7 @@
 """Traces on the mountain car: lambda, and kinds of Sarsa(lambda) (book, figures 12.10 and 12.11)."""
 
-from jaxrl_tab.approx import MountainCar, SemiGradientSarsaLambda, SemiGradientTrueOnlineSarsaLambda
+from jaxrl_tab.approx import SemiGradientSarsaLambda, SemiGradientTrueOnlineSarsaLambda
+from jaxrl_tab.envs import MountainCar
 from jaxrl_tab.figures.figure import Figure, Number, swept
 from jaxrl_tab.figures.mountain_car_steps import GREEDY
 

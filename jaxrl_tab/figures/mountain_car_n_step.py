@@ -1,6 +1,7 @@
 """How far n-step Sarsa should look ahead on the mountain car (book, figure 10.4)."""
 
-from jaxrl_tab.approx import MountainCar, SemiGradientNStepSarsa
+from jaxrl_tab.approx import SemiGradientNStepSarsa
+from jaxrl_tab.envs import MountainCar
 from jaxrl_tab.figures.figure import Figure, Number, swept
 from jaxrl_tab.figures.mountain_car_steps import GREEDY
 

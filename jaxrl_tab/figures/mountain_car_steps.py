@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from jaxrl_tab.approx import MountainCar, SemiGradientNStepSarsa, SemiGradientSarsa
+from jaxrl_tab.approx import SemiGradientNStepSarsa, SemiGradientSarsa
+from jaxrl_tab.envs import MountainCar
 from jaxrl_tab.figures.figure import Figure, Number, swept
 
 FEATURES = "tile-coding(8, 8)"

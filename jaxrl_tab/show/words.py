@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxrl_tab.algorithms.prediction import METHODS
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs import ENVS
+from jaxrl_tab.methods import METHODS
 
 if TYPE_CHECKING:  # which takes its time to import
     from jaxrl_tab.stats.along import Datasets
@@ -130,6 +130,10 @@ TITLES = {  # where `_written` says it otherwise than people do
     "reinforce": "REINFORCE",
     "reinforce-baseline": "REINFORCE with baseline",
     "psrl": "PSRL",
+    "gtd2": "GTD2",
+    "tdc": "TDC",
+    "lstd": "LSTD",
+    "tsitsiklis-van-roy": "Tsitsiklis and Van Roy",
     "ucbvi": "UCBVI",
     "td": "TD(0)",
     "offline-lambda-return": "Off-line λ-return",
@@ -149,6 +153,7 @@ NAMES = {
     "n step": "n-step",
     "off policy": "off-policy",
     "actor critic": "actor-critic",
+    "semi gradient": "semi-gradient",
     "k armed": "k-armed",
 }
 SYMBOLS = {

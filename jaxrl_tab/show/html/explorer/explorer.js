@@ -122,13 +122,14 @@ async function chapter(root, number) {
   asToml.addEventListener("click", () =>
     dialog("This setting as an experiment", toml(methods[state.method], c.settingOf(state.method))),
   );
-  const parts = { scene: sceneCard(c), curves: curvesCard(c), settings: settingsCard(c) };
+  // Where states cannot be counted there is no table of them.
+  const parts = { scene: data.scene.of ? sceneCard(c) : null, curves: curvesCard(c), settings: settingsCard(c) };
   const player = playerOf(c);
   sortMethods(root.closest("section"));
   const list = listing(c, root.closest("section"));
   const announce = announcer(
     root,
-    () => `After ${c.time()} ${data.unit}. ${parts.curves.says()} ${parts.scene.says()}`,
+    () => `After ${c.time()} ${data.unit}. ${parts.curves.says()} ${parts.scene?.says() ?? ""}`,
   );
 
   function drawControls() {
@@ -164,12 +165,12 @@ async function chapter(root, number) {
     list.mark();
     player.draw();
     remember();
-    return parts.scene.draw();
+    return parts.scene?.draw();
   }
 
   function move() {
     player.draw();
-    parts.scene.move();
+    parts.scene?.move();
     parts.curves.move();
     remember();
   }
