@@ -1,5 +1,7 @@
 """Several features of one observation, one after another."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -79,7 +81,7 @@ def test_what_is_learned_is_what_a_plain_loop_learns():
     np.testing.assert_allclose(q, list(by_hand), rtol=1e-9, atol=1e-11)
 
 
-def train(features, env=CAR):
+def train(features, env: Any = CAR):
     return rl.train(KEY, approx.SemiGradientSarsa(features=features), env, num_steps=3)
 
 

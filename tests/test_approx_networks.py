@@ -1,5 +1,7 @@
 """Control by a neural network: its gradient, what it learns of a batch, the order of its memory, its copy."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -173,7 +175,7 @@ def test_xla_compiles_it():
         rl.sweep(CLIFF, approx.DeepSarsa, {}, num_seeds=1, num_steps=1, backend="lanes", progress=False)
 
 
-def train(method, env=CLIFF):
+def train(method, env: Any = CLIFF):
     return rl.train(KEY, method, env, num_steps=3)
 
 

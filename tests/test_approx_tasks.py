@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrl_tab import approx
+from jaxrl_tab.approx.features import read
 from jaxrl_tab.envs import LongWalk, SquareWave
 
 KEY = jax.random.key(0)
@@ -49,7 +50,7 @@ def test_the_wave_and_its_intervals():
     after = jax.vmap(lambda s: SquareWave().step(KEY, s, jnp.int32(0)))(states)
     np.testing.assert_array_equal(after.reward, (states[:, 0] >= 0.5) & (states[:, 0] < 1.5))
     assert after.terminal.all()
-    features = approx.features.read("tile-coding(5, 10)").ranged((0.0,), (2.0,))
+    features = read("tile-coding(5, 10)").ranged((0.0,), (2.0,))
     ones = np.asarray(jax.vmap(features)(states).ones)
     x = np.asarray(states[:, 0], float)
     left = (np.arange(54)[:, None] - 4) * 0.04  # each is 0.2 wide

@@ -177,7 +177,7 @@ SHAPES["q-lambda"] = (
     "action, state, action, ..., state, max action",
 )
 # Those with features look ahead as those with a table do.
-SHAPES |= {name: SHAPES[name.removeprefix("semi-gradient-")] for name in METHODS if "semi-gradient" in name}
+SHAPES |= {name: SHAPES[name.replace("semi-gradient-", "")] for name in METHODS if "semi-gradient" in name}
 SHAPES["gradient-monte-carlo"] = SHAPES["monte-carlo-prediction"]
 IN_WORDS = {  # what no circle shows
     "double-q-learning": "one table chooses the action, the other gives its value",

@@ -220,9 +220,10 @@ def job_of(seeds):
 
 
 def test_workers_take_one_shard_after_another(monkeypatch):
-    """Shards of 128 runs: ten on four workers are three in turn. Broken once, each: shared out in equal parts; cores
+    """Shards of 128 runs: ten on four workers are three in turn.
 
-    do not count; a program is made once for all workers, or for each shard -> fails.
+    Broken once, each: shared out in equal parts; cores do not count; a program is made once for all workers, or for
+    each shard -> fails.
     """
     monkeypatch.setattr(speeds, "read", lambda: Known({SARSA: Speed(2.0, 3.0, 0.5, LONG)}))
     job = job_of(1280)

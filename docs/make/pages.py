@@ -99,14 +99,20 @@ def _methods() -> dict[str, str]:
 def method_commands(name: str) -> list[str]:
     """What a person may type to see a method at work, in a task that suits it."""
     declared = of_method(METHODS[name])
+    if declared.features is not None and declared.in_the_long_run:
+        told = '--features one-hot "aggregation(11)" --alpha 0.02 --steps 200000 --log-every 2000 --seeds 20'
+        return [f"jaxrl-tab sweep access-control {name} {told} --out runs/{name}"]
     if declared.features is not None and declared.learns is Learns.ACTIONS:
         return [_of_features("mountain-car", name, out=name)]
     if declared.features is not None and declared.learns_from.needs_behaviour:
         return [_off_policy("baird", name, out=name)]
     if declared.features is not None:
-        told = '--states 99 --features one-hot "aggregation(9)" "fourier(3)"'
-        told += " --alpha 0.02" if any(p.name == "alpha" for p in describe.parameters(METHODS[name])) else ""
-        return [f"jaxrl-tab sweep random-walk {name} {told} --episodes 200 --exact --out runs/{name}"]
+        told, episodes = '--states 99 --features one-hot "aggregation(9)" "fourier(3)" --alpha 0.02', 200
+        if not any(
+            p.name == "alpha" for p in describe.parameters(METHODS[name])
+        ):  # a step of which takes longer
+            told, episodes = '--states 19 --features one-hot "aggregation(5)" "fourier(3)"', 50
+        return [f"jaxrl-tab sweep random-walk {name} {told} --episodes {episodes} --exact --out runs/{name}"]
     if declared.learns is Learns.STATES:
         return [
             f"jaxrl-tab watch random-walk {name} --episodes 20",

@@ -14,6 +14,8 @@
     weights         weights that are given at the start
     network         a small neural network
     deep            Q-learning and Sarsa by such a network, with experience replay and a target copy
+    policy_iteration  least-squares policy iteration, from a log
+    dangers         a step size that must diverge, and the deadly triad
 
 To add a method: write its class, and add its line here. They are used wherever a method is:
 
@@ -49,6 +51,7 @@ from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features, Rows
 from jaxrl_tab.approx.off_policy import GTD2, TDC, EmphaticTD, SemiGradientOffPolicyTD
+from jaxrl_tab.approx.policy_iteration import LeastSquaresPolicy, lspi
 from jaxrl_tab.approx.prediction import (
     SemiGradientNStepTD,
     SemiGradientTD,
@@ -63,6 +66,7 @@ CONTROL: dict[str, type] = {
     "semi-gradient-n-step-sarsa": SemiGradientNStepSarsa,
     "semi-gradient-sarsa-lambda": SemiGradientSarsaLambda,
     "semi-gradient-true-online-sarsa-lambda": SemiGradientTrueOnlineSarsaLambda,
+    "differential-semi-gradient-sarsa": DifferentialSemiGradientSarsa,
 }
 OF_STATES: dict[str, type] = {
     "semi-gradient-td": SemiGradientTD,
@@ -94,6 +98,7 @@ __all__ = [
     "Features",
     "Fourier",
     "GradientMonteCarlo",
+    "LeastSquaresPolicy",
     "Observation",
     "OneHot",
     "Own",
@@ -112,5 +117,6 @@ __all__ = [
     "SemiGradientTrueOnlineSarsaLambda",
     "SemiGradientTrueOnlineTDLambda",
     "TileCoding",
+    "lspi",
     "matrix",
 ]

@@ -21,7 +21,7 @@ from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.checks import assign
 from jaxrl_tab.core.clock import Clock
 from jaxrl_tab.core.errors import InputError
-from jaxrl_tab.core.linear import X, in_full
+from jaxrl_tab.core.linear import X, all_of
 from jaxrl_tab.core.policies import EpsilonGreedy
 from jaxrl_tab.core.pytree import field, pytree, static
 from jaxrl_tab.core.types import Available, Environment, State, Transition
@@ -141,7 +141,7 @@ class Deep(ValueControl):
 
     def _values(self, weights: Weights, x: X, available: Bool[Array, " A"] | None) -> Float[Array, " A"]:
         """Q(s, .) by these weights."""
-        row = self.network(weights, in_full(x, weights[0].w.shape[0]))
+        row = self.network(weights, all_of(x, weights[0].w.shape[0], weights[0].w.dtype))
         return row if available is None else jnp.where(available, row, policies.UNAVAILABLE)
 
     def _available(self, s: State) -> Bool[Array, " A"] | None:

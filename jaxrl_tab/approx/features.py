@@ -20,7 +20,7 @@ from jaxrl_tab.approx.observed import MOST, Features, Ranged, Rows, check_tuple
 from jaxrl_tab.core.checks import assign, is_list
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import InputError, nearest, reason, shown, unfit
-from jaxrl_tab.core.linear import Active, X, in_full
+from jaxrl_tab.core.linear import Active, X, all_of
 from jaxrl_tab.core.optax import read_call
 from jaxrl_tab.core.pytree import checked_dataclass, static
 
@@ -288,9 +288,11 @@ class Concatenate(Features):
     def __call__(self, observed: Float[Array, " d"]) -> X:
         return self._together([part(observed) for part in self.parts])
 
-    def _together(self, xs: Sequence[X]) -> X:
+    def _together(self, xs: Sequence[Any]) -> X:
         if self.active is None:
-            return jnp.concatenate([in_full(x, part.size) for x, part in zip(xs, self.parts, strict=True)])
+            return jnp.concatenate(
+                [all_of(x, part.size, jnp.result_type(float)) for x, part in zip(xs, self.parts, strict=True)]
+            )
         first = itertools.accumulate([part.size for part in self.parts], initial=0)
         ones = [(x.ones if isinstance(x, Active) else x[None]) + n for x, n in zip(xs, first, strict=False)]
         return Active(jnp.concatenate(ones))

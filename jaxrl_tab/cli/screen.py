@@ -23,6 +23,7 @@ from jaxrl_tab.show import searched
 from jaxrl_tab.show.words import (
     DOES_NOT_END,
     cell,
+    deadly_triads,
     decimals_for,
     edge_warning,
     six_digits,
@@ -89,6 +90,9 @@ def show_outcome(outcome: files.Outcome, folder: Path | None, options: Any) -> N
         runs = sum(ds.diverged.size for ds in outcome.datasets.values())
         why = "a number became infinite, or NaN, or grew beyond any possible return."
         console().print(f"{diverged} of {runs} runs diverged: {why}")
+        for methods in outcome.methods.values():
+            for line in deadly_triads(methods):
+                console().print(line)
 
 
 def _print_search(outcome: files.Outcome) -> None:

@@ -40,14 +40,6 @@ def is_number(x: X) -> bool:
     return not isinstance(x, Active) and x.ndim == 0
 
 
-def in_full(x: X, size: int) -> Float[Array, " n"]:
-    """All features, float [n], of which there are `size`."""
-    if not isinstance(x, Active) and x.ndim:
-        return x
-    ones = x.ones if isinstance(x, Active) else x[None]
-    return (jnp.arange(size, dtype=jnp.int32)[:, None] == ones[None]).any(1).astype(float)
-
-
 def row(w: Shaped[Array, "n A"], x: X) -> Shaped[Array, " A"]:
     """The values of all actions, x . w(., a), [A]."""
     if isinstance(x, Active):

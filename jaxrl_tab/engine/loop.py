@@ -140,6 +140,12 @@ def at_start(stream: rng.Stream, algorithm: Algorithm, env: Environment) -> Run:
     return _start(stream, algorithm, env, _make_start(algorithm, env))
 
 
+def any_start(algorithm: Algorithm, env: Environment) -> Run:
+    """A run at time 0, for its shapes alone: all its random words are zero."""
+    key = rng.as_key(jnp.uint32(0))
+    return _begin(_make_start(algorithm, env), key, key, init_learner(algorithm, env), jnp.int32(0))
+
+
 def after_episode(
     stream: rng.Stream, algorithm: Algorithm, env: Environment, learner: Any, t: Int[Array, ""]
 ) -> Run:

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxrl_tab.approx import dangers
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.declared import Learns, of_environment, of_method
 from jaxrl_tab.core.types import Algorithm, Environment
@@ -22,6 +23,7 @@ from jaxrl_tab.envs.base import samples_outcomes
 from jaxrl_tab.exact import planning
 
 BEYOND = 10  # times the largest possible return: large step sizes and traces may overshoot it for a while
+FAR = 1e6  # times the same, and 1, where values may well be larger than any return before they are right
 FRESH = 2**32 - 1  # what is folded into a root for the root of its fresh seeds
 
 
@@ -97,7 +99,8 @@ class Part:
         It is `BEYOND` times what no average of returns exceeds: the initial value, and the largest return of
         as many steps as the run has. Only runs of methods that multiply no return by ratios, learn no
         preferences, which may grow without end, and no bounds, are judged, in environments whose rewards are those of
-        their outcomes.
+        their outcomes. Runs with all three parts of the deadly triad, and those that begin with weights of their own,
+        are judged by `FAR` times the largest return, and 1.
         """
         budget, env = self.budget, self.env
         steps = budget.num_steps or (budget.num_episodes or 0) * env.max_steps
@@ -110,8 +113,11 @@ class Part:
         def largest(config: Any) -> float:
             method = of_method(config)
             grows = method.multiplies_returns or method.learns is Learns.PREFERENCES or method.needs_horizon
-            if not of_outcomes or grows:
+            triad = dangers.has_deadly_triad(config)
+            if not of_outcomes or (grows and not triad):
                 return np.inf
+            if triad or getattr(config, "w0", ""):
+                return FAR * (1 + largest_return(config.gamma, method.exploring_starts))
             initial = abs(getattr(config, method.learns.initial, 0.0))
             return BEYOND * (initial + largest_return(config.gamma, method.exploring_starts))
 

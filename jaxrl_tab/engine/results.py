@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from jaxrl_tab.approx.dangers import has_deadly_triad
 from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features
 from jaxrl_tab.core import memory
@@ -154,6 +155,7 @@ class SweepResult:
             **{name: value for name, value in budget.items() if value is not None},
             "log_every": self.log_every,
             **({"exact_every": self.exact_every} if self.exact_every else {}),
+            **({"deadly_triad": 1} if self.part and any(map(has_deadly_triad, self.part.configs)) else {}),
             "root_seed": self.root_seed,
             **({"fresh_seeds": 1} if self.fresh else {}),
             "optimal_value": float(self.optimal_value) if self.optimal_value.ndim == 0 else float("nan"),

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxrl_tab.approx import dangers
 from jaxrl_tab.approx.optimized import Optimized
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build, check_held, check_pytree, checked, foreign, is_list, repeated
@@ -165,6 +166,8 @@ def prepare(
         raise InputError(f"seeds have numbers below 2**31: {num_seeds:,} from {first_seed:,} on are too many")
     for config in configs:
         fitted(config, env)  # raises InputError where it does not fit
+    for line in dangers.step_sizes(configs, env):
+        backends.tell(line)
     return Part(env, cls, axes, configs, int(num_seeds), int(first_seed), int(seed), budget)
 
 

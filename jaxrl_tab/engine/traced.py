@@ -74,8 +74,7 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Any, ...], An
     beside = (waiting, None if works_with is None else works_with(learner))
     results = q, loop.empty_log(q.dtype, budget, measured)
     if goes_on:
-        any_stream = rng.stream(rng.key(0))
-        end = loop.at_start(any_stream, algorithm, problem_of(any_stream, env))
+        end = loop.any_start(algorithm, problem_of((jnp.uint32(0), jnp.uint32(0)), env))
         results = *results, without_table(end, place_of_table(algorithm, env, end.learner))
     return results, others, beside
 

@@ -10,6 +10,7 @@ import jax
 from jax.core import Tracer
 from jaxtyping import PRNGKeyArray
 
+from jaxrl_tab.approx import dangers
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
 from jaxrl_tab.core.declared import of_environment, of_method
@@ -21,7 +22,7 @@ from jaxrl_tab.core.types import (
     FiniteEnvironment,
     fitted,
 )
-from jaxrl_tab.engine import by_lanes, within
+from jaxrl_tab.engine import backend, by_lanes, within
 from jaxrl_tab.engine.budget import Budget, Recorder
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.traced import in_full, unchecked
@@ -112,6 +113,8 @@ def checked_pair(
     check_held(env)
     check_end(algorithm, env)
     fitted(algorithm, env)  # raises InputError where it does not fit
+    for line in dangers.step_sizes([algorithm], env):
+        backend.tell(line)
     return algorithm, env
 
 

@@ -334,22 +334,16 @@ def _grown(path: Path, found: Found, new: Experiment, limit: int | None, command
         InputError: what it has more cannot be computed, or not as the rest was. Then nothing was changed.
     """
     old, libraries = found.experiment, library_versions(new.data())
-    store = Store(path, old.fingerprint, found.entries)
+    store, longer = Store(path, old.fingerprint, found.entries), growth.are_longer(old, new)
     warn_of_damage(store)
-    records = records_of(store)
+    records, what = records_of(store), growth.added(old, new)
     with backend.using(new.backend), settings_of(store, records):
         origin = Origin.of(store, records, mixed, libraries)
         origin.check(path)
-        job = Job.of(new, limit, libraries, found.experiments)
-        told = going_on.told(store, job, origin)
-        own = (
-            (path / storage.SHARDS).iterdir() if not growth.are_longer(old, new) else ()
-        )  # else all shards are new
-        there = sum(file.stat().st_size for file in own)
-        _check_room(new.parts(), limit, path, there)
-    what = growth.added(old, new)
-    if growth.are_longer(old, new):
-        what += f"; {told}"
+        there = sum(file.stat().st_size for file in (path / storage.SHARDS).iterdir())
+        _check_room(new.parts(), limit, path, 0 if longer else there)  # of longer runs all shards are new
+        if longer:
+            what += f"; {going_on.told(store, Job.of(new, limit, libraries, found.experiments), origin)}"
     warn(f"{what}; what is there is kept, and what is new is computed now")
     grow(path, found, new, command, store.checksums)
     if new.source and new.source.path.parent != path:

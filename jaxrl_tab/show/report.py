@@ -233,6 +233,7 @@ class Chapter(NamedTuple):
     num_settings: int
     diverged: list[str]
     num_diverged: int
+    triads: list[str]
     doubtful: bool
     tied: bool
     explores: bool
@@ -287,6 +288,7 @@ def _chapter(label: str, methods: Methods, fresh: Methods, seen: Explorer, losin
             f"{setting_of(row, view)}: {row['diverged']} of {row['seeds']}" for row in rows if row["diverged"]
         ],
         num_diverged=sum(row["diverged"] for row in rows),
+        triads=list(words.deadly_triads(methods)),
         doubtful=any(row.doubtful for row in [*rows, *again.values()]),
         tied=any(row["tied"] and not row["best"] for row in rows),
         explores=not np.isnan([row["soft"] for row in rows]).all(),

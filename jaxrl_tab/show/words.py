@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -196,6 +196,16 @@ def edge_warning(parameter: str, method: str, end: str) -> str:
     """What to know where the best value is the "largest" or the "smallest" tried; see `stats.at_edge`."""
     best = f"The best {symbol(parameter)} of {title_of(method)}"
     return f"{best} is the {end} that was tried; a better one may lie beyond."
+
+
+def deadly_triads(methods: Mapping[str, Any]) -> Iterator[str]:
+    """What to know of methods of which runs diverged, and which had every reason to: from the dataset of each."""
+    for name, ds in methods.items():
+        if ds.attrs.get("deadly_triad") and bool(ds.diverged.any()):
+            yield (
+                f"{title_of(name)} approximates, bootstraps, and learns about another policy than the one that acts: "
+                "the deadly triad, with which no step size is safe (book, section 11.3)."
+            )
 
 
 def decimals_for(x: np.ndarray, digits: int) -> int:

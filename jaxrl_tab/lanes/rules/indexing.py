@@ -192,13 +192,14 @@ def gather(code: Lowering, equation: Any, x: Plain, index: Plain) -> Plain:
     numbers, sizes, mode = p["dimension_numbers"], p["slice_sizes"], p["mode"]
     batches = list(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
     left_out = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
+    axes = [int(axis) for axis in numbers.start_index_map]  # `vmap` has NumPy's
     filled = mode == lax.GatherScatterMode.FILL_OR_DROP
     filler = code.const(_filler(dtype) if p["fill_value"] is None else p["fill_value"], dtype)
     x, index = code.in_memory(x), code.in_memory(index)
 
     def at(i: Value) -> Value:
         window, batch = _split_index(code, along_axes(code, i, shape), numbers.offset_dims)
-        starts = _window_starts(code, x, index, batch, numbers.start_index_map, batches)
+        starts = _window_starts(code, x, index, batch, axes, batches)
         offsets = _with_zeros(code, window, len(x.shape), left_out)
         found = x.read(_place(code, starts, offsets, x.shape, sizes))
         if not filled:
