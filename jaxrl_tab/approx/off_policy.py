@@ -130,8 +130,8 @@ class GTD2(OffPolicyLinear):
     v <- v + beta rho [delta - v . x(S)] x(S),  delta = R + gamma x(S') . w - x(S) . w
     w <- w + alpha rho [x(S) - gamma x(S')] x(S) . v      (book, section 11.7; Sutton et al. 2009)
 
-    w learns from the v before the step. v has to be the quicker one: beta should be larger than alpha. But where beta rho
-    times the squared length of x(S) is above 2, v itself goes astray, in a run if not on average.
+    w learns from the v before the step. v has to be the quicker one: beta should be larger than alpha. But where beta
+    rho times the squared length of x(S) is above 2, v itself goes astray, in a run if not on average.
     """
 
     beta: Rate = field(default=0.05, greater_than=0, help="Step size of the second weights.")
