@@ -39,7 +39,7 @@ R = np.arange(32.0).reshape(4, 2, 4)
 START = (0.125, 0, 0.875, 0)
 
 ENVIRONMENTS = {
-    **{name: make(name) for name in ENVS},
+    **{name: env for name in ENVS if (env := make(name)).num_states},
     "osband's river": make("river-swim", variant="osband", states=4),
     "one right": make("deep-sea", size=4, random=False),
     "garnets": make("garnet", own=True, states=9, branching=3),

@@ -77,6 +77,8 @@ OUTSIDE = {
     "fickle_probability": [-0.1, 1.1],
     "p_h": [-0.1, 1.1],
     "goal": [1],
+    "jump": [0],
+    "width": [0.0, 2.1],
     "capacity": [0],
     "most_moved": [-1],
     "failure": [-0.1, 1],

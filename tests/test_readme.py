@@ -40,7 +40,7 @@ def test_the_sarsa_that_is_shown_is_the_sarsa_that_runs():
     assert "".join(shown.split()) in "".join(
         (ROOT / "jaxrl_tab/algorithms/sarsa.py")
         .read_text()
-        .replace("state: TDState, t: Transition", "state, t")
+        .replace("state: Learner, t: Transition", "state, t")
         .split()
     )
 

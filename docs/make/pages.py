@@ -68,6 +68,7 @@ def _linked(text: str) -> str:
     text = re.sub(r"\]\(docs/", "](", text)
     for file, page in AT_THE_ROOT.items():
         text = text.replace(f"]({file})", f"]({page})")
+    text = re.sub(r"\]\(examples/(\w+)\.ipynb\)", r"](examples/\1.md)", text)
     return re.sub(r"\]\(examples/?\)", "](examples/index.md)", text)
 
 
@@ -172,9 +173,18 @@ def _off_policy(env: str, methods: str, out: str) -> str:
     return f"jaxrl-tab sweep {env} {methods} {told} --steps 1000 --exact --out runs/{out}"
 
 
+# Tasks in which there is nothing to choose, and with which features.
+TO_PREDICT = {
+    "long-walk": '--features "aggregation(10)" "aggregation(50)" --alpha 0.02 0.1 --episodes 200',
+    "square-wave": '--features "tile-coding(5, 10)" --per-tiling --alpha 0.05 0.2 --steps 2000',
+}
+
+
 def environment_commands(name: str) -> list[str]:
     """What a person may type to see an environment."""
     env = rl.make(name)
+    if told := TO_PREDICT.get(name):
+        return [f"jaxrl-tab sweep {name} semi-gradient-td {told} --seeds 20 --out runs/{name}"]
     if not env.num_states:
         return [_of_features(name, "semi-gradient-sarsa", out=name)]
     declared = of_environment(env)

@@ -48,6 +48,7 @@ ENVS: dict[str, type] = {
     "windy-gridworld": WindyGridworld,
     "cliff-walking": CliffWalking,
     "random-walk": RandomWalk,
+    "long-walk": LongWalk,
     "blackjack": Blackjack,
     "easy21": Easy21,
     "two-doors": TwoDoors,
@@ -75,6 +76,7 @@ ENVS: dict[str, type] = {
     "jacks-car-rental": JacksCarRental,
     "gamblers-problem": GamblersProblem,
     "mountain-car": MountainCar,
+    "square-wave": SquareWave,
 }
 
 # What people look for under these names, without hyphens, as Gymnasium calls it.

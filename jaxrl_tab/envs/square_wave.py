@@ -5,19 +5,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core.notebook import Shown
-from jaxrl_tab.core.pytree import pytree
+from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
 
-EXTENT, LEFT, RIGHT = 2.0, 0.5, 1.5
+EXTENT = 2.0
 
 
 @pytree
 class SquareWave(Shown):
-    """A number from [0, 2), and then its target, with a single step an episode: 1 from 0.5 to 1.5, and else 0.
+    """A number from [0, 2), and then its target, with a single step an episode: 1 in the middle, and else 0.
 
     So there is nothing to choose and nothing to look ahead to: the reward is the target, and the value of a state is
     what a function of one number is at it. All numbers are equally likely.
     """
+
+    width: float = static(default=1.0, greater_than=0, at_most=EXTENT, help="How wide the wave is.")
 
     num_states = 0  # they cannot be counted
     num_actions = 1
@@ -30,9 +32,10 @@ class SquareWave(Shown):
         return (u * EXTENT)[None]
 
     def step(self, key: Key[Array, ""], s: Float[Array, " 1"], a: Int[Array, ""]) -> Outcome:
-        return Outcome(s, wave(s[0]), jnp.asarray(True))
+        return Outcome(s, wave(s[0], self.width), jnp.asarray(True))
 
 
-def wave(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The target at a number."""
-    return ((x >= LEFT) & (x < RIGHT)).astype(float)
+def wave(x: Float[Array, "..."], width: float = 1.0) -> Float[Array, "..."]:
+    """The target at a number: 1 from 0.5 to 1.5, where it is 1 wide."""
+    left = (EXTENT - width) / 2
+    return ((x >= left) & (x < EXTENT - left)).astype(float)
