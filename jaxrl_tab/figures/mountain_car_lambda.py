@@ -80,7 +80,7 @@ FIGURE = Figure(
     title="Traces on the mountain car",
     source="Sutton and Barto 2018, figures 12.10 and 12.11",
     shows="Credit that goes back along the way pays, up to λ = 0.96; with more the large step sizes fail. Accumulating "
-    "traces bear small step sizes alone; true online Sarsa(λ) learns as fast as any, with any of them. The book also "
+    "traces bear small step sizes alone; true online Sarsa(λ) is best over most of the range. The book also "
     "has replacing traces that are 0 for all other actions, which are not here.",
     experiment=_experiment,
     small={"num_seeds": 2, "num_episodes": 3},
