@@ -90,7 +90,7 @@ from jaxrl_tab.envs import (
     WindyGridworld,
     make,
 )
-from jaxrl_tab.exact import importance, planning
+from jaxrl_tab.exact import expected, importance, planning
 from jaxrl_tab.experiment import executors, runner
 from jaxrl_tab.experiment.compare import compare
 from jaxrl_tab.experiment.reading import read
@@ -221,6 +221,7 @@ __all__ = [
     "envs",
     "evaluation",
     "executors",
+    "expected",
     "explain",
     "field",
     "importance",

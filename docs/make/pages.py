@@ -105,9 +105,15 @@ def method_commands(name: str) -> list[str]:
         return [f"jaxrl-tab sweep access-control {name} {told} --out runs/{name}"]
     if declared.features is not None and declared.learns is Learns.ACTIONS:
         return [_of_features("mountain-car", name, out=name)]
+    if declared.features is not None and declared.learns_from.needs_behaviour:
+        return [_off_policy("baird", name, out=name)]
     if declared.features is not None:
-        told = '--states 99 --features one-hot "aggregation(9)" "fourier(3)" --alpha 0.02'
-        return [f"jaxrl-tab sweep random-walk {name} {told} --episodes 200 --exact --out runs/{name}"]
+        told, episodes = '--states 99 --features one-hot "aggregation(9)" "fourier(3)" --alpha 0.02', 200
+        if not any(
+            p.name == "alpha" for p in describe.parameters(METHODS[name])
+        ):  # a step of which takes longer
+            told, episodes = '--states 19 --features one-hot "aggregation(5)" "fourier(3)"', 50
+        return [f"jaxrl-tab sweep random-walk {name} {told} --episodes {episodes} --exact --out runs/{name}"]
     if declared.learns is Learns.STATES:
         return [
             f"jaxrl-tab watch random-walk {name} --episodes 20",
@@ -160,6 +166,13 @@ def _of_features(env: str, method: str, out: str) -> str:
     return f"jaxrl-tab sweep {env} {method} {told} --episodes 200 --seeds 20 --out runs/{out}"
 
 
+def _off_policy(env: str, methods: str, out: str) -> str:
+    """A sweep in a task that states its features and its policies."""
+    second = " --beta 0.05" if {"gtd2", "tdc"} & {*methods.split()} else ""
+    told = f"--features own --w0 1,1,1,1,1,1,10,1 --gamma 0.99 --alpha 0.005{second}"
+    return f"jaxrl-tab sweep {env} {methods} {told} --steps 1000 --exact --out runs/{out}"
+
+
 # Tasks in which there is nothing to choose, and with which features.
 TO_PREDICT = {
     "long-walk": '--features "aggregation(10)" "aggregation(50)" --alpha 0.02 0.1 --episodes 200',
@@ -175,6 +188,8 @@ def environment_commands(name: str) -> list[str]:
     if not env.num_states:
         return [_of_features(name, "semi-gradient-sarsa", out=name)]
     declared = of_environment(env)
+    if declared.behaviour_policy is not None:
+        return [f"jaxrl-tab solve {name}", _off_policy(name, "semi-gradient-off-policy-td tdc", out=name)]
     method = "r-learning" if declared.continuing else "q-learning"
     solve = [] if declared.at else [f"jaxrl-tab solve {name}"]
     return [*solve, f"jaxrl-tab sweep {name} {method} --steps 8000 --seeds 20 --out runs/{name}"]
@@ -267,22 +282,28 @@ def _named(figure: str) -> frozenset[str]:
 
 
 def _in_python(cls: type) -> str:
-    return cls.__name__ if getattr(rl, cls.__name__, None) is cls else f"prediction.{cls.__name__}"
+    if getattr(rl, cls.__name__, None) is cls:
+        return cls.__name__
+    return f"{'approx' if hasattr(rl.approx, cls.__name__) else 'prediction'}.{cls.__name__}"
 
 
 # --- examples ------------------------------------------------------------------------------------------
 def _examples() -> dict[str, str]:
     folder = ROOT / "examples"
-    about = (folder / "README.md").read_text(encoding="utf-8").replace("](../docs/", "](../")
-    made = {"examples/index.md": _to_pages(about)}
+    made = {"examples/index.md": _to_pages(_of_examples(folder / "README.md"))}
     for file in sorted(folder.iterdir()):
         if file.suffix in (".py", ".toml"):
             code = f"```{file.suffix[1:]}\n{file.read_text(encoding='utf-8')}```"
             key = f"examples/{file.stem}.md"
             made[key] = _page(made.get(key, f"# {file.name}"), code)
         elif file.suffix == ".ipynb":
-            made[f"examples/{file.stem}.md"] = notebook(json.loads(file.read_text(encoding="utf-8")))
+            made[f"examples/{file.stem}.md"] = notebook(json.loads(_of_examples(file)))
     return made
+
+
+def _of_examples(file: Path) -> str:
+    """The text of a file beside the pages of docs/, as if it were among them."""
+    return file.read_text(encoding="utf-8").replace("](../docs/", "](../")
 
 
 def _shown_files() -> dict[str, str]:

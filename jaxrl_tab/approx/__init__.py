@@ -74,6 +74,11 @@ OF_STATES: dict[str, type] = {
     "semi-gradient-td-lambda": SemiGradientTDLambda,
     "semi-gradient-true-online-td-lambda": SemiGradientTrueOnlineTDLambda,
     "gradient-monte-carlo": GradientMonteCarlo,
+    "lstd": LSTD,
+    "semi-gradient-off-policy-td": SemiGradientOffPolicyTD,
+    "gtd2": GTD2,
+    "tdc": TDC,
+    "emphatic-td": EmphaticTD,
 }
 
 __all__ = [

@@ -86,7 +86,7 @@ class GradientState(NamedTuple):
 class _Gradient(_OfStates):
     """What gradient TD learns with. A method adds the step of w along x(S)."""
 
-    beta: Rate = field(default=0.1, greater_than=0, help="Step size of the second weights.")
+    beta: Rate = field(default=0.05, greater_than=0, help="Step size of the second weights.")
 
     @property
     def rates(self) -> tuple[Rate, ...]:
@@ -130,10 +130,11 @@ class GTD2(OffPolicyLinear):
     v <- v + beta rho [delta - v . x(S)] x(S),  delta = R + gamma x(S') . w - x(S) . w
     w <- w + alpha rho [x(S) - gamma x(S')] x(S) . v      (book, section 11.7; Sutton et al. 2009)
 
-    w learns from the v before the step. v has to be the quicker one: beta should be larger than alpha.
+    w learns from the v before the step. v has to be the quicker one: beta should be larger than alpha. But where beta
+    rho times the squared length of x(S) is above 2, v itself goes astray, in a run if not on average.
     """
 
-    beta: Rate = field(default=0.1, greater_than=0, help="Step size of the second weights.")
+    beta: Rate = field(default=0.05, greater_than=0, help="Step size of the second weights.")
 
     method: ClassVar[type] = _GTD2
 
@@ -145,7 +146,7 @@ class TDC(GTD2):
     v <- v + beta rho [delta - v . x(S)] x(S),  delta = R + gamma x(S') . w - x(S) . w
     w <- w + alpha rho [delta x(S) - gamma x(S') x(S) . v]      (book, section 11.7; Sutton et al. 2009)
 
-    It is also called GTD(0). w learns from the v before the step, and beta should be larger than alpha.
+    It is also called GTD(0). w learns from the v before the step, and beta should be as in `GTD2`.
     """
 
     method: ClassVar[type] = _TDC

@@ -293,7 +293,11 @@ def _references(part: Part) -> dict[str, Float[np.ndarray, "*grid"]]:
         errors.append(known[key])
     shape = [len(values) for values in part.axes.values()]
     names = "least_value_error", "td_value_error"
-    return dict(zip(names, np.array(errors).T.reshape(2, *shape), strict=True))
+    # A list, for of one setting alone NumPy would give a number that is no array.
+    return {
+        name: np.array(values).reshape(shape)
+        for name, values in zip(names, zip(*errors, strict=True), strict=True)
+    }
 
 
 def _least_and_td(config: Any, env: Environment) -> tuple[float, float]:

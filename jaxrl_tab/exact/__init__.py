@@ -9,6 +9,7 @@ Its modules, from the ground up:
     given       values and policies as they are given, checked
     visits      how often a policy comes to each state
     projected   values that are linear in features: the best of them, the TD fixed point, and their errors
+    expected    what a step of linear TD is on average, and whether it diverges
     measure     what a table is worth, worked out inside a compiled program while it is learned
     optimum     the best policy of an environment, worked out once
     average     the average reward of a step: of a policy, and the largest
