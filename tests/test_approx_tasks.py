@@ -1,5 +1,7 @@
 """The tasks of chapter 9: the walk of a thousand states, and the square wave."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -50,7 +52,8 @@ def test_the_wave_and_its_intervals():
     after = jax.vmap(lambda s: SquareWave().step(KEY, s, jnp.int32(0)))(states)
     np.testing.assert_array_equal(after.reward, (states[:, 0] >= 0.5) & (states[:, 0] < 1.5))
     assert after.terminal.all()
-    features = read("tile-coding(5, 10)").ranged((0.0,), (2.0,))
+    features: Any = read("tile-coding(5, 10)")
+    features = features.ranged((0.0,), (2.0,))
     ones = np.asarray(jax.vmap(features)(states).ones)
     x = np.asarray(states[:, 0], float)
     left = (np.arange(54)[:, None] - 4) * 0.04  # each is 0.2 wide

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxrl_tab as rl
 from benchmarks import problems
 from jaxrl_tab import approx
 

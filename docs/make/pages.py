@@ -282,22 +282,28 @@ def _named(figure: str) -> frozenset[str]:
 
 
 def _in_python(cls: type) -> str:
-    return cls.__name__ if getattr(rl, cls.__name__, None) is cls else f"prediction.{cls.__name__}"
+    if getattr(rl, cls.__name__, None) is cls:
+        return cls.__name__
+    return f"{'approx' if hasattr(rl.approx, cls.__name__) else 'prediction'}.{cls.__name__}"
 
 
 # --- examples ------------------------------------------------------------------------------------------
 def _examples() -> dict[str, str]:
     folder = ROOT / "examples"
-    about = (folder / "README.md").read_text(encoding="utf-8").replace("](../docs/", "](../")
-    made = {"examples/index.md": _to_pages(about)}
+    made = {"examples/index.md": _to_pages(_of_examples(folder / "README.md"))}
     for file in sorted(folder.iterdir()):
         if file.suffix in (".py", ".toml"):
             code = f"```{file.suffix[1:]}\n{file.read_text(encoding='utf-8')}```"
             key = f"examples/{file.stem}.md"
             made[key] = _page(made.get(key, f"# {file.name}"), code)
         elif file.suffix == ".ipynb":
-            made[f"examples/{file.stem}.md"] = notebook(json.loads(file.read_text(encoding="utf-8")))
+            made[f"examples/{file.stem}.md"] = notebook(json.loads(_of_examples(file)))
     return made
+
+
+def _of_examples(file: Path) -> str:
+    """The text of a file beside the pages of docs/, as if it were among them."""
+    return file.read_text(encoding="utf-8").replace("](../docs/", "](../")
 
 
 def _shown_files() -> dict[str, str]:

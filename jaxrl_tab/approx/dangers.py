@@ -29,7 +29,7 @@ def step_sizes(methods: Iterable[Any], env: Environment) -> Iterator[str]:
     found: dict[tuple[str, Features], list[float]] = {}
     for method in methods:
         is_judged = isinstance(method, Linear) and not isinstance(method, OffPolicyLinear | LSTD)
-        if not is_judged or getattr(method, "optimizer", None) is not None:
+        if not is_judged or getattr(method, "optimizer", ""):
             continue
         alpha: Any = getattr(method, "alpha", None)
         if isinstance(alpha, int | float | np.ndarray) and np.ndim(alpha) == 0:

@@ -39,12 +39,12 @@ class OptimizedState(NamedTuple):
 class Optimized:
     """What a method has whose weights an optimiser may change."""
 
-    optimizer: Any = static(default=None, help=OPTIMIZER)
+    optimizer: Any = static(default="", help=OPTIMIZER)
 
     def __post_init__(self):
         own: Any = self
         super().__post_init__()  # pyright: ignore[reportAttributeAccessIssue]
-        if self.optimizer is None:
+        if not self.optimizer:
             return
         who = type(self).__name__
         try:
@@ -65,13 +65,13 @@ class OptimizedControl(Optimized, SemiGradientControl):
 
     def init(self, num_states: int, num_actions: int) -> Any:
         state = super().init(num_states, num_actions)
-        if self.optimizer is None:
+        if not self.optimizer:
             return state
         return OptimizedState(state.q, state.clock, optimizers.start(self.optimizer, state.q))
 
     def learn(self, state: Any, t: Transition, delta: Float[Array, ""]) -> Any:
         """w <- w + what the optimiser makes of delta x(S) at A; and counts the episode where it is over."""
-        if self.optimizer is None:
+        if not self.optimizer:
             return super().learn(state, t, delta)
         ascent = linear.add(jnp.zeros_like(state.q), self.x(t.s), t.a, delta)
         change, optimizer = optimizers.change(self.optimizer, ascent, state.optimizer, state.q)
@@ -84,13 +84,13 @@ class OptimizedTraceControl(Optimized, SemiGradientControl, SarsaLambda):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.optimizer is not None and (self.trace == "dutch" or self.offline):
+        if self.optimizer and (self.trace == "dutch" or self.offline):
             problem = "an optimizer goes with accumulating and replacing traces, and not off-line"
             raise InputError(problem, who=type(self).__name__, field="optimizer")
 
     def init(self, num_states: int, num_actions: int) -> Any:
         state = super().init(num_states, num_actions)
-        if self.optimizer is None:
+        if not self.optimizer:
             return state
         return state._replace(optimizer=optimizers.start(self.optimizer, state.q))
 
@@ -98,7 +98,7 @@ class OptimizedTraceControl(Optimized, SemiGradientControl, SarsaLambda):
         self, state: Any, t: Transition, delta: Float[Array, ""], cut: Bool[Array, ""] | bool = False
     ) -> Any:
         """Marks (S, A), and w <- w + what the optimiser makes of delta z; then z <- gamma lambda z."""
-        if self.optimizer is None:
+        if not self.optimizer:
             return super().learn(state, t, delta, cut)
         # Nothing is credited by the marks: so the base is w, all of which the optimiser changes.
         values = marked(state.values, self.trace, 0.0, self.x(t.s), t.a, jnp.zeros_like(delta))

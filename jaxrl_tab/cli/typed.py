@@ -31,6 +31,7 @@ from jaxrl_tab.cli.options import (
 from jaxrl_tab.core import clock, describe, names, policies, schedules
 from jaxrl_tab.core.checks import KINDS, build, but_none
 from jaxrl_tab.core.errors import InputError, shown
+from jaxrl_tab.core.optimizers import PREFIX
 from jaxrl_tab.engine import axes
 from jaxrl_tab.envs import drawing
 
@@ -194,6 +195,9 @@ def _values(
                 continue
             read = [_value(flag, text, parameter) for text in typed[flag]]
             chosen[parameter.name] = read or [not parameter.default]  # a switch, or what stands alone
+    named = {by_flag[flag].name for flag in typed if flag in by_flag}
+    if "alpha" not in named and any(str(x).startswith(PREFIX) for x in chosen.get("optimizer", ())):
+        chosen.pop("alpha", None)  # the optimiser has a learning rate of its own
     return chosen
 
 

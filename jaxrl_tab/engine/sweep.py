@@ -178,7 +178,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
     # Where a behaviour policy is given epsilon is not looked at, nor alpha beside an optimiser that has its own, and it
     # would mislead to show it.
     unused = {"epsilon"} if method.behaviour is not None else set()
-    unused |= {"alpha"} if isinstance(first, Optimized) and first.optimizer is not None else set()
+    unused |= {"alpha"} if isinstance(first, Optimized) and first.optimizer else set()
     shape = (*(len(values) for values in axes.values()), part.num_seeds)
     q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(

@@ -1,10 +1,13 @@
 """How wide features are, and how that shows early and late: the square wave (book, figure 9.8)."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxrl_tab import approx
+from jaxrl_tab.approx.features import read
 from jaxrl_tab.core import linear
 from jaxrl_tab.envs.square_wave import EXTENT, SquareWave, wave
 from jaxrl_tab.figures.figure import Figure, Number, swept
@@ -31,7 +34,7 @@ def _grid(features):
 
 def _function(features):
     """What is recorded: the function that is learned, at all points."""
-    x = approx.features.read(features).ranged((0.0,), (EXTENT,))
+    x: Any = read(features).ranged((0.0,), (EXTENT,))
 
     def values(learner):
         at = jax.vmap(x)(jnp.asarray(POINTS, learner.q.dtype)[:, None])

@@ -271,8 +271,7 @@ def _curves(methods: Methods, env: Environment | None) -> dict[str, Callable[[Ax
         key = f"sensitivity_{name}" if i else "sensitivity"
         line = np.nan if name in ("epsilon", "gamma", "behaviour") else soft  # which is another at each point
         curves[key] = lambda ax, name=name, line=line: sensitivity(ax, methods, name, soft=line)
-    is_counted = env is not None and env.num_states > 0
-    if stats.is_prediction(*methods.values()) and is_counted and not tables_of(env):
+    if stats.is_prediction(*methods.values()) and env is not None and env.num_states and not tables_of(env):
         curves["values"] = lambda ax: state_values(ax, methods, env)
     return curves
 
