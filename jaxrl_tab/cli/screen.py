@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from jaxrl_tab.cli.fitting import print_over_tasks
+from jaxrl_tab.cli.options import NONE
 from jaxrl_tab.cli.printed import print_table
 from jaxrl_tab.cli.streams import console, print_json
 from jaxrl_tab.cli.typed import words
@@ -223,7 +224,11 @@ def print_summary(environment: str, methods: "Methods") -> None:
         name: dict.fromkeys(words(_setting_of(row)[name]) for row in rows if name in _setting_of(row))
         for name in methods.hyperparameters
     }
-    shared = [f"{name} {next(iter(values))}" for name, values in tried.items() if len(values) == 1]
+    shared = [
+        f"{name} {next(iter(values))}"
+        for name, values in tried.items()
+        if len(values) == 1 and NONE not in values
+    ]
     varied = [name for name, values in tried.items() if len(values) > 1]
     unit = "steps" if "num_steps" in ds.attrs else "episodes"
     length = f"{ds.attrs[f'num_{unit}']} {unit}" if "lengths" in ds or unit == "steps" else "one score"

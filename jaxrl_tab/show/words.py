@@ -83,8 +83,10 @@ def label_of(method: str, setting: Mapping[str, Any]) -> str:
 
 
 def in_words(setting: Mapping[str, Any]) -> list[str]:
-    """Each of the hyperparameters with its value as people write it: "α = 0.5"."""
-    return [f"{symbol(name)} = {written(value)}" for name, value in setting.items()]
+    """Each of the hyperparameters with its value as people write it, "α = 0.5"; but for texts that are empty."""
+    return [
+        f"{symbol(name)} = {written(x)}" for name, x in setting.items() if not (isinstance(x, str) and not x)
+    ]
 
 
 def written(x: Any) -> str:
