@@ -334,3 +334,16 @@ def test_refusals(message):
         REFUSED[message]()
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_where_states_cannot_be_counted_the_results_have_room_for_the_most_weights():
+    """Those of fewer features stand at the beginning. Broken once: room for those of the first alone -> fails."""
+    grid = {"features": ["tile-coding(2, 2)", "tile-coding(4, 3)"], "epsilon": 0.0}
+    both = rl.sweep(CAR, approx.SemiGradientSarsa, grid, num_seeds=2, num_steps=50)
+    assert both.q.shape == (2, 2, 64, 3)
+    assert not both.q[0, :, 18:].any()
+    for i, features in enumerate(grid["features"]):
+        alone = rl.sweep(
+            CAR, approx.SemiGradientSarsa, grid | {"features": features}, num_seeds=2, num_steps=50
+        )
+        np.testing.assert_array_equal(both.q[i, :, : alone.q.shape[1]], alone.q)

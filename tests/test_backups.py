@@ -180,6 +180,7 @@ SHAPES["q-lambda"] = (
 SHAPES |= {name: SHAPES[name.replace("semi-gradient-", "")] for name in METHODS if "semi-gradient" in name}
 SHAPES |= {"deep-q-network": SHAPES["q-learning"], "deep-sarsa": SHAPES["sarsa"]}
 SHAPES["gradient-monte-carlo"] = SHAPES["monte-carlo-prediction"]
+SHAPES |= dict.fromkeys(("lstd", "semi-gradient-off-policy-td", "gtd2", "tdc", "emphatic-td"), TD0)
 IN_WORDS = {  # what no circle shows
     "double-q-learning": "one table chooses the action, the other gives its value",
     "q-learning-target": "A' is drawn from the target policy",

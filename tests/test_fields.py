@@ -85,6 +85,8 @@ OUTSIDE = {
     "stays_high": [-0.1, 1.1],
     "stays_low": [-0.1, 1.1],
     "right": [[-1.0, 2.0]],
+    "ends": [0, 1.1],
+    "ridge": [0],
 }
 LIMITED = [(cls, f.name) for cls in CLASSES for f in dataclasses.fields(cls) if f.metadata.get("limits")]
 

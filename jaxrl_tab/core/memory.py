@@ -66,10 +66,15 @@ class Results:
         self.arrays = jax.tree.map(lambda x: make((runs, *x.shape), x.dtype), like)
 
     def write(self, runs: np.ndarray, values: Any) -> None:
-        """Writes the results of these runs: `runs` int [n], `values` a pytree of arrays [n, ...]."""
+        """Writes the results of these runs: `runs` int [n], `values` a pytree of arrays [n, ...].
+
+        Where an array is smaller than the room for it, it stands at its beginning, and 0 beyond.
+        """
 
         def put(array: np.ndarray, x: np.ndarray) -> None:
-            array[runs] = x
+            if x.shape[1:] != array.shape[1:]:
+                array[runs] = 0
+            array[(runs, *map(slice, x.shape[1:]))] = x
 
         jax.tree.map(put, self.arrays, values)
         let_go()

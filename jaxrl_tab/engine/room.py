@@ -69,10 +69,7 @@ def plan(
         InputError: there is not enough memory for a call, or room on the disk; nothing was compiled.
     """
     devices = tuple(devices or jax.local_devices())
-    results = needs[0].results
-    if any(other.results != results for other in needs):
-        raise InputError("what record gives must be of the same shape in all runs")
-
+    results = results_of(needs)
     least = max(one.call.bytes(_least_lanes(devices), blocks=1) for one in needs)
     machine, device = (memory.free(x) // 2 if limit is None else limit for x in ((), devices))
     needed = runs * memory.size(results)
@@ -99,6 +96,21 @@ def plan(
             )
         logging.getLogger(__name__).warning("%s, so they are kept in files in %s", reason, folder)
     return Plan(memory.Results(results, runs, on_disk), device)
+
+
+def results_of(needs: "Sequence[Needs]") -> tuple[Any, ...]:
+    """The shapes of what the runs of all programs of a part give.
+
+    Their tables may differ where they are weights, of other features: then it is the largest.
+
+    Raises:
+        InputError: something else differs.
+    """
+    tables, others = [one.results[0] for one in needs], [one.results[1:] for one in needs]
+    if any(other != others[0] for other in others):
+        raise InputError("what record gives must be of the same shape in all runs")
+    shape = tuple(map(max, *(x.shape for x in tables))) if len(tables) > 1 else tables[0].shape
+    return (jax.ShapeDtypeStruct(shape, tables[0].dtype), *others[0])
 
 
 def forecast(

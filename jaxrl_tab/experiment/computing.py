@@ -13,6 +13,7 @@ from jaxrl_tab.engine import batch, speeds
 from jaxrl_tab.engine.log import LATER
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import is_diverged
+from jaxrl_tab.engine.room import results_of
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import shards
 from jaxrl_tab.experiment.executors import Executor, Local
@@ -123,6 +124,7 @@ def collected(store: Store, part: Part, own: Mapping[int, Shard], room: int) -> 
         seconds += arrays.pop("seconds")
         if results is None:
             like = {key: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for key, x in arrays.items()}
+            like["q"] = results_of(part.needs)[0]  # of all programs
             needed = size(like) * part.runs
             results = Results(like, part.runs, on_disk=needed > room)
             room -= needed if needed <= room else 0

@@ -21,6 +21,7 @@ from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.log import Log
 from jaxrl_tab.engine.part import Computed, Part
 from jaxrl_tab.engine.results import SweepResult
+from jaxrl_tab.engine.room import results_of
 from jaxrl_tab.engine.sweep import result
 from jaxrl_tab.experiment import disk, scores, sources, storage
 from jaxrl_tab.experiment.files import Outcome
@@ -207,6 +208,7 @@ def _in_shards(
             arrays = {key: x for key, x in arrays.items() if key != "seconds" and not key.startswith(END)}
             if results is None:
                 like = {key: jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for key, x in arrays.items()}
+                like["q"] = results_of(part.needs)[0]  # of all programs
                 results = Results(like, part.runs, on_disk=size(like) * part.runs > free() // 8)
             at = runs(part, shard)
             results.write(at, arrays)
