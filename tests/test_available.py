@@ -192,7 +192,7 @@ def played(method, **budget):
 
 
 def has_a_plain_loop(name):
-    """Not where it learns in other tasks alone, which `test_optimism` has; those with features are the same by table."""
+    """Not where it learns in other tasks alone, which `test_optimism` has; with features it is the same by table."""
     declared = of_method(rl.ALGORITHMS[name])
     return not declared.needs_horizon and declared.features is None
 

@@ -115,10 +115,11 @@ class Deep(ValueControl):
     on_policy: ClassVar[bool] = False  # whether A' is remembered
 
     def works_with(self, state: DeepState) -> Any:
-        """The gradient, what the optimiser makes of it, and a batch with what each layer gives for it, forth and back."""
+        """The gradient, what the optimiser makes of it, and a batch with what each layer gives, forth and back."""
         batch: Replay = jax.tree.map(lambda x: x[: self.batch], state.memory)
         outputs = [jnp.zeros((2, self.batch, len(layer.b))) for layer in state.weights]
         return state.weights, state.weights, batch, outputs
+
     left_to_xla: ClassVar[str] = "it multiplies matrices"
 
     def init(  # pyright: ignore[reportIncompatibleMethodOverride]
