@@ -41,12 +41,14 @@ def pairs(env: str) -> Iterator[tuple[str, str]]:
     """(method, budget): Sarsa and some of the others, in the next environment the next ones; in one all.
 
     So that each is in two environments besides that one, whatever their number: in one by steps, in the other by
-    episodes. Where states cannot be counted it is those that have features. Methods of the average reward are in
-    `GOES_ON` alone, and those that need a horizon in `HAS_HORIZON`.
+    episodes; but none that is left to XLA. Where states cannot be counted it is those that have features. Methods of
+    the average reward are in `GOES_ON` alone, and those that need a horizon in `HAS_HORIZON`.
     """
     every = max(1, len(ENVS) // 2)
     for k, method in enumerate(METHODS, list(ENVS).index(env)):
         declared = of_method(METHODS[method])
+        if declared.left_to_xla:
+            continue
         if not make(env).num_states:
             if declared.features is not None:
                 yield method, list(BUDGETS)[k % 2]

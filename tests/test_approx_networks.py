@@ -16,7 +16,7 @@ KEY = jax.random.key(0)
 CAR = rl.MountainCar()
 CLIFF = rl.CliffWalking()
 DEEP = {"q": approx.DeepQNetwork, "sarsa": approx.DeepSarsa}
-SMALL = {"network": "mlp(5, 4, activation='tanh')", "memory": 6, "batch": 3, "target_every": 4, "gamma": 0.9}
+SMALL = {"network": "mlp(5, 4, activation='tanh')", "buffer": 6, "batch": 3, "target_every": 4, "gamma": 0.9}
 
 
 def transitions(count, seed=0):
@@ -158,7 +158,7 @@ def test_first_weights():
 def test_it_learns_the_way(name):
     """Over a windy grid of 5 x 6, in 6000 steps: as long as the shortest way, but for what exploring costs."""
     grid = rl.WindyGridworld(shape=(5, 6), wind=(0, 0, 1, 1, 0, 0), start=(2, 0), goal=(2, 5), max_steps=100)
-    own = {"network": "mlp(32)", "batch": 16, "memory": 2000, "target_every": 100, "gamma": 0.95}
+    own = {"network": "mlp(32)", "batch": 16, "buffer": 2000, "target_every": 100, "gamma": 0.95}
     method = DEEP[name](optimizer="optax:adam(0.005)", **own)
     state, log = rl.train(KEY, method, grid, num_steps=6000, log_every=1000, exact=True)
     best = float(rl.planning.start_value(grid, rl.planning.value_iteration(grid, 0.95)[0]))
@@ -188,7 +188,7 @@ REFUSED = {
     ),
     "activation": lambda: approx.DeepQNetwork(network="mlp(3, activation='selu')"),
     "mlp takes widths and activation": lambda: approx.DeepQNetwork(network="mlp(3, depth=4)"),
-    "DeepSarsa: a batch of 32 steps cannot be drawn from a memory of 10": lambda: approx.DeepSarsa(memory=10),
+    "DeepSarsa: a batch of 32 steps cannot be drawn from a memory of 10": lambda: approx.DeepSarsa(buffer=10),
     "DeepQNetwork: optimizer: an optimiser is written as optax has it, with its learning rate": (
         lambda: approx.DeepQNetwork(optimizer="adam")
     ),

@@ -178,6 +178,7 @@ SHAPES["q-lambda"] = (
 )
 # Those with features look ahead as those with a table do.
 SHAPES |= {name: SHAPES[name.replace("semi-gradient-", "")] for name in METHODS if "semi-gradient" in name}
+SHAPES |= {"deep-q-network": SHAPES["q-learning"], "deep-sarsa": SHAPES["sarsa"]}
 SHAPES["gradient-monte-carlo"] = SHAPES["monte-carlo-prediction"]
 SHAPES |= dict.fromkeys(("lstd", "semi-gradient-off-policy-td", "gtd2", "tdc", "emphatic-td"), TD0)
 IN_WORDS = {  # what no circle shows
@@ -208,6 +209,8 @@ IN_WORDS = {  # what no circle shows
     "dyna-q-plus": "from what the model remembers",
     "prioritized-sweeping": "the most urgent",
     "q-lambda": "the first action A_t+n that is not greedy",
+    "deep-q-network": "of an older copy",
+    "deep-sarsa": "of an older copy",
 }
 
 

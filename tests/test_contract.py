@@ -10,7 +10,15 @@ import jaxrl_tab as rl
 from jaxrl_tab import planning, policies, schedules
 from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.core.pytree import pytree
-from jaxrl_tab.core.types import Algorithm, Environment, FiniteEnvironment, Transition
+from jaxrl_tab.core.types import (
+    Algorithm,
+    Environment,
+    FiniteEnvironment,
+    Transition,
+    fitted,
+    init_learner,
+    table_of,
+)
 from jaxrl_tab.engine.budget import Budget
 from jaxrl_tab.engine.part import _same_program
 from jaxrl_tab.methods import METHODS
@@ -87,7 +95,9 @@ def test_methods_keep_the_protocol(name):
     cls = rl.ALGORITHMS[name]
     algorithm: Algorithm = cls()
     assert algorithm.gamma == 1.0
-    assert algorithm.init(5, 2).q.shape == (5, 2)
+    env = rl.FiniteMDP(np.full((5, 2, 5), 0.2), np.zeros((5, 2)), max_steps=4)
+    own = fitted(algorithm, env)
+    assert jax.eval_shape(lambda: table_of(own, 5, init_learner(own, env))).shape[-2:] == (5, 2)
     assert cls.__doc__
     for parameter, bad in (("alpha", 0), ("epsilon", 1.5), ("gamma", -0.1), ("alpha", float("nan"))):
         if hasattr(algorithm, parameter):

@@ -135,9 +135,11 @@ def test_results_of_long_ago(capsys, tmp_path, monkeypatch):
 def test_the_cells_of_a_notebook_run(name, capsys, monkeypatch):
     """Without a kernel, which takes longer, and with few seeds. Broken once: a name misspelt -> fails."""
     sweep = rl.sweep
-    few = lambda *of, num_seeds, num_steps, **more: sweep(
-        *of, num_seeds=min(num_seeds, 6), num_steps=num_steps // 5, progress=False, **more
-    )
+
+    def few(*of, num_seeds, **more):
+        length = {unit: n // 5 for unit, n in more.items() if unit in ("num_steps", "num_episodes")}
+        return sweep(*of, num_seeds=min(num_seeds, 6), progress=False, **more | length)
+
     monkeypatch.setattr(rl, "sweep", few)
     names = {}
     for cell in notebooks.kept(name).cells:

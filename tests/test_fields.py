@@ -55,6 +55,8 @@ OUTSIDE = {
     "rate": [0, 1],
     "n": [0],
     "batch": [0],
+    "buffer": [0],
+    "target_every": [0],
     "arms": [0],
     "drift": [-0.1],
     "tables": [0],

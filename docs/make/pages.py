@@ -103,6 +103,9 @@ def method_commands(name: str) -> list[str]:
     if declared.features is not None and declared.in_the_long_run:
         told = '--features one-hot "aggregation(11)" --alpha 0.02 --steps 200000 --log-every 2000 --seeds 20'
         return [f"jaxrl-tab sweep access-control {name} {told} --out runs/{name}"]
+    if name.startswith("deep-"):  # which need more time than tiles, and a step size of another kind
+        told = '--features "radial-basis(6, 0.2)" --network "mlp(32)" --optimizer "optax:adam(0.002)" --gamma 0.99'
+        return [f"jaxrl-tab sweep mountain-car {name} {told} --steps 10000 --seeds 4 --out runs/{name}"]
     if declared.features is not None and declared.learns is Learns.ACTIONS:
         return [_of_features("mountain-car", name, out=name)]
     if declared.features is not None and declared.learns_from.needs_behaviour:

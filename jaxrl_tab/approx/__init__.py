@@ -67,6 +67,8 @@ CONTROL: dict[str, type] = {
     "semi-gradient-sarsa-lambda": SemiGradientSarsaLambda,
     "semi-gradient-true-online-sarsa-lambda": SemiGradientTrueOnlineSarsaLambda,
     "differential-semi-gradient-sarsa": DifferentialSemiGradientSarsa,
+    "deep-q-network": DeepQNetwork,
+    "deep-sarsa": DeepSarsa,
 }
 OF_STATES: dict[str, type] = {
     "semi-gradient-td": SemiGradientTD,

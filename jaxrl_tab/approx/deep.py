@@ -1,6 +1,6 @@
 """Control by a neural network that learns from what it remembers (Mnih et al. 2015; Silver, lecture 6).
 
-Each step is put into a memory, a ring of the last `memory` of them; and of `batch` of these, drawn anew, the network
+Each step is put into a memory, a ring of the last `buffer` of them; and of `batch` of these, drawn anew, the network
 learns by its gradient. The values that it learns towards are those of a copy of it, which is made every `target_every`
 steps: so what it learns stays in place for a while, as in supervised learning.
 """
@@ -85,7 +85,7 @@ class Deep(ValueControl):
         default="optax:adam(0.001)",
         help="The optimiser, as the call that makes it in optax, with its learning rate.",
     )
-    memory: int = static(default=10_000, at_least=1, help="N, how many of the last steps it remembers.")
+    buffer: int = static(default=10_000, at_least=1, help="N, how many of the last steps it remembers.")
     batch: int = static(default=32, at_least=1, help="Of how many of them it learns in each step.")
     target_every: int = static(default=500, at_least=1, help="C, after how many steps the copy is made anew.")
     q0: float = field(default=0.0, help="What is added to each output before the first step.")
@@ -97,8 +97,8 @@ class Deep(ValueControl):
                 assign(self, **{name: read(getattr(self, name))})
             except InputError as error:
                 raise error.renamed(type(self).__name__, name) from None
-        if self.batch > self.memory:
-            problem = f"a batch of {self.batch:,} steps cannot be drawn from a memory of {self.memory:,}"
+        if self.batch > self.buffer:
+            problem = f"a batch of {self.batch:,} steps cannot be drawn from a memory of {self.buffer:,}"
             raise InputError(problem, who=type(self).__name__, field="batch")
         super().__post_init__()
 
@@ -113,6 +113,13 @@ class Deep(ValueControl):
         return super().restricted_to(available, q0=self.q0, **more)
 
     on_policy: ClassVar[bool] = False  # whether A' is remembered
+
+    def works_with(self, state: DeepState) -> Any:
+        """The gradient, what the optimiser makes of it, and a batch with what each layer gives, forth and back."""
+        batch: Replay = jax.tree.map(lambda x: x[: self.batch], state.memory)
+        outputs = [jnp.zeros((2, self.batch, len(layer.b))) for layer in state.weights]
+        return state.weights, state.weights, batch, outputs
+
     left_to_xla: ClassVar[str] = "it multiplies matrices"
 
     def init(  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -126,7 +133,7 @@ class Deep(ValueControl):
         a_next = zero if self.on_policy else None
         available = None if self.available is None else jnp.ones(num_actions, bool)
         step = Replay(x, zero, real, real, x, a_next, available)
-        memory = jax.tree.map(lambda x: jnp.zeros((self.memory, *x.shape), x.dtype), step)
+        memory = jax.tree.map(lambda x: jnp.zeros((self.buffer, *x.shape), x.dtype), step)
         by_visit = any(p.by_visit for p in self.all_policies)
         counts = clock.start(num_states, num_actions, by_visit)
         return DeepState(weights, weights, optimizers.start(self.optimizer, weights), memory, counts)
@@ -165,13 +172,13 @@ class Deep(ValueControl):
         """The learner with this step in its memory."""
         x, x_next = self.features(t.s), self.features(t.s_next)
         step = Replay(x, t.a, t.r, t.discount, x_next, a_next, self._available(t.s_next))
-        slot = (state.clock.step - 1) % self.memory
+        slot = (state.clock.step - 1) % self.buffer
         put = lambda old, new: tables.put_at(old, jnp.asarray(new, old.dtype), slot)
         return state._replace(memory=jax.tree.map(put, state.memory, step))
 
     def drawn(self, key: Key[Array, ""], state: DeepState) -> Int[Array, " batch"]:
         """Places in the memory, each as likely as the other, where there is a step; one may be drawn again."""
-        filled = jnp.minimum(state.clock.step, self.memory)
+        filled = jnp.minimum(state.clock.step, self.buffer)
         words = jax.random.bits(jax.random.fold_in(key, 1), (self.batch,), jnp.uint32)
         return ((words >> 8).astype(float) * 2**-24 * filled).astype(jnp.int32)
 

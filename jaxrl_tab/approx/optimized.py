@@ -18,6 +18,7 @@ from jaxrl_tab.core import linear, optimizers
 from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import Clock, end_step
 from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
 
@@ -36,7 +37,7 @@ class OptimizedState(NamedTuple):
 
 
 @pytree
-class Optimized:
+class Optimized(Shown):
     """What a method has whose weights an optimiser may change."""
 
     optimizer: Any = static(default="", help=OPTIMIZER)
@@ -44,7 +45,7 @@ class Optimized:
     def __post_init__(self):
         own: Any = self
         super().__post_init__()  # pyright: ignore[reportAttributeAccessIssue]
-        if not self.optimizer:
+        if isinstance(self.optimizer, str) and not self.optimizer:
             return
         who = type(self).__name__
         try:

@@ -16,8 +16,8 @@ from jaxrl_tab.core.types import Environment, fitted, init_learner
 from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.budget import NO_RECORDER, Recorder, Tables
 
-Recording: TypeAlias = Callable[[Any, Any], dict[str, Array]]
-"""What is recorded: a function of the method, which is fitted to its task, and of the state of its learner."""
+Recording: TypeAlias = Callable[[Any, Any], Any]
+"""What is recorded, a dict of arrays if it is right: a function of the method, which is fitted to its task, and of the state of its learner."""
 
 _NAMES = {"q", "diverged", "optimum", "environment", "method", DRAW, "seed", "row", "state", "action"}
 # Fields that earlier versions did not record: files of theirs lack them.
@@ -78,7 +78,7 @@ def record_of(record: Recorder | None, algorithm: Any) -> Recording | None:
     if record is None and not names:
         return None
 
-    def both(algorithm: Any, learner: Any) -> dict[str, Array]:
+    def both(algorithm: Any, learner: Any) -> Any:
         own = {name: getattr(learner, name) for name in names}
         if record is None:
             return own

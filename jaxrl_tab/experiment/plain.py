@@ -6,13 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from jaxrl_tab.approx import Features, features
+from jaxrl_tab.approx import MLP, Features, features, network
 from jaxrl_tab.core import clock, policies, schedules
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.experiment.places import DEEPEST
 
 # What is written as its text, and how that is read.
-AS_TEXT = {clock.Schedule: schedules.parse, policies.Policy: policies.parse, Features: features.read}
+AS_TEXT = {
+    clock.Schedule: schedules.parse,
+    policies.Policy: policies.parse,
+    Features: features.read,
+    MLP: network.read,
+}
 
 
 def as_plain(key: str, value: Any) -> Any:
