@@ -35,7 +35,7 @@ from jaxrl_tab.core.errors import (
 
 Typed = dict[str, tuple[str, ...]]
 """The options that were typed, each with its words; none for a switch."""
-MANY, SOME = 20, 8  # of more owners than many only some are named
+MANY, SOME = 12, 6  # of more owners than many only some are named
 MOST = 2 / 3  # of a part of a registry, from where on its name stands for those that are meant
 NONE = "–"  # stands where there is no default
 # What people look for among the options, and where it is.

@@ -17,7 +17,8 @@ from jaxrl_tab.engine.axes import DRAW
 from jaxrl_tab.engine.budget import NO_RECORDER, Recorder, Tables
 
 Recording: TypeAlias = Callable[[Any, Any], Any]
-"""What is recorded, a dict of arrays if it is right: a function of the method, which is fitted to its task, and of the state of its learner."""
+"""What is recorded, a dict of arrays if it is right: a function of the method, which is fitted to its task, and of the
+state of its learner."""
 
 _NAMES = {"q", "diverged", "optimum", "environment", "method", DRAW, "seed", "row", "state", "action"}
 # Fields that earlier versions did not record: files of theirs lack them.

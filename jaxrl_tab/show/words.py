@@ -132,6 +132,7 @@ TITLES = {  # where `_written` says it otherwise than people do
     "reinforce": "REINFORCE",
     "reinforce-baseline": "REINFORCE with baseline",
     "psrl": "PSRL",
+    "deep-q-network": "Deep Q-network",
     "gtd2": "GTD2",
     "tdc": "TDC",
     "lstd": "LSTD",
