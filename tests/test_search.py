@@ -25,11 +25,20 @@ from jaxrl_tab.stats.early import promise
 from jaxrl_tab.stats.settings import Settings
 
 METHODS = {**rl.ALGORITHMS, **rl.PREDICTION}
+NETWORKS = ("deep-q-network", "deep-sarsa")  # which take longer
 # Of a task that ends, and may be learned in it.
 FIT = [
     x
     for x in METHODS
-    if x not in ("r-learning", "differential-q-learning", "differential-sarsa", "ucb-q-learning", "ucbvi")
+    if x
+    not in (
+        "r-learning",
+        "differential-q-learning",
+        "differential-sarsa",
+        "ucb-q-learning",
+        "ucbvi",
+        *NETWORKS,
+    )
 ]
 SARSA = {"name": "sarsa", "alpha": {"log_uniform": [0.05, 1]}, "epsilon": [0.05, 0.1]}
 
@@ -83,6 +92,12 @@ def test_a_run_that_goes_on_is_the_run_that_is_made_at_once():
 @pytest.mark.parametrize("method", FIT)
 def test_so_it_is_of_every_method(method, unit):
     assert_goes_on(method, unit, (40, 80, 160) if unit == "num_steps" else (2, 4, 8))
+
+
+@pytest.mark.slow
+def test_so_it_is_of_a_network():
+    """By steps alone: its first episodes are long, and XLA takes its time for them."""
+    assert_goes_on("deep-q-network", "num_steps", (40, 80))
 
 
 @pytest.mark.slow
