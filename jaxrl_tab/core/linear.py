@@ -81,12 +81,12 @@ def change(
         lane: where this is in the body of `tables.lane_by_lane`, the lane.
     """
     if isinstance(x, Active):
-        if len(x.ones) > UNROLLED:
-            return lax.fori_loop(0, len(x.ones), lambda k, ws: change(formula, ws, x.ones[k], a, *lane), ws)
-        ones = list(x.ones)
-        # All are read before one is written, for what is written could be what is read: of that nothing is known there.
-        new = [formula(_as_it_is, *(tables.entry(w, *lane, i, a) for w in ws)) for i in ones]
-        return reduce(lambda ws, at: _put(ws, at[1], *lane, at[0], a), zip(ones, new, strict=True), ws)
+        # One after another, though all could be read before one is written, which is 8 % faster: then XLA rounds
+        # the product of step size and error by itself, and `lanes`, which knows nothing of that, has other bits.
+        one = lambda ws, i: change(formula, ws, i, a, *lane)
+        if len(x.ones) <= UNROLLED:
+            return reduce(one, list(x.ones), ws)
+        return lax.fori_loop(0, len(x.ones), lambda k, ws: one(ws, x.ones[k]), ws)
     if x.ndim == 0:
         new = formula(_as_it_is, *(tables.entry(w, *lane, x, a) for w in ws))
         return _put(ws, new, *lane, x, a)
