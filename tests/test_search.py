@@ -87,7 +87,7 @@ def test_a_run_that_goes_on_is_the_run_that_is_made_at_once():
 
 
 @pytest.mark.slow
-@pytest.mark.one_in(9)
+@pytest.mark.one_in(20)
 @pytest.mark.parametrize("unit", ["num_steps", "num_episodes"])
 @pytest.mark.parametrize("method", FIT)
 def test_so_it_is_of_every_method(method, unit):
