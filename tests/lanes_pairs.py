@@ -50,7 +50,7 @@ def pairs(env: str) -> Iterator[tuple[str, str]]:
         if declared.left_to_xla:
             continue
         if not make(env).num_states:
-            if declared.features is not None:
+            if declared.features is not None and not declared.multiplies_returns:
                 yield method, list(BUDGETS)[k % 2]
         elif declared.in_the_long_run or declared.needs_horizon:
             alone = GOES_ON if declared.in_the_long_run else HAS_HORIZON

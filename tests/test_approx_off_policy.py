@@ -170,6 +170,9 @@ REFUSED = {
         approx.SemiGradientSarsa(features="own"), rl.MountainCar()
     ),
     "behaviour leaves out action 0 in state 0": lambda: approx.TDC(behaviour=[[0, 1]], pi=[[0.5, 0.5]]),
+    "GTD2: it compares two policies state by state, and those of MountainCar cannot be counted": lambda: (
+        train(approx.GTD2(features="tile-coding"), rl.MountainCar())
+    ),
     "LSTD: ridge must be": lambda: approx.LSTD(ridge=0.0),
 }
 

@@ -83,4 +83,4 @@ class LSTD(SemiGradientPrediction, TD):
     )
 
     def works_with(self, state: ValueState) -> Any:
-        return state.learner.inverse
+        return [state.learner.inverse] * 2  # the one before, and the product that is taken off it

@@ -4,7 +4,7 @@ One policy b acts while the values of another, pi, are learned. Each step counts
 rho = pi(A | S) / b(A | S).
 """
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -17,8 +17,9 @@ from jaxrl_tab.core import clock, linear, tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Clock, Rate, end_step
 from jaxrl_tab.core.declared import LearnsFrom
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import field, pytree
-from jaxrl_tab.core.types import Transition
+from jaxrl_tab.core.types import Environment, Transition
 
 
 @pytree
@@ -45,6 +46,12 @@ class OffPolicyLinear(SemiGradientPrediction, OffPolicyPrediction):
         "state, action, state",
         "Another policy b acts: the error is multiplied by the ratio π(A | S) / b(A | S).",
     )
+
+    def fitted_to(self, env: Environment) -> Self:
+        if not env.num_states:
+            problem = f"it compares two policies state by state, and those of {type(env).__name__} cannot be counted"
+            raise InputError(problem, who=type(self).__name__)
+        return super().fitted_to(env)
 
     def update(self, key, state: ValueState, t: Transition):
         assert state.target is not None
