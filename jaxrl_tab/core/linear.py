@@ -88,8 +88,9 @@ def change(
             return reduce(one, list(x.ones), ws)
         return lax.fori_loop(0, len(x.ones), lambda k, ws: one(ws, x.ones[k]), ws)
     if x.ndim == 0:
-        new = formula(_as_it_is, *(tables.entry(w, *lane, x, a) for w in ws))
-        return _put(ws, new, *lane, x, a)
+        put = tables.write if lane else tables.put
+        new = formula(lambda y: y, *(tables.entry(w, *lane, x, a) for w in ws))
+        return tuple(put(w, y, *lane, x, a) for w, y in zip(ws, new, strict=True))
     new = formula(lambda y: y * x, *(_column(w, a, *lane) for w in ws))
     return tuple(_with_column(w, y, a, *lane) for w, y in zip(ws, new, strict=True))
 
@@ -109,17 +110,6 @@ def _added_up(read: Callable[[Array], Array], x: Active) -> Array:
     if len(x.ones) <= UNROLLED:
         return total
     return lax.fori_loop(UNROLLED, len(x.ones), lambda k, total: total + read(x.ones[k]), total)
-
-
-def _as_it_is(y: Array) -> Array:
-    """Times a feature that is 1."""
-    return y
-
-
-def _put(ws: tuple[Array, ...], new: tuple[Array, ...], *at: Array) -> tuple[Array, ...]:
-    """The weights with other numbers at one place; inside the body of `tables.lane_by_lane` it begins with the lane."""
-    put = tables.write if len(at) > 2 else tables.put
-    return tuple(put(w, y, *at) for w, y in zip(ws, new, strict=True))
 
 
 def _at(a: Array, *lane: Array) -> tuple[Array, ...]:

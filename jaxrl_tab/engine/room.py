@@ -109,7 +109,7 @@ def results_of(needs: "Sequence[Needs]") -> tuple[Any, ...]:
     tables, others = [one.results[0] for one in needs], [one.results[1:] for one in needs]
     if any(other != others[0] for other in others):
         raise InputError("what record gives must be of the same shape in all runs")
-    shape = tuple(map(max, *(x.shape for x in tables))) if len(tables) > 1 else tables[0].shape
+    shape = tuple(np.max([x.shape for x in tables], axis=0).tolist())
     return (jax.ShapeDtypeStruct(shape, tables[0].dtype), *others[0])
 
 
