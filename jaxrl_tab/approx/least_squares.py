@@ -48,12 +48,12 @@ class _LeastSquares(SemiGradientControl):
         state = self.begin(state, t)
         size = len(state.b)
         x, x_next = (linear.all_of(self.x(s), size, state.b.dtype) for s in (t.s, t.s_next))
-        v = ((x - t.discount * x_next)[:, None] * state.inverse).sum(0)
-        turned = (state.inverse * x[None]).sum(1)
-        inverse = state.inverse - turned[:, None] * (v / (1 + (v * x).sum()))[None]
+        v = linear.total((x - t.discount * x_next)[:, None] * state.inverse)
+        turned = linear.total((state.inverse * x[None]).T)
+        inverse = state.inverse - turned[:, None] * (v / (1 + linear.total(v * x)))[None]
         b = state.b + t.r * x
-        w = (inverse * b[None]).sum(1)[:, None]
-        return LeastSquaresState(w, end_step(state.clock, t.last), inverse, b), t.a
+        w = linear.total((inverse * b[None]).T)
+        return LeastSquaresState(w[:, None], end_step(state.clock, t.last), inverse, b), t.a
 
 
 @pytree

@@ -44,7 +44,7 @@ def row(w: Shaped[Array, "n A"], x: X) -> Shaped[Array, " A"]:
     """The values of all actions, x . w(., a), [A]."""
     if isinstance(x, Active):
         return _added_up(lambda i: tables.row(w, i), x)
-    return tables.row(w, x) if x.ndim == 0 else (x[:, None] * w).sum(0)
+    return tables.row(w, x) if x.ndim == 0 else total(x[:, None] * w)
 
 
 def entry(
@@ -53,7 +53,7 @@ def entry(
     """The value of an action, x . w(., a), []; inside the body of `tables.lane_by_lane` that of a `lane`."""
     if isinstance(x, Active):
         return _added_up(lambda i: tables.entry(w, *lane, i, a), x)
-    return tables.entry(w, *lane, x, a) if x.ndim == 0 else (x * _column(w, a, *lane)).sum()
+    return tables.entry(w, *lane, x, a) if x.ndim == 0 else total(x * _column(w, a, *lane))
 
 
 def add(
@@ -84,7 +84,7 @@ def change(
         # One after another, though all could be read before one is written, which is 8 % faster: then XLA rounds
         # the product of step size and error by itself, and `lanes`, which knows nothing of that, has other bits.
         one = lambda ws, i: change(formula, ws, i, a, *lane)
-        if len(x.ones) <= UNROLLED:
+        if len(x.ones) == 1 or (not lane and len(x.ones) <= UNROLLED):
             return reduce(one, list(x.ones), ws)
         return lax.fori_loop(0, len(x.ones), lambda k, ws: one(ws, x.ones[k]), ws)
     if x.ndim == 0:
@@ -93,6 +93,18 @@ def change(
         return tuple(put(w, y, *lane, x, a) for w, y in zip(ws, new, strict=True))
     new = formula(lambda y: y * x, *(_column(w, a, *lane) for w in ws))
     return tuple(_with_column(w, y, a, *lane) for w, y in zip(ws, new, strict=True))
+
+
+def total(terms: Float[Array, "n *more"]) -> Float[Array, "*more"]:
+    """The sum of terms, one after another, each rounded before: so it has the same bits whoever compiles it.
+
+    In `jnp.sum`, XLA takes an order for each program, and fuses products with sums or does not. What goes into a loop
+    is in memory. (A GPU, whose bits are others, adds up as it likes.)
+    """
+    if not tables.lanes_in_turn():
+        return terms.sum(0)
+    nothing = jnp.full(terms.shape[1:], -0.0, terms.dtype)  # what changes no number, 0 included
+    return lax.scan(lambda sums, term: (sums + term, None), nothing, terms)[0]
 
 
 def all_of(x: X, size: int, dtype: Any) -> Float[Array, " n"]:

@@ -95,10 +95,12 @@ class Loop:
     Attributes:
         condition: gives one bool; its parameters are what is carried.
         body: gives what is carried next.
+        inline: whether it is a case of a choice, a loop here alone: XLA works it out where it stands.
     """
 
     condition: Region
     body: Region
+    inline: bool = False
 
 
 @dataclass(frozen=True)
@@ -197,11 +199,15 @@ class Builder:
             self.region = outer
 
     def loop(
-        self, first: Sequence[Value], condition: Callable[..., Value], body: Callable[..., Sequence[Value]]
+        self,
+        first: Sequence[Value],
+        condition: Callable[..., Value],
+        body: Callable[..., Sequence[Value]],
+        inline: bool = False,
     ) -> list[Value]:
         """The values that a loop leaves."""
         params = [Value("param", x.dtype) for x in first]
-        parts = Loop(self.write(params, lambda *p: [condition(*p)]), self.write(params, body))
+        parts = Loop(self.write(params, lambda *p: [condition(*p)]), self.write(params, body), inline)
         made = self.add(Value("loop", bool, first, parts))
         return [Value("result", x.dtype, (made,), k) for k, x in enumerate(first)]
 
@@ -220,7 +226,7 @@ class Builder:
 
     def rounded(self, x: Value) -> Value:
         """`x`, rounded by itself: an addition that takes it is not fused with the product that it is."""
-        if x.dtype.kind != "f":
+        if x.dtype.kind != "f" or x.op not in ("mul", "select"):  # of which `choices` may make a product
             return x
         return self.op("bitcast", x.dtype, self.op("bitcast", np.int32, x))
 

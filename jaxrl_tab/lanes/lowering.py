@@ -5,6 +5,7 @@ finds out (`Stale`), and all is lowered once more, with a copy made before that 
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -13,6 +14,7 @@ from jax.extend import core as jex
 
 from jaxrl_tab.lanes.arrays import (
     Array,
+    Items,
     Known,
     Lazy,
     Parts,
@@ -106,6 +108,8 @@ class Lowering(Builder):
         if is_outside(equation):
             return self._outside(equation.params["jaxpr"], args)
         if name in CALLS:
+            if name == "custom_vmap_call":  # of `tables`, whose rules are loops over lanes in XLA
+                args = self.as_in_memory(args)
             inner = next(equation.params[p] for p in ("jaxpr", "call", "call_jaxpr") if p in equation.params)
             return self.closed(inner, *args) if hasattr(inner, "consts") else self.jaxpr(inner, (), args)
         if name not in RULES:
@@ -170,6 +174,16 @@ class Lowering(Builder):
             for k in range(count)
         ]
         return [Parts(tuple(parts)) for parts in zip(*each, strict=True)]
+
+    def as_in_memory(self, arrays: Sequence[Array]) -> list[Any]:
+        """The same arrays, with numbers that are rounded by themselves, as what XLA puts into memory is."""
+
+        def rounded(x: Plain) -> Plain:
+            if isinstance(x, Items):
+                return replace(x, values=[*map(self.rounded, x.values)])
+            return replace(x, rule=lambda i: self.rounded(x.rule(i))) if isinstance(x, Lazy) else x
+
+        return like(arrays, [rounded(x) for x in flat(arrays)])
 
     # --- memory
 
@@ -246,6 +260,7 @@ class Lowering(Builder):
         first: Sequence[Array],
         condition: Callable[[list[Any]], Value],
         body: Callable[[list[Any]], Sequence[Any]],
+        inline: bool = False,
     ) -> list[Any]:
         """A loop over arrays: `condition(arrays) -> Value`, `body(arrays) -> arrays`.
 
@@ -276,7 +291,7 @@ class Lowering(Builder):
             self._hand_on([(x.buffer, y) for x, y in memory if not _is_in(y, x)])
             return result
 
-        return arrays(self.loop(numbers(parts), lambda *values: condition(arrays(values)), once))
+        return arrays(self.loop(numbers(parts), lambda *values: condition(arrays(values)), once, inline))
 
     def _hand_on(self, moved: Sequence[tuple[Buffer, Plain]]) -> None:
         """Puts arrays into the memory of what a loop carries: all are read before one is written.

@@ -1,13 +1,14 @@
 """Loops and branches: while, scan, cond."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from jaxrl_tab.lanes.arrays import (
+    SMALL,
     Array,
     Known,
     Parts,
@@ -26,13 +27,15 @@ from jaxrl_tab.lanes.registry import rule
 from jaxrl_tab.lanes.rules.indexing import clamped
 from jaxrl_tab.lanes.rules.numbers import word_of
 
+TURN = 3  # numbers that a turn of a loop counts as, besides its own
+WRITTEN_OUT = 256  # numbers at most of a loop that is written turn after turn
 FEW = 24  # equations of a branch that is worked out where it is not taken, too
 
 
 @rule("while", of_parts=True)
 def while_(code: Lowering, equation: Any, *args: Array) -> list[Array]:
     p = equation.params
-    of_condition, of_body, first = _split(args, p["cond_nconsts"], p["body_nconsts"])
+    of_condition, of_body, first = _split(code.as_in_memory(args), p["cond_nconsts"], p["body_nconsts"])
     return code.while_loop(
         first,
         lambda carried: code.closed(p["cond_jaxpr"], *of_condition, *carried)[0].item(0),
@@ -44,22 +47,30 @@ def while_(code: Lowering, equation: Any, *args: Array) -> list[Array]:
 def scan(code: Lowering, equation: Any, *args: Array) -> list[Array]:
     p = equation.params
     of_consts, count = _counts(p)
-    consts, first, rows = _split(args, of_consts, count)
     length, closed = p["length"], p["jaxpr"]
+    # Of a single turn XLA makes no loop.
+    consts, first, rows = _split(args if length == 1 else code.as_in_memory(args), of_consts, count)
     stacked = [_stack(code, length, v.aval) for v in closed.jaxpr.outvars[count:]]
 
-    def body(carried: list[Any]) -> list[Array]:
-        turn = carried[0].item(0)
-        at = code.op("sub", np.int32, code.const(length - 1, np.int32), turn) if p["reverse"] else turn
+    def turn(carried: list[Any]) -> list[Array]:
+        i = carried[0].item(0)
+        at = code.op("sub", np.int32, code.const(length - 1, np.int32), i) if p["reverse"] else i
         after = code.closed(closed, *consts, *carried[1 : 1 + count], *(_row(code, x, at) for x in rows))
         filled = zip(flat(carried[1 + count :]), flat(after[count:]), strict=True)
         new = like(stacked, [_put(code, x, y, at) for x, y in filled])
-        return [made_of(code, (), np.int32, [code.plus(turn, 1)]), *after[:count], *new]
+        return [made_of(code, (), np.int32, [code.plus(i, 1)]), *after[:count], *new]
 
     def goes_on(carried: list[Any]) -> Value:
         return code.op("lt", bool, carried[0].item(0), code.const(length, np.int32))
 
-    return code.while_loop([code.known(np.int32(0)), *first, *stacked], goes_on, body)[1:]
+    carried = [code.known(np.int32(0)), *first, *stacked]
+    if length * (_numbers(closed.jaxpr) + TURN) > WRITTEN_OUT:
+        return code.while_loop(carried, goes_on, turn)[1:]
+    for _ in range(length):
+        carried = turn(carried)
+        if length > 1:
+            carried = like(carried, [code.in_memory(x) for x in flat(code.as_in_memory(carried))])
+    return carried[1:]
 
 
 @rule("cond", of_parts=True)
@@ -98,7 +109,7 @@ def cond(code: Lowering, equation: Any, which: Plain, *args: Array) -> Sequence[
             return [code.known(np.bool_(False)), *code.closed(branch, *own)]
 
         first = [made_of(code, (), bool, [taken]), *results]
-        results = code.while_loop(first, lambda carried: carried[0].item(0), once)[1:]
+        results = code.while_loop(first, lambda carried: carried[0].item(0), once, inline=True)[1:]
     return results
 
 
@@ -109,14 +120,23 @@ def _is_short(jaxpr: Any) -> bool:
 
 def _equations(jaxpr: Any) -> float:
     """How many equations there are, also in what is called; infinity where one is a loop, or gives a large array."""
+    return _count(jaxpr, lambda sizes: 1 if max(sizes, default=0) <= SMALL else math.inf)
+
+
+def _numbers(jaxpr: Any) -> float:
+    """How many numbers the equations give, if they give few; a large array counts as one, and a loop as infinity."""
+    return _count(jaxpr, lambda sizes: sum(n if n <= SMALL else 1 for n in sizes))
+
+
+def _count(jaxpr: Any, of_one: Callable[[list[int]], float]) -> float:
+    """What the equations add up to, also in what is called: each by the sizes of its results; a loop is infinity."""
     count = 0.0
     for equation in jaxpr.eqns:
-        inner = [p.jaxpr if hasattr(p, "jaxpr") else p for p in equation.params.values()]
-        if equation.primitive.name in ("while", "scan", "cond") or not all(
-            is_small(v.aval.shape) for v in equation.outvars
-        ):
+        if equation.primitive.name in ("while", "scan", "cond"):
             return math.inf
-        count += 1 + sum(_equations(p) for p in inner if hasattr(p, "eqns"))
+        inner = [p.jaxpr if hasattr(p, "jaxpr") else p for p in equation.params.values()]
+        count += of_one([size_of(v.aval.shape) for v in equation.outvars])
+        count += sum(_count(p, of_one) for p in inner if hasattr(p, "eqns"))
     return count
 
 
