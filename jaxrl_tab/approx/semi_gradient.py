@@ -167,7 +167,12 @@ class SemiGradientPrediction(Linear, Prediction):
     Where states cannot be counted, nobody can say what a policy does in each: there all actions are equally likely.
     """
 
-    measures: ClassVar[tuple[str, ...]] = ("v_error", "value_error", "projected_bellman_error")
+    measures: ClassVar[tuple[str, ...]] = (
+        "v_error",
+        "value_error",
+        "bellman_error",
+        "projected_bellman_error",
+    )
 
     def fitted_to(self, env: Environment) -> Self:
         if not env.num_states and (

@@ -131,6 +131,7 @@ class OfEnvironment(NamedTuple):
             where it gives none.
         target_policy, behaviour_policy: the policy whose values its source asks for, and the one that acts, float
             [S, A]: those of a method of prediction that was given none. None where its source says nothing of them.
+        title: what it is called, where its class alone does not say it; else None.
     """
 
     instance: Callable[..., Any] | None = None
@@ -150,6 +151,7 @@ class OfEnvironment(NamedTuple):
     features: Any = None
     target_policy: Any = None
     behaviour_policy: Any = None
+    title: str | None = None
 
     @property
     def differs(self) -> str:

@@ -27,7 +27,7 @@ from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.part import Computed, Part, compute
 from jaxrl_tab.engine.results import SweepResult, label, parameters
 from jaxrl_tab.engine.train import check_end
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import name_of
 from jaxrl_tab.exact import planning
 from jaxrl_tab.methods import METHOD, METHODS
 from jaxrl_tab.show.progress import Progress, Report, reporting
@@ -102,7 +102,7 @@ def sweep(
         first_seed=first_seed,
     )
     state = Progress(
-        f"{registered_name(METHODS, part.algorithm)} in {registered_name(ENVS, type(env))}",
+        f"{registered_name(METHODS, part.algorithm)} in {name_of(env)}",
         0,
         part.runs,
     )
@@ -182,7 +182,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
     shape = (*(len(values) for values in axes.values()), part.num_seeds)
     q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(
-        environment=registered_name(ENVS, type(part.env)),
+        environment=name_of(part.env),
         algorithm=registered_name(METHODS, part.algorithm),
         learns=method.learns,
         env=part.env,
