@@ -207,6 +207,7 @@ def linear_value_measurer(
         root = jnp.sqrt(mu)
         # delta = r + (gamma P - 1) v, weighted.
         to_delta, constant = root[:, None] * (gamma * onward - jnp.eye(len(mu))), root * reward
+        values = basis = None
         if features is not None:
             x = jnp.asarray(features, root.dtype)
             # What the features can express, and the same weighted: of both a basis, with one program for the two.
@@ -219,12 +220,17 @@ def linear_value_measurer(
         with doubled():
             exact_v = v.astype(v_pi.dtype)
             apart = jnp.where(mu > 0, exact_v - v_pi, 0)
-            delta = constant + to_delta @ (exact_v if features is None else values.T @ exact_v)
-            projected = delta if features is None else basis.T @ delta
+            delta = constant + to_delta @ _coordinates(values, exact_v)
+            projected = _coordinates(basis, delta)
             squares = (mu * apart**2).sum(), (delta**2).sum(), (projected**2).sum()
             return tuple(jnp.sqrt(x).astype(v.dtype) for x in squares)
 
     return lambda v: (v_error(v), *of_weights(v))
+
+
+def _coordinates(basis: Float[Array, "S k"] | None, x: Float[Array, " S"]) -> Float[Array, " k"]:
+    """Those of x in an orthonormal basis; x itself where each state is a feature of its own."""
+    return x if basis is None else basis.T @ x
 
 
 def _chain(model: Model, policy: Float[Array, "S A"]) -> Float[Array, "S S"]:
