@@ -216,11 +216,11 @@ class SemiGradientPrediction(Linear, Prediction):
             states, values = known()
 
             @planning.in_turn
-            def measure(state: ValueState) -> dict[str, Float[Array, ""]]:
+            def error(state: ValueState) -> tuple[Float[Array, ""], ...]:
                 learned = jax.vmap(self.row, (None, 0))(state, states)[:, 0]
-                return {"v_error": jnp.sqrt(((learned - values) ** 2).mean())}
+                return (jnp.sqrt(((learned - values) ** 2).mean()),)
 
-            return measure
+            return lambda state: {"v_error": error(state)[0]}
         planning.check_finite(env)
         with planning.doubled():
             pi, b = self.policies(env)
