@@ -114,7 +114,7 @@ class Linear(Shown):
 
 
 @pytree
-class SemiGradientControl(Linear, TDControl):
+class LinearControl(Linear, ValueControl):
     """Control whose Q is linear in features of the state, with weights of their own for each action.
 
     q(s, a) = x(s) . w(., a)      (book, section 9.4)
@@ -154,6 +154,11 @@ class SemiGradientControl(Linear, TDControl):
         if (available := self.available) is None:
             return row
         return jnp.where(tables.row(jnp.asarray(available, float), s) > 0, row, policies.UNAVAILABLE)
+
+
+@pytree
+class SemiGradientControl(LinearControl, TDControl):
+    """Control whose Q is linear in features of the state, and which learns by a step size."""
 
     def step_size(self, state: Learner, t: Transition) -> Float[Array, ""] | float:
         alpha = super().step_size(state, t)
