@@ -23,7 +23,7 @@ from jaxrl_tab.approx.features import OneHot, matrix, read
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import goes_by_visit
-from jaxrl_tab.core.declared import name_of
+from jaxrl_tab.core.declared import name_of, of_environment
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.linear import X
 from jaxrl_tab.core.notebook import Shown
@@ -215,7 +215,19 @@ class SemiGradientPrediction(Linear, Prediction):
         return planning.linear_values(env, pi, features, float(own.gamma), behaviour=b)
 
     def measurer(self, env: Environment):
-        """What `train(exact=True)` records: the errors that are `measures`, from the state."""
+        """What `train(exact=True)` records: the errors that are `measures`, from the state.
+
+        Where states cannot be counted it is the root of the mean squared error of V in those whose values are known.
+        """
+        if not env.num_states and (known := of_environment(env).known_values):
+            states, values = known()
+
+            @planning.in_turn
+            def error(state: ValueState) -> tuple[Float[Array, ""], ...]:
+                learned = jax.vmap(self.row, (None, 0))(state, states)[:, 0]
+                return (jnp.sqrt(((learned - values) ** 2).mean()),)
+
+            return lambda state: {"v_error": error(state)[0]}
         planning.check_finite(env)
         with planning.doubled():
             pi, b = self.policies(env)

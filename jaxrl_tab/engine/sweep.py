@@ -26,7 +26,8 @@ from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.part import Computed, Part, compute
 from jaxrl_tab.engine.results import SweepResult, label, parameters
-from jaxrl_tab.engine.train import check_end
+from jaxrl_tab.engine.traced import exact_fields
+from jaxrl_tab.engine.train import check_end, check_exact
 from jaxrl_tab.envs import name_of
 from jaxrl_tab.exact import planning
 from jaxrl_tab.methods import METHOD, METHODS
@@ -149,11 +150,11 @@ def prepare(
         )
     check_pytree("env", env)
     check_held(env)
+    cls = _algorithm_class(algorithm)
     if budget.exact:
-        planning.check_lasting(env)
+        check_exact(cls, env)
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
-    cls = _algorithm_class(algorithm)
     check_end(cls, env)
     axes, configs = configurations(cls, {} if grid is None else grid, num_draws, seed)
     check_pytree(cls.__name__, configs[0])
@@ -284,7 +285,7 @@ def _exact_value(
 
 def _references(part: Part) -> dict[str, Float[np.ndarray, "*grid"]]:
     """What `value_error` is measured by, as `SweepResult.references` has it."""
-    if not part.budget.exact or "value_error" not in of_method(part.configs[0]).measures:
+    if not part.budget.exact or "value_error" not in exact_fields(part.configs[0], part.env):
         return {}
     errors, known = [], {}
     for config in cast(list[Any], part.configs):

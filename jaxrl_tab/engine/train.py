@@ -13,7 +13,7 @@ from jaxtyping import PRNGKeyArray
 from jaxrl_tab.approx import dangers
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
-from jaxrl_tab.core.declared import name_of, of_environment, of_method
+from jaxrl_tab.core.declared import Learns, name_of, of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import (
@@ -83,7 +83,7 @@ def train(
     rng.check_key(key)
     algorithm, env = checked_pair(algorithm, env)
     if budget.exact:
-        planning.check_lasting(env)
+        check_exact(algorithm, env)
     by_compiler = within.train if _is_traced((key, algorithm, env)) else by_lanes.alone
     if learned := by_compiler(key, algorithm, env, budget):
         return learned
@@ -116,6 +116,13 @@ def checked_pair(
     for line in dangers.step_sizes([algorithm], env):
         backend.tell(line)
     return algorithm, env
+
+
+def check_exact(method: Any, env: Environment) -> None:
+    """Raises InputError where nothing exact is known beside a method, or its class."""
+    is_known = of_environment(env).known_values is not None and of_method(method).learns is Learns.STATES
+    if env.num_states or not is_known:
+        planning.check_lasting(env)
 
 
 def check_end(method: Any, env: Environment) -> None:
