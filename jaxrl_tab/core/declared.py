@@ -197,6 +197,11 @@ def of_environment(env: Any) -> OfEnvironment:
     return OfEnvironment(**values)
 
 
+def name_of(env: Any) -> str:
+    """What an environment is called in a message: its title, or its class."""
+    return getattr(env, "title", None) or type(env).__name__
+
+
 def _above(cls: type, name: str) -> list[type]:
     """The classes that come before the one in which `cls` finds the attribute `name`: itself and its nearer bases."""
     return list(itertools.takewhile(lambda c: name not in vars(c), cls.__mro__))

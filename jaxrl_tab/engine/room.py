@@ -82,7 +82,7 @@ def plan(
         raise InputError(
             f"{_least_lanes(devices)} runs at a time on each device ({len(devices)}) need "
             f"{memory.words(least * len(devices))}, more than the {memory.words(device * len(devices))} that "
-            "they may take: give more memory, or take a larger log_every"
+            "they may take: give more memory, or take a larger log_every, or fewer states or features"
         )
     if on_disk:
         folder, free = memory.disk()

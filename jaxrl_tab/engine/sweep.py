@@ -243,10 +243,12 @@ def configurations(
             raise InputError(problem, field=parameter, wanted="a list", value=values)
         if is_list(values):
             if any(map(is_list, values)):
-                problem = (
-                    f"the grid of {parameter} must be a flat list, not {shown(values)}; "
-                    "probabilities [S, A] are one value where they are a policies.Table"
+                one = (
+                    "a matrix [S, n] is one value where it is approx.Rows(matrix)"
+                    if parameter == "features"
+                    else "probabilities [S, A] are one value where they are a policies.Table"
                 )
+                problem = f"the grid of {parameter} must be a flat list, not {shown(values)}; {one}"
                 raise InputError(problem, field=parameter)
             axes[parameter] = tuple(plain(parameter, value) for value in values)
         else:

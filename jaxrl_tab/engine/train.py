@@ -13,7 +13,7 @@ from jaxtyping import PRNGKeyArray
 from jaxrl_tab.approx import dangers
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
-from jaxrl_tab.core.declared import Learns, of_environment, of_method
+from jaxrl_tab.core.declared import Learns, name_of, of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import (
@@ -140,6 +140,11 @@ def check_end(method: Any, env: Environment) -> None:
     if of_method(method).in_the_long_run and isinstance(env, FiniteEnvironment) and not _is_traced(env):
         with jax.ensure_compile_time_eval():
             planning.check_goes_on(env, name)
+    elif of_method(method).in_the_long_run and not of_environment(env).continuing and not env.num_states:
+        raise InputError(
+            f"{name_of(env)} may end, and {name} is for tasks that do not end; one that does not says so by "
+            "continuing = True"
+        )
 
 
 def _is_traced(tree: Any) -> bool:
