@@ -65,8 +65,8 @@ class SemiGradientSarsaLambda(OptimizedTraceControl):
     z(., .) <- gamma lambda z,  then z(., A) <- z(., A) + x(S)      (accumulating)
     w <- w + alpha delta z      (book, section 12.7)
 
-    A replacing trace of a feature that is 1 is 1 (figure 12.10); where it is clearing, those of the other actions are 0,
-    too (figure 12.11; Singh and Sutton 1996); with dutch ones it is true online Sarsa(lambda).
+    A replacing trace of a feature that is 1 is 1 (figure 12.10); where it is clearing, those of the other actions are
+    0 (figure 12.11; Singh and Sutton 1996); with dutch ones it is true online Sarsa(lambda).
     """
 
     offline: ClassVar = False  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -81,8 +81,8 @@ FIGURE = Figure(
     title="Traces on the mountain car",
     source="Sutton and Barto 2018, figures 12.10 and 12.11",
     shows="Credit that goes back along the way pays, up to λ = 0.96; with more the large step sizes fail. Accumulating "
-    "traces bear small step sizes alone; true online Sarsa(λ) is best over most of the range. To clear the traces of the "
-    "other actions, too, is worse here than to leave them.",
+    "traces bear small step sizes alone; true online Sarsa(λ) is best over most of the range. To clear the traces "
+    "of the other actions, too, is worse here than to leave them.",
     experiment=_experiment,
     small={"num_seeds": 2, "num_episodes": 3},
     numbers=(
