@@ -53,7 +53,7 @@ def _interval(numbers: list[float], decimals: int) -> str:
 
 
 def _by_task(table: pd.DataFrame, tasks: dict[str, Any]) -> list[str]:
-    """A row for each task, with the method that is best there; of those that share the best score, how many there are."""
+    """A row for each task, with the method that is best there, and how many more have the same score."""
     rows = [
         "| task | states × actions | steps | γ | any action | optimum | best method and its setting | score |",
         "|---|---|---|---|---|---|---|---|",
