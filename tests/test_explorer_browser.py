@@ -331,6 +331,35 @@ def test_tasks_without_a_picture_have_a_table_of_states(browser, tmp_path):
     assert browser.messages == []
 
 
+def test_what_features_allow_stands_beside_the_curves(browser, tmp_path):
+    """One line where it is the same for all, else one for each; none of an infinite number, and none beside others.
+
+    Broken once: of the settings in the order in which they are ranked -> fails.
+    """
+    ds = make_result(rl.RandomWalk(states=5), np.zeros((7, 1))).to_xarray()
+    errors = dict.fromkeys(("v_error", "value_error"), ds.returns * 0 + 1 / ds.alpha)  # 0.9 is the best
+    lines = {"least_value_error": [0.1, 0.1, 0.2], "td_value_error": [0.3, np.nan, 0.3]}
+    ds = ds.assign(errors | {name: ("alpha", x) for name, x in lines.items()}).assign_attrs(learns="states")
+    look_at(browser, report.write(tmp_path, {"walk/td": ds}, {"walk": rl.RandomWalk(states=5)}, {}))
+    told = "[...$$('.legend [data-exact]')].map(x => [x.dataset.exact, x.textContent])"
+    assert browser(told) == []
+    choose(browser, ".curves", "measure", "value_error")
+    assert browser(told) == [["the least possible", "0.2000"], ["fixed point of TD", "0.3000"]]
+    choose(browser, ".curves", "a curve for each", "alpha")
+    least = [
+        ["the least possible, α = " + a, x]
+        for a, x in (("0.05", "0.1000"), ("0.2", "0.1000"), ("0.9", "0.2000"))
+    ]
+    assert browser(told) == [*least, ["fixed point of TD", "0.3000"]]
+    dashes = browser("[...$$('.curves .exact')].map(x => getComputedStyle(x).strokeDasharray)")
+    assert dashes == ["5px, 4px"] * 3 + ["2px, 3px"]
+    browser("$$('.curves button').find(x => x.textContent === 'as Python').click()")
+    assert 'ax.axhline(0.3, ls=":", color="grey", label="fixed point of TD")' in browser(
+        "$('dialog pre').textContent"
+    )
+    assert browser.messages == []
+
+
 def test_text_can_be_read_on_all_colours(page):
     """Contrast of 4.5 or more (WCAG 2.1), in the grid. Broken once: colours as strong as of curves -> fails."""
     contrasts = """(() => {

@@ -152,7 +152,7 @@ CASES = {
     **{
         name: Case("mountain-car", name, SMALLER | {"features": "tile-coding(4, 4)"})
         for name, cls in rl.approx.CONTROL.items()
-        if not of_method(cls).left_to_xla
+        if name != "lspi" and not of_method(cls).left_to_xla
     },
     **{
         name: Case("random-walk", name, SMALLER | {"features": "tile-coding(2, 3)"}, episodes=8)
@@ -160,6 +160,7 @@ CASES = {
         if name != "lstd"
     },
     "lstd": Case("random-walk", "lstd", {"gamma": 0.9, "features": "tile-coding(2, 3)"}, episodes=8),
+    "lspi": Case(rl.FiniteMDP(TO_NEXT, REWARDS), "lspi", {"gamma": 0.9, "epsilon": 1.0}),
     "long-walk": Case("long-walk", "td", ALPHAS, episodes=4),
     "square-wave": Case(
         "square-wave", "semi-gradient-td", SMALLER | {"features": "tile-coding(2, 5)"}, episodes=20
@@ -201,6 +202,7 @@ DIFFER: dict[str, float] = {
     "semi-gradient-n-step-td": 1e-6,
     "gradient-monte-carlo": 1e-6,
     "lstd": 1e-4,
+    "lspi": 1e-4,
 }
 
 

@@ -56,6 +56,10 @@ class ContinuousGymnax:
     num_states = 0  # they cannot be counted
 
     @property
+    def title(self) -> str:
+        return self.env.name
+
+    @property
     def num_actions(self) -> int:
         return self.env.num_actions
 

@@ -16,7 +16,14 @@ from jaxrl_tab import stats
 from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.core.errors import InputError, RunError
 from jaxrl_tab.show import words
-from jaxrl_tab.show.explorer.measures import STATISTICS, Flat, Measure, measures_of, statistics
+from jaxrl_tab.show.explorer.measures import (
+    REFERENCES,
+    STATISTICS,
+    Flat,
+    Measure,
+    measures_of,
+    statistics,
+)
 from jaxrl_tab.show.explorer.over_time import RANKS, Again, Block, OverTime, averaged, block, ranks
 from jaxrl_tab.show.explorer.packing import as_text, packed_floats
 from jaxrl_tab.show.explorer.scene import Scene, scene
@@ -98,6 +105,7 @@ def explorer(
         "methods": shown,
         "first": list(sweeps).index(stats.ranked(methods.settings)[0]),
         "statistics": len(STATISTICS),
+        "references": [{"measure": "value_error", "title": title} for title in REFERENCES.values()],
         "measures": [_described(measure) for measure in measures],
         "scores": [_described(score) for score in scores],
         "scene": stage.data | {"exact": stage.exact is not None},
@@ -212,9 +220,17 @@ class _Sweep:
             "policy": self.is_policy,
             "best": self.best,
             "kept": self.kept,
+            "references": [self._references(name) for name in REFERENCES],
             "ranks": list(self._ranks(self.best)),
             "runs": [seeds[self.singles(i)].tolist() for i in self.kept],
         }
+
+    def _references(self, name: str) -> list[float | None]:
+        """What the features of each setting that is kept allow; None where there is no such number."""
+        if name not in self.own.ds:
+            return [None] * len(self.kept)
+        of_settings = self.own.ds[name].values.ravel()[self.kept]
+        return [float(x) if np.isfinite(x) else None for x in of_settings]
 
 
 def _axis(ds: xr.Dataset, name: str) -> dict[str, Any]:

@@ -24,6 +24,8 @@ function methodOf(data, curves, scores, sizes) {
       const i = ((slots.get(setting) * sizes.measures + measure) * rows + statistic) * points;
       return curves.subarray(i, i + points);
     },
+    // What its features allow: one of the references of the chapter.
+    reference: (setting, k) => (slots.has(setting) ? data.references[k][slots.get(setting)] : null),
     // The middle, the bounds of its interval, and the number of seeds.
     score: (setting, k) => scores.subarray((setting * sizes.scores + k) * 4, (setting * sizes.scores + k) * 4 + 4),
     pointAt: (time) =>
