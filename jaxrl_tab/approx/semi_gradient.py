@@ -81,9 +81,10 @@ class Linear(Shown):
         if self.per_tiling and self.features.active is None:
             problem = f"features {self.features} are not 1 or 0, so alpha cannot be divided by how many are 1"
             raise InputError(problem, who=type(self).__name__, field="per_tiling")
-        if getattr(self, "trace", "") == "replacing" and self.features.active is None:
+        trace = getattr(self, "trace", "")
+        if trace in ("replacing", "clearing") and self.features.active is None:
             problem = (
-                f"a replacing trace is for features that are 1 or 0, and {self.features} are numbers: take an "
+                f"a {trace} trace is for features that are 1 or 0, and {self.features} are numbers: take an "
                 "accumulating or a dutch one"
             )
             raise InputError(problem, who=type(self).__name__, field="trace")
