@@ -1,5 +1,6 @@
 """Looking around in the report, in a browser: what it shows are the numbers of the results."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -328,6 +329,31 @@ def test_tasks_without_a_picture_have_a_table_of_states(browser, tmp_path):
     error = result.log.v_error
     assert error is not None
     assert at_cursor(browser) == pytest.approx({"TD(0)": float(error[:, -1].mean())}, rel=1e-5)
+    assert browser.messages == []
+
+
+def test_where_states_cannot_be_counted_there_is_a_map(browser, tmp_path):
+    """Colours, and the values of the place that is looked at. Broken once: with numbers in all 315 places -> fails."""
+    car, w = rl.MountainCar(), -np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
+    result = make_result(car, w)
+    ds = dataclasses.replace(result, fixed=result.fixed | {"features": "observation"}).to_xarray()
+    look_at(browser, report.write(tmp_path, {"car/sarsa": ds}, {"car": car}, {}))
+    assert browser("$$('.cell').length") == 315
+    assert browser("$('.about h6').textContent") == "Velocity 0, position −0.51"  # where episodes start
+    here = (-1.2 + 1.7 * 8.5 / 21 + 0.35) / 0.85  # of -1 to 1
+    assert column_of(browser, "learned") == pytest.approx(np.array([0, -1, -2]) * here, abs=0.006)
+    texts = "[...new Set([...$$('.above .{}')].map(x => x.textContent))].sort()"
+    assert browser(texts.format("v")) == [""]
+    assert browser(texts.format("letter")) == [
+        "",
+        "B",
+        "F",
+    ]  # none in the middle, where all actions are alike
+    for width in (1200, 390):
+        browser.resize(width)
+        browser.wait("$('.panel').viewBox.baseVal.width > 0")
+        inside = "(x => x.getBBox().x >= 0)"
+        assert browser(f"[...$$('.panel .tick')].every({inside})")
     assert browser.messages == []
 
 

@@ -125,6 +125,7 @@ class OfEnvironment(NamedTuple):
             go on, or its states do not tell.
         low, high: the least and the largest that each number may be which is observed of a state; infinite where there
             is no bound. None where states are counted, and their number is all that is observed.
+        number_names: what each of these numbers is, for pictures; () where that is not said.
         observation: the numbers that are observed of a state, float [d]; None where they are the state itself, or its
             number.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
@@ -154,6 +155,7 @@ class OfEnvironment(NamedTuple):
     features: Any = None
     target_policy: Any = None
     behaviour_policy: Any = None
+    number_names: tuple[str, ...] = ()
     known_values: Callable[[], tuple[Any, Any]] | None = None
     title: str | None = None
 

@@ -27,6 +27,7 @@ class SquareWave(Shown):
     max_steps = 1
     low = (0.0,)
     high = (EXTENT,)
+    number_names = ("number",)
 
     def reset(self, key: Key[Array, ""]) -> Float[Array, " 1"]:
         u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(float) * 2**-24

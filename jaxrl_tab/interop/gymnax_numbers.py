@@ -60,6 +60,10 @@ class ContinuousGymnax:
         return self.env.name
 
     @property
+    def number_names(self) -> tuple[str, ...]:
+        return self.fields if len(self.fields) == len(self.low) else ()
+
+    @property
     def num_actions(self) -> int:
         return self.env.num_actions
 
