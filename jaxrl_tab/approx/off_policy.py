@@ -167,8 +167,7 @@ class EmphaticState(NamedTuple):
     """A learner with traces that knows how much the next step is emphasised.
 
     Attributes:
-        values: w and the traces z, each float [n, 1]. A trace is kept as a part of rho M, of what the next step adds to
-            its own state.
+        values: w, and the traces as z / (rho M), to which a step adds x(S), whatever its ratio; each float [n, 1].
         clock: what the schedule of alpha counts.
         followed: rho gamma F of the step before, 0 at the start of an episode, float [].
     """
@@ -184,7 +183,7 @@ class EmphaticState(NamedTuple):
 
 
 @pytree
-class _Emphatic(_OfStates, TraceControl):
+class _Emphatic(_OfStates, TraceControl):  # pyright: ignore[reportIncompatibleMethodOverride] (of `learn`)
     trace: ClassVar = "accumulating"  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def init(self, num_states: int, num_actions: int) -> EmphaticState:
@@ -226,6 +225,6 @@ class EmphaticTD(OffPolicyLinear):
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
     backup: ClassVar[Backup] = Backup(
         lambda_return("state", "action, state"),
-        "Another policy b acts. Traces carry each error back to earlier states, times the ratios π(A | S) / b(A | S) and "
-        "the emphasis of each; with λ = 0 there is the first column alone.",
+        "Another policy b acts. Traces carry each error back to earlier states, times the ratios π(A | S) / b(A | S) "
+        "and the emphasis of each; with λ = 0 there is the first column alone.",
     )
