@@ -67,11 +67,11 @@ class OfMethod(NamedTuple):
             "transitions", any of them in any order; "transitions of b", where the method is told the policy b
             that acted, as a table in its field `behaviour`; "episodes", or "episodes of b", in order; or only
             from "itself".
-            The class that defines `update` declares it.
+            The class that defines `update` declares it, or a subclass without an `update` of its own.
         acts_after_update: whether `update` draws A' as its last act, as `policy(key, new state, S')`, and
             learns nothing from it. The driver then draws A' itself, together with the first actions of
             episodes, which makes a step a quarter faster and changes no decision. The class that defines
-            `update` declares it.
+            `update` declares it, or a subclass without an `update` of its own.
         multiplies_returns: whether returns are multiplied by ratios of importance sampling. What is learned may
             then be greater than any return, and is no sign that the method diverges.
         exploring_starts: whether episodes start in any state with any action.
@@ -183,11 +183,9 @@ def of_method(method: Any) -> OfMethod:
     """
     cls, values = method if isinstance(method, type) else type(method), _declared(OfMethod, method)
     # A subclass with an `update` of its own inherits nothing that was said of another one.
-    by_update = vars(next(c for c in cls.__mro__ if "update" in vars(c)))
-    for name in ("learns_from", "acts_after_update"):
-        values[name] = by_update.get(name, OfMethod._field_defaults[name])
-    if any("update" in vars(c) for c in _above(cls, "backup")):
-        values["backup"] = None
+    for name in ("learns_from", "acts_after_update", "backup"):
+        if any("update" in vars(c) for c in _above(cls, name)):
+            values[name] = OfMethod._field_defaults[name]
     values["backup"] = backups.checked(cls.__name__, values["backup"])
     for name, kind in (("learns", Learns), ("learns_from", LearnsFrom)):
         check_choice(cls.__name__, name, values[name], [*kind])
