@@ -160,7 +160,7 @@ def _frames(watched: Watched, told: Told) -> Iterator[Together]:
         yield Together(table, *_place(watched.env, q, watched.steps.experience.s_next[i]))
 
 
-def _place(env: Any, q: np.ndarray | None, s: np.ndarray) -> list[Any]:
+def _place(env: Any, q: np.ndarray | None, s: Any) -> list[Any]:
     """Where the agent is: a drawing, where there is one."""
     if env.num_states:
         return list(position(env, q, int(s)))
