@@ -5,7 +5,7 @@ gradient with respect to w(., a) is x(s) (book, section 9.4). A table is the cas
 is 1 there and 0 elsewhere: so where the number of a state stands for its features, w is the table, and nothing is
 added up.
 
-All sums go from the first feature to the last, so that they have the same bits wherever they are worked out.
+All sums go from the first feature to the last (`total`), so that they have the same bits whoever compiles them.
 """
 
 from collections.abc import Callable
@@ -83,10 +83,7 @@ def change(
     if isinstance(x, Active):
         # One after another, though all could be read before one is written, which is 8 % faster: then XLA rounds
         # the product of step size and error by itself, and `lanes`, which knows nothing of that, has other bits.
-        one = lambda ws, i: change(formula, ws, i, a, *lane)
-        if len(x.ones) == 1 or (not lane and len(x.ones) <= UNROLLED):
-            return reduce(one, list(x.ones), ws)
-        return lax.fori_loop(0, len(x.ones), lambda k, ws: one(ws, x.ones[k]), ws)
+        return _one_by_one(lambda ws, i: change(formula, ws, i, a, *lane), ws, x, 1 if lane else UNROLLED)
     if x.ndim == 0:
         put = tables.write if lane else tables.put
         new = formula(lambda y: y, *(tables.entry(w, *lane, x, a) for w in ws))
@@ -96,15 +93,29 @@ def change(
 
 
 def total(terms: Float[Array, "n *more"]) -> Float[Array, "*more"]:
-    """The sum of terms, one after another, each rounded before: so it has the same bits whoever compiles it.
+    """The sum of terms, from the first to the last, each rounded before: so it has the same bits whoever compiles it.
 
-    In `jnp.sum`, XLA takes an order for each program, and fuses products with sums or does not. What goes into a loop
-    is in memory. (A GPU, whose bits are others, adds up as it likes.)
+    In `jnp.sum` XLA chooses an order for each program, and whether to round products before it adds them. But what goes
+    into a loop lies in memory. (A GPU, where a turn of a loop takes long and bits are others, adds up as it likes.)
     """
     if not tables.lanes_in_turn():
         return terms.sum(0)
     nothing = jnp.full(terms.shape[1:], -0.0, terms.dtype)  # what changes no number, 0 included
     return lax.scan(lambda sums, term: (sums + term, None), nothing, terms)[0]
+
+
+def change_rows(formula: Callable[..., tuple[Array, ...]], ws: tuple[Array, ...], x: X) -> tuple[Array, ...]:
+    """Several weights, changed together for all actions, at the features that are 1; there must be no others but 0.
+
+    Args:
+        formula: (*rows) -> rows, [A] each, for one feature.
+        ws: the weights, [n, A] each.
+        x: the features.
+    """
+    if isinstance(x, Active):
+        return _one_by_one(lambda ws, i: change_rows(formula, ws, i), ws, x)
+    new = formula(*(tables.row(w, x) for w in ws))
+    return tuple(tables.put_at(w, y, x) for w, y in zip(ws, new, strict=True))
 
 
 def all_of(x: X, size: int, dtype: Any) -> Float[Array, " n"]:
@@ -113,6 +124,22 @@ def all_of(x: X, size: int, dtype: Any) -> Float[Array, " n"]:
         return x
     ones = x.ones[:, None] if isinstance(x, Active) else x[None, None]
     return (ones == jnp.arange(size, dtype=jnp.int32)[None]).any(0).astype(dtype)
+
+
+def _one_by_one(
+    one: Callable[[Any, Array], tuple[Array, ...]],
+    ws: tuple[Array, ...],
+    x: Active,
+    unrolled: int = UNROLLED,
+) -> tuple[Array, ...]:
+    """The weights after `one` active feature after another; more than so many features in a loop.
+
+    In the body of `tables.lane_by_lane` several need a loop: there XLA would copy the tables of all lanes for each of
+    them, and round the product of step size and error by itself or with the sum, now so, now so.
+    """
+    if len(x.ones) <= unrolled:
+        return reduce(one, list(x.ones), ws)
+    return lax.fori_loop(0, len(x.ones), lambda k, ws: one(ws, x.ones[k]), ws)
 
 
 def _added_up(read: Callable[[Array], Array], x: Active) -> Array:
