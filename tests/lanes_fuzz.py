@@ -1,7 +1,8 @@
 """Random JAX functions of one lane: arithmetic, any index, writes, loops of any length, branches.
 
 Real numbers are whole eighths of moderate size after each step: so sums and products are exact, and it does not
-matter in which order XLA adds or whether it rounds a product and a sum at once.
+matter in which order XLA adds or whether it rounds a product and a sum at once. But for `learning`, where that does
+matter: what it gives are the bits of its numbers.
 """
 
 import random
@@ -11,6 +12,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+
+from jaxrl_tab.core import linear, tables
 
 SHAPES = {"f": (), "i": (), "u": (), "b": (), "fs": (5,), "fl": (40,), "is": (6,), "il": (40,), "fm": (6, 7)}
 DTYPES = {"f": np.float32, "i": np.int32, "u": np.uint32, "b": np.bool_}
@@ -72,6 +75,7 @@ class Program:
             self.slicing,
             self.reduction,
             self.moving,
+            self.learning,
         ]
         if depth:
             loops = [self.counted, self.waiting, self.stacking, self.branch, self.several]
@@ -160,6 +164,22 @@ class Program:
         kind, move = self.random.choice(moves)
         return kind, move()
 
+    def learning(self, x: Callable[[str], Any]) -> tuple[str, Any]:
+        """What methods with features do: several updates of a few weights each, by products that must be rounded."""
+        plain = lambda z: jnp.where(jnp.abs(z) < 999, z, 0.1)
+        ones = jnp.abs(x("is")[: self.random.choice([1, 2, 3])] % 40)
+        turns = self.random.choice([2, jnp.abs(x("i") % 4)])
+        alpha, targets = 0.037 * plain(x("f")), plain(x("fs"))
+        w = tables.lane_by_lane(_learned, plain(x("fl"))[:, None], ones, alpha, targets, jnp.int32(turns))[
+            :, 0
+        ]
+        sums = linear.total(w[:5] * targets)
+        w = w.at[0].set(sums)
+        plain_zeros = jnp.where(
+            (w == 0) | ~(jnp.abs(w) < 1e9), 0.0, w
+        )  # one zero, and no NaN: their bits are free
+        return "il", lax.bitcast_convert_type(plain_zeros, np.int32)
+
     # --- loops and branches
 
     def carried(self, variables: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
@@ -241,6 +261,17 @@ class Program:
         if count == 2:
             return self.one_of(kinds, lax.cond(which, case(seeds[0]), case(seeds[1]), values))
         return self.one_of(kinds, lax.switch(which, [case(seed) for seed in seeds], values))
+
+
+def _learned(lane: Any, w: Any, ones: Any, alpha: Any, targets: Any, turns: Any) -> Any:
+    only = jnp.int32(0)
+
+    def update(i: Any, w: Any) -> Any:
+        x = linear.Active(tables.entry(ones, lane))
+        error = tables.entry(targets, lane, i) - linear.entry(w, x, only, lane)
+        return linear.add(w, x, only, tables.entry(alpha, lane) * error, lane)
+
+    return lax.fori_loop(jnp.int32(0), tables.entry(turns, lane), update, w)
 
 
 def function(seed: int, statements: int = 8, depth: int = 2) -> Callable[..., list[Any]]:

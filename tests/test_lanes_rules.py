@@ -9,6 +9,7 @@ from lanes_cases import CASES
 from lanes_tools import assert_as_xla
 from marks import slow_but
 
+from jaxrl_tab.core import linear, tables
 from jaxrl_tab.lanes.code import Unsupported
 from jaxrl_tab.lanes.lower import lower
 from jaxrl_tab.lanes.registry import RULES
@@ -102,6 +103,52 @@ def test_a_choice_between_sums_or_products_is_rounded_as_by_xla():
         return [choice(c, *row) for choice, c, row in zip(CHOICES, which, x, strict=True)]
 
     assert_as_xla(all_choices, rng.random(shape) < 0.5, rng.normal(size=(*shape, 6)).astype(np.float32))
+
+
+LOOPS = [  # x [7] and p [7], whose products go into loops, from turn to turn, or out of them; n turns
+    lambda x, p, n: lax.fori_loop(0, n, lambda k, y: y + p[3], x[0]),
+    lambda x, p, n: lax.fori_loop(0, 1, lambda k, y: y + p[3], x[0]),
+    lambda x, p, n: lax.fori_loop(0, 2, lambda k, y: y + p[3], x[0]),
+    lambda x, p, n: lax.fori_loop(0, 9, lambda k, y: y + p[3], x[0]),
+    lambda x, p, n: lax.fori_loop(0, n, lambda k, y: y + p[k], x[0]),
+    lambda x, p, n: lax.fori_loop(0, 7, lambda k, y: y + p[k], x[0]),
+    lambda x, p, n: lax.fori_loop(0, 3, lambda k, y: (y[0] + y[1], y[1] * x[1]), (x[0], p[3]))[0],
+    lambda x, p, n: lax.fori_loop(0, 3, lambda k, y: y * x[1], x[0]) + x[2],
+    lambda x, p, n: lax.scan(lambda y, z: (y + z * p[3], None), x[0], x)[0],
+    lambda x, p, n: linear.total(jnp.tile(p, 10)),
+    lambda x, p, n: jnp.tile(x, 10) + p[3],
+    lambda x, p, n: tables.lane_by_lane(_added, x, p[3])[2],
+    lambda x, p, n: tables.lane_by_lane(_learned, x, p)[n],
+]
+
+
+def _added(lane, table, number):
+    return tables.write(
+        table, tables.entry(table, lane, jnp.int32(2)) + tables.entry(number, lane), lane, jnp.int32(2)
+    )
+
+
+def _learned(lane, table, numbers):
+    """An update of two active features, as n-step TD and gradient Monte Carlo make it."""
+    ones, only = linear.Active(jnp.int32([2, 5])), jnp.int32(0)
+    w = table[..., None]
+    error = tables.entry(numbers, lane, jnp.int32(1)) - linear.entry(w, ones, only, lane)
+    return linear.add(w, ones, only, tables.entry(numbers, lane, jnp.int32(3)) * error, lane)[..., 0]
+
+
+def test_products_are_rounded_before_a_loop_as_by_xla():
+    """Also in a loop that is written out, and where `vmap` alone makes one.
+
+    Broken once: not rounded before a loop, between its turns where it is written out, before what XLA does lane by
+    lane, or before all places of a large array -> fails.
+    """
+    rng, shape = np.random.default_rng(0), (64, len(LOOPS), 7)
+
+    def all_loops(x, y, n):
+        return [loop(a, a * b, n) for loop, a, b in zip(LOOPS, x, y, strict=True)]
+
+    x, y = rng.normal(size=(2, *shape)).astype(np.float32)
+    assert_as_xla(all_loops, x, y, rng.integers(0, 7, 64).astype(np.int32))
 
 
 MANY = 2**16  # numbers: all kinds of bits, those of an interval, and those of the size that programs have

@@ -105,9 +105,7 @@ class LSTD(SemiGradientPrediction, TD):
     )
 
     def works_with(self, state: ValueState) -> Any:
-        return [
-            state.learner.inverse
-        ] * 3  # the one before, what is taken off it, and products to be added up
+        return [state.learner.inverse] * 3  # the one before, what is taken off it, and what is added up
 
 
 @pytree
@@ -141,7 +139,7 @@ class LSPI(LeastSquares):
     )
 
     def works_with(self, state: LeastSquaresState) -> Any:
-        return [state.inverse] * 3  # the one before, what is taken off it, and products to be added up
+        return [state.inverse] * 3  # the one before, what is taken off it, and what is added up
 
     def update(self, key, state: LeastSquaresState, t: Transition):
         state = self.begin(state, t)

@@ -155,15 +155,6 @@ class Facts:
         """Whether a loop has few turns for sure."""
         return self.counter(loop) is not None and self.turns_of(loop) <= SOON
 
-    def are_in_one_loop(self, x: Value, y: Value) -> bool:
-        """Whether two operations stand in the same loop, or in none; the cases of a choice do not count."""
-        return self._loop_around(x) is self._loop_around(y)
-
-    def _loop_around(self, value: Value) -> Value | None:
-        while (loop := self._around.get(value)) is not None and loop.attr.inline:
-            value = loop
-        return loop
-
     def is_within_another(self, loop: Value) -> bool:
         """Whether a loop stands in another one."""
         return loop in self._around

@@ -95,12 +95,10 @@ class Loop:
     Attributes:
         condition: gives one bool; its parameters are what is carried.
         body: gives what is carried next.
-        inline: whether it is a case of a choice, a loop here alone: XLA works it out where it stands.
     """
 
     condition: Region
     body: Region
-    inline: bool = False
 
 
 @dataclass(frozen=True)
@@ -199,15 +197,11 @@ class Builder:
             self.region = outer
 
     def loop(
-        self,
-        first: Sequence[Value],
-        condition: Callable[..., Value],
-        body: Callable[..., Sequence[Value]],
-        inline: bool = False,
+        self, first: Sequence[Value], condition: Callable[..., Value], body: Callable[..., Sequence[Value]]
     ) -> list[Value]:
         """The values that a loop leaves."""
         params = [Value("param", x.dtype) for x in first]
-        parts = Loop(self.write(params, lambda *p: [condition(*p)]), self.write(params, body), inline)
+        parts = Loop(self.write(params, lambda *p: [condition(*p)]), self.write(params, body))
         made = self.add(Value("loop", bool, first, parts))
         return [Value("result", x.dtype, (made,), k) for k, x in enumerate(first)]
 

@@ -260,7 +260,6 @@ class Lowering(Builder):
         first: Sequence[Array],
         condition: Callable[[list[Any]], Value],
         body: Callable[[list[Any]], Sequence[Any]],
-        inline: bool = False,
     ) -> list[Any]:
         """A loop over arrays: `condition(arrays) -> Value`, `body(arrays) -> arrays`.
 
@@ -291,7 +290,7 @@ class Lowering(Builder):
             self._hand_on([(x.buffer, y) for x, y in memory if not _is_in(y, x)])
             return result
 
-        return arrays(self.loop(numbers(parts), lambda *values: condition(arrays(values)), once, inline))
+        return arrays(self.loop(numbers(parts), lambda *values: condition(arrays(values)), once))
 
     def _hand_on(self, moved: Sequence[tuple[Buffer, Plain]]) -> None:
         """Puts arrays into the memory of what a loop carries: all are read before one is written.

@@ -69,13 +69,12 @@ class Names:
     def product_in(self, value: Value) -> tuple[int, Value] | None:
         """Where an addition takes a product that nobody else uses: its place, and the product.
 
-        The two are rounded once, as XLA has it, where the processor can do that. What a loop takes from around it is
-        rounded before, for XLA puts it into memory.
+        The two are rounded once, as XLA has it, where the processor can do that.
         """
         if not self.target.fuses or value.op not in ("add", "sub") or value.dtype.kind != "f":
             return None
         for place, x in enumerate(self.facts.args(value)):
-            if x.op == "mul" and self.facts.uses[x] == 1 and self.facts.are_in_one_loop(x, value):
+            if x.op == "mul" and self.facts.uses[x] == 1:
                 return place, x
         return None
 

@@ -109,7 +109,7 @@ def cond(code: Lowering, equation: Any, which: Plain, *args: Array) -> Sequence[
             return [code.known(np.bool_(False)), *code.closed(branch, *own)]
 
         first = [made_of(code, (), bool, [taken]), *results]
-        results = code.while_loop(first, lambda carried: carried[0].item(0), once, inline=True)[1:]
+        results = code.while_loop(first, lambda carried: carried[0].item(0), once)[1:]
     return results
 
 

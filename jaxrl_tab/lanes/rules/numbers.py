@@ -6,7 +6,18 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-from jaxrl_tab.lanes.arrays import Array, Items, Known, Lazy, Parts, Plain, made_by, size_of, stretched
+from jaxrl_tab.lanes.arrays import (
+    Array,
+    Items,
+    Known,
+    Lazy,
+    Parts,
+    Plain,
+    is_small,
+    made_by,
+    size_of,
+    stretched,
+)
 from jaxrl_tab.lanes.code import Unsupported, Value
 from jaxrl_tab.lanes.functions import FUNCTIONS, Numbers, ordered, round_from_zero, round_to_even
 from jaxrl_tab.lanes.lowering import Lowering
@@ -43,9 +54,11 @@ def each_number(code: Lowering, equation: Any, write: Callable[..., Value], args
     """`write(numbers of the arguments)` for each number of the result."""
     shape, dtype = aval_of(equation)
     args = [x if size_of(x.shape) in (1, size_of(shape)) else stretched(code, shape, x) for x in args]
+    # What goes to all places of a large array XLA works out before them.
+    alone = (lambda x: x.item(0)) if is_small(shape) else (lambda x: code.rounded(x.item(0)))
 
     def at(i: Value) -> Value:
-        return write(*(x.item(0) if size_of(x.shape) == 1 else x.read(i) for x in args))
+        return write(*(alone(x) if size_of(x.shape) == 1 else x.read(i) for x in args))
 
     single = [x for x in args if size_of(x.shape) == 1]
     in_place = all(isinstance(x, Known | Items) for x in single)
