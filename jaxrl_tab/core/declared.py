@@ -133,6 +133,7 @@ class OfEnvironment(NamedTuple):
             where it gives none.
         target_policy, behaviour_policy: the policy whose values its source asks for, and the one that acts, float
             [S, A]: those of a method of prediction that was given none. None where its source says nothing of them.
+        picture: a drawing of a state that is numbers, from these, in lines of text; None where there is none.
         known_values: where states cannot be counted, and it is known all the same what they are worth, whatever the
             policy: some of them, float [N, d], that are equally likely, and the value of each, float [N].
         title: what it is called, where its class alone does not say it; else None.
@@ -156,8 +157,14 @@ class OfEnvironment(NamedTuple):
     target_policy: Any = None
     behaviour_policy: Any = None
     number_names: tuple[str, ...] = ()
+    picture: Callable[[Any], tuple[str, ...]] | None = None
     known_values: Callable[[], tuple[Any, Any]] | None = None
     title: str | None = None
+
+    @property
+    def observed_names(self) -> tuple[str, ...]:
+        """What each of the numbers is that a state is."""
+        return self.number_names or tuple(f"number {i + 1}" for i in range(len(self.low or ())))
 
     @property
     def differs(self) -> str:

@@ -71,11 +71,6 @@ def _has_network(datasets: Datasets) -> bool:
     return any("network" in {*stats.fixed(ds), *ds.coords} for ds in datasets.values())
 
 
-def names_of(env: Environment) -> tuple[str, ...]:
-    """What the numbers are that a state is."""
-    return of_environment(env).number_names or tuple(f"number {i + 1}" for i in range(len(ends_of(env))))
-
-
 def middles(low: float, high: float, n: int) -> Float[np.ndarray, " n"]:
     """Those of n equal parts of a range."""
     return low + (np.arange(n) + 0.5) * ((high - low) / n)
@@ -87,7 +82,7 @@ def grid(env: Environment, rows: int, columns: int) -> Places:
     along, up = (middles(*pair, n) for pair, n in zip(ends, (columns, rows), strict=True))
     up = up[::-1]
     points = np.stack(np.meshgrid(along, up), -1).reshape(-1, 2).astype(np.float32)
-    name_along, name_up = names_of(env)
+    name_along, name_up = of_environment(env).observed_names
     of_rows, of_columns = (tuple(significant(x, 2) for x in numbers) for numbers in (up, along))
     panel = Panel(
         "", np.arange(rows * columns).reshape(rows, columns), of_rows, of_columns, name_up, name_along
