@@ -149,6 +149,7 @@ def test_the_cells_of_a_notebook_run(name, capsys, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("name", notebooks.NAMES)
 def test_a_notebook_shows_what_it_gives(name, monkeypatch):
     """It is kept with its outputs, for it is read where it cannot run; `python tests/notebooks.py` makes them anew.
