@@ -2,8 +2,8 @@
 
 The shards are of nothing: of one run each, whose results an executor makes up. All else is what an experiment in a
 folder does: it plans, writes each shard and the manifest, verifies all when it is opened again, puts them together,
-and makes tables and report. So a stage that grows faster than the shards is seen. Time is wall time and that of the
-processor, without the time of computing, of which there is none; memory is the largest resident set in the stage.
+and makes tables and report. So a stage that grows faster than the shards is seen. Time is wall time, without that of
+computing, of which there is none; memory is the largest resident set in the stage.
 """
 
 import contextlib
@@ -35,13 +35,14 @@ STAGES = {
     "tables and report": (runner, "write_files"),
 }
 REST = "all else"
+# The system takes 0.1 ms to say how large the resident set was, as long as half a shard: it is asked this often.
+BETWEEN_LOOKS = 0.1  # seconds
 
 
 class Stage(NamedTuple):
-    """What a stage took: seconds of wall time and of the processor; and the largest resident set in it, MiB."""
+    """What a stage took: seconds of wall time, and the largest resident set in it, MiB."""
 
     wall: float = 0.0
-    cpu: float = 0.0
     mebibytes: float = 0.0
 
 
@@ -91,14 +92,16 @@ def _timed() -> Iterator[dict[str, Stage]]:
     """Within the block the stages are measured; the time of one that is called in another counts for it alone."""
     found: dict[str, Stage] = {}
     running = [REST]
-    last = [time.perf_counter(), time.process_time()]
+    last = looked = time.perf_counter()
 
     def count(then: Callable[[], Any]) -> None:
-        now = [time.perf_counter(), time.process_time()]
-        before = found.get(running[-1], Stage())
-        memory = max(before.mebibytes, _largest_resident_set())
-        found[running[-1]] = Stage(before.wall + now[0] - last[0], before.cpu + now[1] - last[1], memory)
-        last[:] = now
+        nonlocal last, looked
+        now = time.perf_counter()
+        wall, mebibytes = found.get(running[-1], Stage())
+        if now - looked > BETWEEN_LOOKS:
+            mebibytes, looked = max(mebibytes, _largest_resident_set()), now
+        found[running[-1]] = Stage(wall + now - last, mebibytes)
+        last = now
         then()
 
     def within(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -133,11 +136,13 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         found = measure(count, Path(scratch) / "run")
     for what, stages in found.items():
-        wall, cpu = (sum(getattr(stage, unit) for stage in stages.values()) for unit in ("wall", "cpu"))
-        print(f"\n{what:28}  wall, s  processor, s  peak, MiB")
+        print(f"\n{what:28}  wall, s  peak, MiB")
         for name in (*(name for name in STAGES if name in stages), REST):
-            print(f"{name:28}{stages[name].wall:9.1f}{stages[name].cpu:14.1f}{stages[name].mebibytes:11.0f}")
-        print(f"{'together':28}{wall:9.1f}{cpu:14.1f}{max(x.mebibytes for x in stages.values()):11.0f}")
+            print(f"{name:28}{stages[name].wall:9.1f}{stages[name].mebibytes:11.0f}")
+        print(
+            f"{'together':28}{sum(x.wall for x in stages.values()):9.1f}"
+            f"{max(x.mebibytes for x in stages.values()):11.0f}"
+        )
     return 0
 
 

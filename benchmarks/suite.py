@@ -2,7 +2,8 @@
 
 The ordinary command computes them, from benchmarks/suite.toml. `--keep` takes what the repository holds out of its
 folder: scores, against which `jaxrl-tab compare` ranks other methods; two bytes of the checksum of every run; a table.
-`--check` draws some of all runs at random, computes these alone, and looks whether each has the same bits.
+`--check` draws some of all runs at random, computes these alone, and looks whether each has the same bits. `--page`
+makes what docs/suite.md shows of what is kept.
 """
 
 import argparse
@@ -238,6 +239,9 @@ def main(argv: list[str]) -> int:
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--keep", type=Path, metavar="DIR", help="the folder of the sweep, which has ended")
     what.add_argument("--check", type=float, metavar="SHARE", help="of all runs, such as 0.01")
+    what.add_argument(
+        "--page", type=Path, metavar="DIR", help="draw the pictures into it, and print the tables"
+    )
     parser.add_argument("--seed", type=int, default=0, help="which runs are drawn; default 0")
     args = parser.parse_args(argv)
     say = lambda text: print(text, file=sys.stderr, flush=True)
@@ -246,6 +250,11 @@ def main(argv: list[str]) -> int:
             keep(args.keep, SUITE, say)
         except (InputError, RunError) as error:
             parser.error(str(error))
+        return 0
+    if args.page:
+        from benchmarks import suite_page  # here, for it draws
+
+        print(suite_page.draw(SUITE, args.page))
         return 0
     if not 0 < args.check <= 1:
         parser.error(f"--check is a share of all runs, above 0 and at most 1, not {args.check:g}")

@@ -419,6 +419,9 @@ class Traces(Agent):
             z[s, a] += 1
         elif self.trace == "replacing":
             z[s, a] = 1
+        elif self.trace == "clearing":
+            z[s] = 0
+            z[s, a] = 1
         else:
             z[s, a] += 1 - alpha * z[s, a]
         if self.offline:

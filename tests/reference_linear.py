@@ -41,7 +41,9 @@ def learned(kind, x, transitions, a_next, *, alpha, gamma, epsilon=0.1, lam=0.0,
                 w[:, a] -= alpha * (value - q_old) * x[s]
                 q_old = q_next
             else:
-                z[:, a] = np.where((x[s] != 0) & (trace == "replacing"), x[s], z[:, a] + x[s])
+                if trace == "clearing":
+                    z[x[s] != 0] = 0
+                z[:, a] = np.where((x[s] != 0) & (trace != "accumulating"), x[s], z[:, a] + x[s])
                 w += alpha * delta * z
             z *= 0 if last else discount * lam
         else:

@@ -84,6 +84,10 @@ def test_features_of_counted_states_are_worked_out_beforehand():
         rl.WindyGridworld()
     )  # of rows, and of the two halves of columns
     np.testing.assert_array_equal(grid.numbers[:, 0], [2 * (s // 10) + (s % 10 > 4) for s in range(70)])
+    for states, groups in ((8, 7), (13, 36), (1002, 99)):  # borders on which states lie, in spite of rounding
+        s = np.arange(states)
+        got = approx.matrix(f"aggregation({groups})", rl.make("long-walk", states=states - 2)).argmax(1)
+        np.testing.assert_array_equal(got, np.minimum(s * groups // (states - 1), groups - 1))
     given = approx.Rows(np.eye(7)[:, ::-1])
     assert given.fitted(walk) == given
     assert approx.Rows(np.eye(7)) != given
@@ -99,6 +103,7 @@ METHODS = {
     "n-step": (approx.SemiGradientNStepSarsa, {"n": 3}),
     "accumulating": (approx.SemiGradientSarsaLambda, {"lam": 0.8, "trace": "accumulating"}),
     "replacing": (approx.SemiGradientSarsaLambda, {"lam": 0.8, "trace": "replacing"}),
+    "clearing": (approx.SemiGradientSarsaLambda, {"lam": 0.8, "trace": "clearing"}),
     "dutch": (approx.SemiGradientTrueOnlineSarsaLambda, {"lam": 0.8}),
 }
 
@@ -126,7 +131,7 @@ def test_methods_learn_what_a_plain_loop_learns(name, features):
     fails.
     """
     cls, more = METHODS[name]
-    if (features, name) == ("polynomial(3)", "replacing"):
+    if features == "polynomial(3)" and name in ("replacing", "clearing"):
         return  # what a replacing trace is where all features are numbers nobody has said
     transitions = steps(300)
     with jax.enable_x64():
@@ -159,7 +164,7 @@ TWINS = [
     (rl.ExpectedSarsa, approx.SemiGradientExpectedSarsa, {}),
     (rl.QLearning, approx.SemiGradientQLearning, {}),
     (rl.NStepSarsa, approx.SemiGradientNStepSarsa, {}),
-    (rl.SarsaLambda, approx.SemiGradientSarsaLambda, {"trace": "replacing"}),
+    (rl.SarsaLambda, approx.SemiGradientSarsaLambda, {"trace": "clearing"}),
     (rl.TrueOnlineSarsaLambda, approx.SemiGradientTrueOnlineSarsaLambda, {}),
     (rl.prediction.TD, approx.SemiGradientTD, {}),
     (rl.prediction.NStepTD, approx.SemiGradientNStepTD, {}),
@@ -273,6 +278,22 @@ def test_a_run_alone_has_the_bits_of_the_batch(cars):
 # --- refusals --------------------------------------------------------------------------------------------
 
 REFUSED = {
+    "'tile-coding(8, 8' is not the name of features": lambda: read("tile-coding(8, 8"),
+    "'' is not the name of features": lambda: read(""),
+    "a replacing trace is for features that are 1 or 0, and fourier(5) are numbers": lambda: (
+        approx.SemiGradientSarsaLambda(features="fourier")
+    ),
+    "q0 is a table, and values are functions of the features fourier(5": lambda: train(
+        approx.SemiGradientSarsa(features="fourier", q0=np.ones((70, 4))), rl.WindyGridworld()
+    ),
+    "must be features that are finite in float32": lambda: read([[1e39]]),
+    "and those of MountainCar cannot be counted": lambda: train(approx.SemiGradientSarsa(features=np.eye(7))),
+    "MountainCar may end, and differential-semi-gradient-sarsa is for tasks that do not end": lambda: train(
+        approx.DifferentialSemiGradientSarsa(features="tile-coding")
+    ),
+    "a matrix [S, n] is one value where it is approx.Rows(matrix)": lambda: rl.sweep(
+        CAR, approx.SemiGradientSarsa, {"features": np.eye(7)}, num_seeds=1, num_steps=1
+    ),
     "there are no features 'tile-codin'; did you mean 'tile-coding'": lambda: read("tile-codin(3)"),
     "TileCoding: tilings must be a whole number of at least 1, not 0": lambda: read("tile-coding(0)"),
     "TileCoding: tiles must be whole numbers of at least 1, not 0": lambda: read("tile-coding(8, 0)"),

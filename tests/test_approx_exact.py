@@ -164,8 +164,9 @@ def test_errors_along_the_curve_are_those_of_the_weights(walks):
             np.testing.assert_allclose(
                 log.value_error[i, 0, seed, -1], exact.value_error(w) ** 0.5, rtol=1e-5
             )
-            error = log.projected_bellman_error[i, 0, seed, -1]
-            np.testing.assert_allclose(error, exact.projected_bellman_error(w) ** 0.5, rtol=1e-4)
+            for name in ("bellman_error", "projected_bellman_error"):
+                error = getattr(log, name)[i, 0, seed, -1]
+                np.testing.assert_allclose(error, getattr(exact, name)(w) ** 0.5, rtol=1e-4)
         best, td = (exact.value_error(w) ** 0.5 for w in (exact.best_weights(), exact.td_fixed_point()))
         np.testing.assert_allclose(walks.references["least_value_error"][i], best)
         np.testing.assert_allclose(walks.references["td_value_error"][i], td)
@@ -195,5 +196,5 @@ def test_the_measurer_sees_what_acts():
             exact = linear_values(env, pi, x, 0.9, behaviour=b)
             with jax.enable_x64():
                 found = rl.planning.linear_value_measurer(env, pi, 0.9, given, b)(jax.numpy.asarray(x @ w))
-            expected = exact.value_error(w) ** 0.5, exact.projected_bellman_error(w) ** 0.5
-            np.testing.assert_allclose(found[1:], expected, rtol=1e-8)
+            of = exact.value_error, exact.bellman_error, exact.projected_bellman_error
+            np.testing.assert_allclose(found[1:], [error(w) ** 0.5 for error in of], rtol=1e-8)

@@ -57,5 +57,6 @@ def test_it_learns_to_hold_the_pole():
     assert lengths[:, :5].mean() < 60
     assert lengths[:, -20:].mean() > 150
     assert (result.log.rewards == lengths).all()
+    assert result.environment == result.to_xarray().attrs["environment"] == "CartPole-v1"  # over all pictures
     with pytest.raises(rl.InputError, match="cannot be counted"):
         rl.train(jax.random.key(0), rl.Sarsa(), pole, num_steps=3)

@@ -1,11 +1,15 @@
-"""Least-squares policy iteration on the chains of its authors, against policy iteration and plain sums."""
+"""Least-squares policy iteration, from a log and online: on the chains of its authors, and against plain loops."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_approx import KEY, steps
 
 import jaxrl_tab as rl
 from jaxrl_tab import approx, planning
 from jaxrl_tab.core.experience import Experience
+from jaxrl_tab.core.types import Transition, fitted, init_learner
 
 GAMMA = 0.9
 
@@ -81,6 +85,50 @@ def test_an_action_that_a_state_does_not_have_is_none_of_its_best():
     np.testing.assert_allclose(found.q[played], q[played], atol=1e-6)
     assert found.is_settled
     assert (found.policy[~available] == 0).all()
+
+
+# --- online ----------------------------------------------------------------------------------------------
+
+
+def test_online_it_learns_what_a_plain_loop_learns():
+    """The weights after each of 200 transitions, in float64: the policy of its time is in A, and is improved by sevens.
+
+    Broken once: at S' an action that is not the greedy one; ties that the first one gets; b that begins
+    with 0 -> each fails.
+    """
+    env, transitions, gamma = rl.WindyGridworld(), steps(200), 0.9
+    with jax.enable_x64():
+        method = approx.LSPI(features="tile-coding(2, 2)", gamma=gamma, ridge=0.5, every=7, q0=0.25)
+        method = fitted(method, env)
+        arrays = Transition(*map(jnp.asarray, zip(*transitions, strict=True)))
+
+        def one(state, t):
+            state = method.update(KEY, state, t)[0]
+            return state, state.q
+
+        learned = jax.jit(lambda steps: jax.lax.scan(one, init_learner(method, env), steps)[1])
+        found, x = np.asarray(learned(arrays)), method.features.matrix
+    n = x.shape[1]
+    w = np.full((n, 4), 0.25 / 2)
+    a, b = 0.5 * np.eye(4 * n), 0.5 * w.ravel()
+    of = lambda s, actions: np.outer(x[s], actions).ravel()
+    for i, ((s, action, r, s_next, discount, _), q) in enumerate(zip(transitions, found, strict=True)):
+        best = x[s_next] @ w == (x[s_next] @ w).max()
+        now = of(s, np.eye(4)[action])
+        a += np.outer(now, now - discount * of(s_next, best / best.sum()))
+        b += r * now
+        if i % 7 == 6:
+            w = np.linalg.solve(a, b).reshape(n, 4)
+        np.testing.assert_allclose(q, w, rtol=1e-7, atol=1e-9)
+
+
+def test_online_it_comes_to_the_optimum():
+    """With a table, of the chain of four: as near as the states were seen, and to the best policy."""
+    env = chain(4, [1, 2])
+    state, _ = rl.train(KEY, approx.LSPI(gamma=GAMMA, epsilon=0.5), env, num_steps=20_000, log_every=20_000)
+    best = planning.value_iteration(env, gamma=GAMMA)[1]
+    np.testing.assert_allclose(state.q, best, rtol=0.02)
+    assert state.q.argmax(1).tolist() == [1, 1, 0, 0]
 
 
 def test_refusals():

@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 import jaxrl_tab as rl
@@ -180,6 +181,14 @@ def train(method, env: Any = CLIFF):
 
 
 REFUSED = {
+    "DeepQNetwork: q0 is a table, and Q is a network": lambda: train(
+        approx.DeepQNetwork(q0=np.ones((48, 4)))
+    ),
+    "DeepSarsa: the optimiser cannot be used for weights [2, 64], [64], [64, 64]": lambda: train(
+        approx.DeepSarsa(
+            optimizer=optax.GradientTransformation(lambda x: (), lambda g, state, x: (g + 1, state))
+        )
+    ),
     "DeepQNetwork: network: 'mpl(3)' is not a network with the widths of its hidden layers, such as mlp(64, 64)": (
         lambda: approx.DeepQNetwork(network="mpl(3)")
     ),

@@ -156,6 +156,8 @@ def train(method, env):
 
 
 REFUSED = {
+    "w0 must be a number for all weights": lambda: approx.TDC(w0=[]),
+    "w0 must be weights that are finite in float32, not 1e+39": lambda: approx.TDC(w0=1e39),
     "SemiGradientTD: give v0 or w0, not both": lambda: approx.SemiGradientTD(v0=1.0, w0=2.0),
     "SemiGradientSarsa: give q0 or w0, not both": lambda: approx.SemiGradientSarsa(q0=1.0, w0="2"),
     "w0 must be a number for all weights, or those of each feature": lambda: approx.GTD2(w0="1,2,x"),
@@ -170,7 +172,7 @@ REFUSED = {
         approx.SemiGradientSarsa(features="own"), rl.MountainCar()
     ),
     "behaviour leaves out action 0 in state 0": lambda: approx.TDC(behaviour=[[0, 1]], pi=[[0.5, 0.5]]),
-    "GTD2: it compares two policies state by state, and those of MountainCar cannot be counted": lambda: (
+    "GTD2: it compares two policies state by state, and the states of MountainCar cannot be counted": lambda: (
         train(approx.GTD2(features="tile-coding"), rl.MountainCar())
     ),
     "LSTD: ridge must be": lambda: approx.LSTD(ridge=0.0),

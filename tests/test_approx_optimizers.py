@@ -116,8 +116,21 @@ def wrong_state():
     )
 
 
+def small():
+    """A transformation whose state is that of two features and actions."""
+    return optax.GradientTransformation(lambda x: jnp.zeros((2, 2)), lambda g, state, x: (g + state, state))
+
+
 SARSA = approx.SemiGradientSarsa
 REFUSED = {
+    "learning_rate must be greater than 0, not -1": lambda: SARSA(optimizer="optax:adam(-1)"),
+    "learning_rate must be greater than 0, not 0": lambda: SARSA(optimizer="optax:sgd(learning_rate=0)"),
+    "SemiGradientTD: the optimiser cannot be used for weights [7, 1]: add got incompatible shapes": lambda: (
+        rl.train(jax.random.key(0), approx.SemiGradientTD(optimizer=small()), WALK, num_steps=1)
+    ),
+    "its updates are no real numbers": lambda: SARSA(
+        optimizer=optax.GradientTransformation(lambda x: (), lambda g, state, x: (g.astype(int), state))
+    ),
     "SemiGradientSarsa: give alpha or optimizer, not both": lambda: SARSA(
         alpha=0.5, optimizer="optax:adam(0.01)"
     ),

@@ -5,7 +5,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+import jaxrl_tab as rl
 from jaxrl_tab import approx
 from jaxrl_tab.approx.features import read
 from jaxrl_tab.envs import LongWalk, SquareWave
@@ -63,3 +65,19 @@ def test_the_wave_and_its_intervals():
     same = (inside[:, None] != found).sum(2) <= 2
     assert same.any(0).all()
     assert same.any(1).all()
+
+
+def test_the_error_of_the_wave_is_that_of_its_intervals():
+    """Four of them, in each of which the wave is 0 or 1. Broken once: its first value -> fails."""
+    grid = {"features": "tile-coding(1, 4)", "alpha": 0.1}
+    budget = {"num_seeds": 3, "num_steps": 40, "log_every": 20, "exact": True, "progress": False}
+    result = rl.sweep(SquareWave(), "semi-gradient-td", grid, **budget)
+    error = np.sqrt(((result.q[:, :4, 0] - [0, 1, 1, 0]) ** 2).mean(1))
+    np.testing.assert_allclose(result.log.v_error[:, -1], error, rtol=1e-5)
+    assert result.log.value_error is None
+    experiment = {"method": "semi-gradient-td", "steps": 40}
+    assert rl.Experiment(environment="square-wave", **experiment).exact
+    assert not rl.Experiment(environment="mountain-car", **experiment).exact
+    for env, method in ((rl.MountainCar(), approx.SemiGradientTD), (SquareWave(), approx.SemiGradientSarsa)):
+        with pytest.raises(rl.InputError, match="can only be sampled"):
+            rl.train(KEY, method(features="tile-coding(1, 4)"), env, num_steps=3, exact=True)

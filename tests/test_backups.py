@@ -178,7 +178,11 @@ SHAPES["q-lambda"] = (
 )
 # Those with features look ahead as those with a table do.
 SHAPES |= {name: SHAPES[name.replace("semi-gradient-", "")] for name in METHODS if "semi-gradient" in name}
-SHAPES |= {"deep-q-network": SHAPES["q-learning"], "deep-sarsa": SHAPES["sarsa"]}
+SHAPES |= {
+    "lspi": SHAPES["q-learning"],
+    "deep-q-network": SHAPES["q-learning"],
+    "deep-sarsa": SHAPES["sarsa"],
+}
 SHAPES["gradient-monte-carlo"] = SHAPES["monte-carlo-prediction"]
 SHAPES |= dict.fromkeys(("lstd", "semi-gradient-off-policy-td", "gtd2", "tdc", "emphatic-td"), TD0)
 IN_WORDS = {  # what no circle shows

@@ -556,7 +556,7 @@ REFUSALS = {
     "sweep windy-gridworld sarsa --behaviour ucb:2 ucb": "behaviour holds ucb:2 more than once",
     "sweep windy-gridworld sarsa --target greedy": "sarsa has no --target, which belongs to expected-sarsa,",
     "sweep windy-gridworld sarsa-lambda --lam 0.5 2": "lam must be between 0 and 1, not 2.0",
-    "sweep windy-gridworld sarsa-lambda --trace x": "choose one of accumulating, replacing, dutch",
+    "sweep windy-gridworld sarsa-lambda --trace x": "choose one of accumulating, replacing, clearing, dutch",
     "sweep windy-gridworld sarsa-lambda --offline --trace dutch": "accumulating traces only, not dutch",
     "sweep windy-gridworld n-step-sarsa --n 0": "n must be a whole number of at least 1, not 0",
     "sweep windy-gridworld n-step-sarsa --n 1.5": "--n takes a whole number, not '1.5'",

@@ -107,6 +107,9 @@ def test_an_environment_without_a_base_class_declares_nothing_and_runs():
         None,
         False,
         *[None] * 7,
+        (),
+        None,
+        None,
     )
     ds = rl.sweep(Door(), Mean, num_seeds=2, num_steps=20).to_xarray()
     assert ds.attrs["learns"] == "actions"

@@ -8,6 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
+from exploring import decoded
 from made_up import make_result
 
 import jaxrl_tab as rl
@@ -115,18 +116,6 @@ def test_scores_of_all_settings(explored, page):
     times = np.where(reached, merged(ds.steps.values).cumsum(-1), np.inf).min(-1)
     at = names.index(until[0])
     np.testing.assert_array_equal(numbers[:, at, 0], np.median(times, -1).ravel())
-
-
-def decoded(page, method, setting):
-    """Q at all moments, [views, moments, S, A], from the page, and its views."""
-    data, found = page
-    about = data["methods"][method]["tables"][str(setting)]
-    views = (["mean", "median"] if about["averaged"] else []) + data["methods"][method]["ranks"]
-    raw = packing.from_text(found[f"data-1-tables-{method}-{setting}"])
-    shape = (len(views), about["moments"], len(data["scene"]["states"]), about["actions"])
-    size = 2 * int(np.prod(shape))
-    steps = packing.Steps(about["low"], about["step"], about["decimals"])
-    return packing.decoded(packing.unpacked_codes(raw[:size], shape), steps), views, about
 
 
 def test_tables_over_time_are_those_of_the_same_runs(page):
@@ -237,7 +226,7 @@ def test_runs_that_are_not_the_same_again_are_left_out(windy, windy_set):
     methods = Methods.of({"sarsa": windy_set}, windy)
 
     def again_off_by(off):
-        def again(name, setting, places, every):
+        def again(name, setting, places, every, points):
             assert (name, every) == ("windy/sarsa", 1)
             table = windy_set.q.values[setting, places][:, None].repeat(20, 1)
             return OverTime(table + off, np.ones(table.shape, np.int32))

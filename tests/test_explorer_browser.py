@@ -1,5 +1,6 @@
 """Looking around in the report, in a browser: what it shows are the numbers of the results."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -328,6 +329,60 @@ def test_tasks_without_a_picture_have_a_table_of_states(browser, tmp_path):
     error = result.log.v_error
     assert error is not None
     assert at_cursor(browser) == pytest.approx({"TD(0)": float(error[:, -1].mean())}, rel=1e-5)
+    assert browser.messages == []
+
+
+def test_where_states_cannot_be_counted_there_is_a_map(browser, tmp_path):
+    """Colours, and the values of the place that is looked at. Broken once: with numbers in all 315 places -> fails."""
+    car, w = rl.MountainCar(), -np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
+    result = make_result(car, w)
+    ds = dataclasses.replace(result, fixed=result.fixed | {"features": "observation"}).to_xarray()
+    look_at(browser, report.write(tmp_path, {"car/sarsa": ds}, {"car": car}, {}))
+    assert browser("$$('.cell').length") == 315
+    assert browser("$('.about h6').textContent") == "Velocity 0, position −0.51"  # where episodes start
+    here = (-1.2 + 1.7 * 8.5 / 21 + 0.35) / 0.85  # of -1 to 1
+    assert column_of(browser, "learned") == pytest.approx(np.array([0, -1, -2]) * here, abs=0.006)
+    texts = "[...new Set([...$$('.above .{}')].map(x => x.textContent))].sort()"
+    assert browser(texts.format("v")) == [""]
+    assert browser(texts.format("letter")) == [
+        "",
+        "B",
+        "F",
+    ]  # none in the middle, where all actions are alike
+    for width in (1200, 390):
+        browser.resize(width)
+        browser.wait("$('.panel').viewBox.baseVal.width > 0")
+        inside = "(x => x.getBBox().x >= 0)"
+        assert browser(f"[...$$('.panel .tick')].every({inside})")
+    assert browser.messages == []
+
+
+def test_what_features_allow_stands_beside_the_curves(browser, tmp_path):
+    """One line where it is the same for all, else one for each; none of an infinite number, and none beside others.
+
+    Broken once: of the settings in the order in which they are ranked -> fails.
+    """
+    ds = make_result(rl.RandomWalk(states=5), np.zeros((7, 1))).to_xarray()
+    errors = dict.fromkeys(("v_error", "value_error"), ds.returns * 0 + 1 / ds.alpha)  # 0.9 is the best
+    lines = {"least_value_error": [0.1, 0.1, 0.2], "td_value_error": [0.3, np.nan, 0.3]}
+    ds = ds.assign(errors | {name: ("alpha", x) for name, x in lines.items()}).assign_attrs(learns="states")
+    look_at(browser, report.write(tmp_path, {"walk/td": ds}, {"walk": rl.RandomWalk(states=5)}, {}))
+    told = "[...$$('.legend [data-exact]')].map(x => [x.dataset.exact, x.textContent])"
+    assert browser(told) == []
+    choose(browser, ".curves", "measure", "value_error")
+    assert browser(told) == [["the least possible", "0.2000"], ["fixed point of TD", "0.3000"]]
+    choose(browser, ".curves", "a curve for each", "alpha")
+    least = [
+        ["the least possible, α = " + a, x]
+        for a, x in (("0.05", "0.1000"), ("0.2", "0.1000"), ("0.9", "0.2000"))
+    ]
+    assert browser(told) == [*least, ["fixed point of TD", "0.3000"]]
+    dashes = browser("[...$$('.curves .exact')].map(x => getComputedStyle(x).strokeDasharray)")
+    assert dashes == ["5px, 4px"] * 3 + ["2px, 3px"]
+    browser("$$('.curves button').find(x => x.textContent === 'as Python').click()")
+    assert 'ax.axhline(0.3, ls=":", color="grey", label="fixed point of TD")' in browser(
+        "$('dialog pre').textContent"
+    )
     assert browser.messages == []
 
 

@@ -235,7 +235,7 @@ def test_help_says_the_range_that_is_checked():
     told = {p.name: p.help for p in describe.parameters(rl.SarsaLambda)}
     assert told["alpha"] == "Step size. A number greater than 0, or a schedule."
     assert told["gamma"] == "Discount rate. A number between 0 and 1."
-    assert told["trace"].endswith('"accumulating", "replacing" or "dutch".')
+    assert told["trace"].endswith('"accumulating", "replacing", "clearing" or "dutch".')
 
 
 # --- classes of users --------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from marks import slow_but_first
 
 import jaxrl_tab as rl
 from jaxrl_tab import planning
+from jaxrl_tab.envs import name_of
 from jaxrl_tab.interop import from_gymnasium, from_gymnax, make, to_gymnax
 from jaxrl_tab.interop.gymnax import EnumeratedGymnax, SampledGymnax
 
@@ -319,6 +320,7 @@ def test_an_end_that_looks_like_a_state_is_apart(monkeypatch):
     """Broken once -> fails: the same number for both. In blocks of one state at a time it is the same."""
     env = from_gymnax(Quit())
     assert isinstance(env, EnumeratedGymnax)
+    assert name_of(env) == Quit().name
     assert env.observations.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6]
     assert env.is_terminal.tolist() == [False, True] * 7
     p, r = dense(env)

@@ -3,6 +3,8 @@
 Where numbers are compared, what they should be is worked out in NumPy or by XLA.
 """
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -186,6 +188,15 @@ def test_fewer_lanes_go_side_by_side_where_they_wait_for_one_another(function, o
     assert program.block(code, facts, AVX2, 1000) == of_8
     assert program.block(code, facts, AVX512, 16) == (16, 1)
     assert program.block(code, facts, AVX512, 1) == (1, 1)
+
+
+@pytest.mark.slow
+def test_the_documentation_prints_every_stage_of_a_program(capsys):
+    """Broken once: without `backend.using("xla")`, as it stood for some weeks -> Unsupported."""
+    page = (Path(__file__).parents[1] / "docs/performance.md").read_text(encoding="utf-8")
+    exec(page.partition("```python\n")[2].partition("```")[0], {})
+    jaxpr, llvm, assembly = capsys.readouterr().out.split("\n\n", 2)
+    assert "scan[" in jaxpr and "define" in llvm and "kernel:" in assembly
 
 
 # --- indices

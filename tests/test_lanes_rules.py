@@ -144,6 +144,7 @@ def test_functions_of_many_numbers_have_the_bits_of_xla():
 
 
 UNSUPPORTED = {
+    "random keys are no results that are compiled": lambda x: jax.random.key(0),
     "the primitive fft is not compiled": lambda x: jnp.fft.fft(x),
     "the primitive tan is not compiled": lambda x: jnp.tan(x),
     "numbers of the type uint8 are not compiled": lambda x: (x > 0).astype(np.uint8) + 1,

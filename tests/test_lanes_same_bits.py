@@ -99,6 +99,7 @@ CASES = {
     "q-pi-lambda": Case("frozen-lake", "q-pi-lambda", {"lam": [0.0, 0.3, 0.9]}),
     "retrace": Case("frozen-lake", "retrace", {"lam": [0.0, 0.3, 0.9]}),
     "sarsa-lambda": Case("easy21", "sarsa-lambda", {"lam": [0.0, 0.3, 0.9]}),
+    "clearing traces": Case("windy-gridworld", "sarsa-lambda", ALPHAS | {"trace": "clearing"}),
     "sarsa-lambda-forward": Case("two-doors", "sarsa-lambda-forward", ALPHAS, episodes=20),
     "one by one": Case("two-doors", "sarsa-lambda-forward", ALPHAS | {"one_by_one": True}, episodes=20),
     "q-lambda": Case("frozen-lake", "q-lambda", ALPHAS),
@@ -152,7 +153,7 @@ CASES = {
     **{
         name: Case("mountain-car", name, SMALLER | {"features": "tile-coding(4, 4)"})
         for name, cls in rl.approx.CONTROL.items()
-        if not of_method(cls).left_to_xla
+        if name != "lspi" and not of_method(cls).left_to_xla
     },
     **{
         name: Case("random-walk", name, SMALLER | {"features": "tile-coding(2, 3)"}, episodes=8)
@@ -160,6 +161,12 @@ CASES = {
         if name != "lstd"
     },
     "lstd": Case("random-walk", "lstd", {"gamma": 0.9, "features": "tile-coding(2, 3)"}, episodes=8),
+    "clearing traces of features": Case(
+        "mountain-car",
+        "semi-gradient-sarsa-lambda",
+        SMALLER | {"features": "tile-coding(4, 4)", "trace": "clearing"},
+    ),
+    "lspi": Case(rl.FiniteMDP(TO_NEXT, REWARDS), "lspi", {"gamma": 0.9, "epsilon": 1.0}),
     "long-walk": Case("long-walk", "td", ALPHAS, episodes=4),
     "square-wave": Case(
         "square-wave", "semi-gradient-td", SMALLER | {"features": "tile-coding(2, 5)"}, episodes=20
@@ -201,6 +208,7 @@ DIFFER: dict[str, float] = {
     "semi-gradient-n-step-td": 1e-6,
     "gradient-monte-carlo": 1e-6,
     "lstd": 1e-4,
+    "lspi": 1e-4,
 }
 
 

@@ -329,6 +329,14 @@ def test_learned_values_are_beside_those_of_the_policy(ax, predicted):
     np.testing.assert_array_equal(learned.get_xdata(), np.arange(1, 20))
     np.testing.assert_allclose(learned.get_ydata(), predicted.q.sel(alpha=0.9)[:, 1:20, 0].mean("seed"))
     np.testing.assert_allclose(exact.get_ydata(), np.arange(-9, 10) / 10, atol=1e-9)
+    assert learned.get_marker() == "o"
+    ax.clear()
+    of_states = (*predicted.q.dims[:2], "state", "action")
+    many = predicted.drop_vars("q").assign(q=(of_states, np.zeros((3, 5, 101, 1))))
+    plot.state_values(ax, {"td": many}, rl.RandomWalk(states=99))
+    learned, exact = ax.get_lines()
+    assert learned.get_marker() == "none"  # they would be one broad band
+    assert exact.get_zorder() > learned.get_zorder()
 
 
 def test_of_prediction_there_is_no_path_and_on_a_grid_there_are_tables(predicted, windy, unwritten):

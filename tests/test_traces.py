@@ -26,6 +26,7 @@ METHODS = [
     (rl.SarsaLambda, {"offline": True}),
     *((rl.QLambda, {"trace": trace}) for trace in ("accumulating", "replacing")),
     *((rl.QLambda, {"version": version, "trace": "replacing"}) for version in ("peng", "naive")),
+    (rl.SarsaLambda, {"trace": "clearing"}),
 ]
 KINDS = {
     f"{fields.get('version', cls.__name__)}, {fields.get('trace', 'offline')}": (cls, fields)
@@ -53,7 +54,7 @@ def test_every_step_agrees_with_the_plain_loop(kind, env_name):
     terminal states, none at the time limit; A' drawn again, by another word or by the new Q; Watkins never
     cuts, cuts on a tie, cuts by the new Q, Peng's or the naive version, too; Peng's error for the pair itself; dutch
     traces that fade like accumulating ones; off-line learning that acts by the Q of the moment, or forgets episodes cut
-    by the time limit -> each fails.
+    by the time limit; the traces of other actions kept where they are cleared -> each fails.
     """
     (cls, fields), (env, task) = KINDS[kind], env_and_task(env_name)
     shape = env.num_states, env.num_actions

@@ -106,6 +106,9 @@ def method_commands(name: str) -> list[str]:
     if name.startswith("deep-"):  # which need more time than tiles, and a step size of another kind
         told = '--features "radial-basis(6, 0.2)" --network "mlp(32)" --optimizer "optax:adam(0.002)" --gamma 0.99'
         return [f"jaxrl-tab sweep mountain-car {name} {told} --steps 10000 --seeds 4 --out runs/{name}"]
+    if name == "lspi":  # which has no step size, and a cost that grows with the square of the weights
+        told = "--gamma 0.99 --q0 0 1 --episodes 300 --seeds 20"
+        return [f"jaxrl-tab sweep frozen-lake {name} {told} --out runs/{name}"]
     if declared.features is not None and declared.learns is Learns.ACTIONS:
         return [_of_features("mountain-car", name, out=name)]
     if declared.features is not None and declared.learns_from.needs_behaviour:

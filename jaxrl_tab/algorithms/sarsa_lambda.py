@@ -59,9 +59,10 @@ class SarsaLambda(TraceControl):
     0.40.
     """
 
-    trace: Literal["accumulating", "replacing", "dutch"] = static(  # pyright: ignore[reportIncompatibleVariableOverride]
+    trace: Literal["accumulating", "replacing", "clearing", "dutch"] = static(  # pyright: ignore[reportIncompatibleVariableOverride]
         default="accumulating",
-        help="A pair that comes again gets 1 added to its trace, gets 1, or gets 1 added to 1 - alpha of it.",
+        help="A pair that comes again gets 1 added to its trace; or gets 1; or gets 1, and the other actions of its "
+        "state get 0; or gets 1 added to 1 - alpha of it.",
     )
     offline: bool = static(
         default=False,

@@ -36,9 +36,12 @@ def marked(
 ) -> Credited:
     """The values where a pair has come with step size alpha, and all are credited with `step` times their traces.
 
-    Its trace grows by 1; or it is 1 (replacing; Singh and Sutton 1996); or it grows by 1 - alpha z (dutch; van Seijen
-    and Sutton 2014).
+    Its trace grows by 1; or it is 1 (replacing; Singh and Sutton 1996), and those of the other actions in the state are
+    0 (clearing; the same); or it grows by 1 - alpha z (dutch; van Seijen and Sutton 2014).
     """
+    if trace == "clearing":
+        taken = jnp.arange(values.base.shape[-1], dtype=jnp.int32) == a
+        return values.replaced(x, taken.astype(values.base.dtype), step)
     if trace != "dutch":
         return values.learned(x, a, 0.0 if trace == "replacing" else 1.0, 1.0, step)
     if linear.is_number(x):  # z + 1 - alpha z, and z is that of the one pair that is marked

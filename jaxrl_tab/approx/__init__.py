@@ -10,11 +10,11 @@
     prediction      TD(0), n-step TD, TD(lambda), true online TD(lambda)
     monte_carlo     gradient Monte Carlo
     off_policy      TD(0) with importance sampling, GTD2, TDC, emphatic TD
-    least_squares   LSTD
+    least_squares   LSTD; online least-squares policy iteration
     weights         weights that are given at the start
     network         a small neural network
     deep            Q-learning and Sarsa by such a network, with experience replay and a target copy
-    policy_iteration  least-squares policy iteration, from a log
+    policy_iteration  least-squares policy iteration from a log
     dangers         a step size that must diverge, and the deadly triad
 
 To add a method: write its class, and add its line here. They are used wherever a method is:
@@ -46,7 +46,7 @@ from jaxrl_tab.approx.features import (
     TileCoding,
     matrix,
 )
-from jaxrl_tab.approx.least_squares import LSTD
+from jaxrl_tab.approx.least_squares import LSPI, LSTD
 from jaxrl_tab.approx.monte_carlo import GradientMonteCarlo
 from jaxrl_tab.approx.network import MLP
 from jaxrl_tab.approx.observed import Features, Rows
@@ -67,6 +67,7 @@ CONTROL: dict[str, type] = {
     "semi-gradient-sarsa-lambda": SemiGradientSarsaLambda,
     "semi-gradient-true-online-sarsa-lambda": SemiGradientTrueOnlineSarsaLambda,
     "differential-semi-gradient-sarsa": DifferentialSemiGradientSarsa,
+    "lspi": LSPI,
     "deep-q-network": DeepQNetwork,
     "deep-sarsa": DeepSarsa,
 }
@@ -87,6 +88,7 @@ __all__ = [
     "CONTROL",
     "FEATURES",
     "GTD2",
+    "LSPI",
     "LSTD",
     "MLP",
     "OF_STATES",

@@ -65,14 +65,16 @@ class SemiGradientSarsaLambda(OptimizedTraceControl):
     z(., .) <- gamma lambda z,  then z(., A) <- z(., A) + x(S)      (accumulating)
     w <- w + alpha delta z      (book, section 12.7)
 
-    A replacing trace of a feature that is 1 is 1 (figure 12.10); with dutch ones it is true online Sarsa(lambda).
+    A replacing trace of a feature that is 1 is 1 (figure 12.10); where it is clearing, those of the other actions are
+    0 (figure 12.11; Singh and Sutton 1996); with dutch ones it is true online Sarsa(lambda).
     """
 
     offline: ClassVar = False  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    trace: Literal["accumulating", "replacing", "dutch"] = static(  # pyright: ignore[reportIncompatibleVariableOverride]
+    trace: Literal["accumulating", "replacing", "clearing", "dutch"] = static(  # pyright: ignore[reportIncompatibleVariableOverride]
         default="replacing",
-        help="The trace of a feature that comes again grows by it, is 1, or grows by 1 - alpha z . x(S) times it.",
+        help="The trace of a feature that comes again grows by it; or is 1; or is 1, and 0 for the other actions; or "
+        "grows by 1 - alpha z . x(S) times it.",
     )
 
 

@@ -16,7 +16,7 @@ from jaxrl_tab.algorithms.control import ValueControl
 from jaxrl_tab.approx import features, network
 from jaxrl_tab.approx.network import Weights
 from jaxrl_tab.approx.semi_gradient import EPSILON_GREEDY_ALONE, OF_FEATURES, check_counts
-from jaxrl_tab.core import clock, optimizers, policies, tables
+from jaxrl_tab.core import clock, optimizers, policies, rng, tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.checks import assign
 from jaxrl_tab.core.clock import Clock
@@ -105,7 +105,13 @@ class Deep(ValueControl):
     def fitted_to(self, env: Environment) -> Self:
         """The method where its features are those of the states of an environment. Raises InputError as they do."""
         check_counts(self, env)
-        return dataclasses.replace(self, features=self.features.fitted(env))
+        fitted = dataclasses.replace(self, features=self.features.fitted(env))
+        who = type(self).__name__
+        if jnp.ndim(self.q0):
+            raise InputError("q0 is a table, and Q is a network: give one number", who=who, field="q0")
+        weights = jax.eval_shape(lambda key: fitted.first(key, env.num_states, env.num_actions), rng.key(0))
+        optimizers.check_fits(self.optimizer, weights, who)
+        return fitted
 
     def restricted_to(self, available: Available, **more: Any) -> Self:
         if not isinstance(self.selection, EpsilonGreedy):
@@ -127,8 +133,7 @@ class Deep(ValueControl):
     ) -> DeepState:
         for policy in self.all_policies:
             policy.check(num_states, num_actions)
-        *hidden, last = self.network.init(key, self._inputs(num_states), num_actions)
-        weights = (*hidden, last._replace(b=last.b + self.q0))
+        weights = self.first(key, num_states, num_actions)
         zero, real, x = jnp.int32(0), jnp.zeros(()), self.features.nowhere
         a_next = zero if self.on_policy else None
         available = None if self.available is None else jnp.ones(num_actions, bool)
@@ -137,6 +142,11 @@ class Deep(ValueControl):
         by_visit = any(p.by_visit for p in self.all_policies)
         counts = clock.start(num_states, num_actions, by_visit)
         return DeepState(weights, weights, optimizers.start(self.optimizer, weights), memory, counts)
+
+    def first(self, key: Key[Array, ""], num_states: int, num_actions: int) -> Weights:
+        """The weights before the first step."""
+        *hidden, last = self.network.init(key, self._inputs(num_states), num_actions)
+        return (*hidden, last._replace(b=last.b + self.q0))
 
     # --- Q ---------------------------------------------------------------------------------------------
 

@@ -14,15 +14,17 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxrl_tab.approx.observed import MOST, Features, Ranged, Rows, check_tuple
 from jaxrl_tab.core.checks import assign, is_list
-from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.declared import name_of, of_environment
 from jaxrl_tab.core.errors import InputError, nearest, reason, shown, unfit
 from jaxrl_tab.core.linear import Active, X, all_of
 from jaxrl_tab.core.optax import read_call
 from jaxrl_tab.core.pytree import checked_dataclass, static
+
+ROUNDING = 1e-9  # parts of a range: as little as no two states are apart
 
 
 @checked_dataclass
@@ -37,7 +39,7 @@ class OneHot(Features):
     def fitted(self, env: Any) -> Features:
         if not env.num_states:
             raise InputError(
-                f"the states of {type(env).__name__} cannot be counted: take other features, such as tile-coding",
+                f"the states of {name_of(env)} cannot be counted: take other features, such as tile-coding",
                 who=type(self).__name__,
             )
         return self
@@ -79,7 +81,7 @@ class Own(Features):
 
     def fitted(self, env: Any) -> Features:
         if (given := of_environment(env).features) is None:
-            problem = f"{type(env).__name__} has no features of its own: take others, such as tile-coding"
+            problem = f"{name_of(env)} has no features of its own: take others, such as tile-coding"
             raise InputError(problem, who=type(self).__name__)
         return Rows(given, None, self).fitted(env)
 
@@ -105,8 +107,19 @@ class Aggregation(Ranged):
     def __call__(self, observed: Float[Array, " d"]) -> X:
         index = jnp.int32(0)
         for u, n in zip(self.scaled(observed), _along(self, "groups"), strict=True):
-            index = index * n + jnp.minimum(jnp.floor(u * n).astype(jnp.int32), n - 1)
+            index = index * n + jnp.minimum(_part(u, n), n - 1)
         return index
+
+
+def _part(u: Float[Array, ""], n: int) -> Int[Array, ""]:
+    """In which of n equal parts of [0, 1] a number is, counted from 0; n at the end itself.
+
+    A border belongs to the part above it. The states that are counted lie on borders, and are worked out in float64: so
+    there rounding carries none below its border. In float32, in which numbers that are observed are rounded anyway,
+    nothing is added.
+    """
+    parts = u * n
+    return jnp.floor(parts + ROUNDING if parts.dtype == np.float64 else parts).astype(jnp.int32)
 
 
 def _along(features: Any, name: str) -> tuple[int, ...]:
@@ -150,7 +163,7 @@ class TileCoding(Ranged):
     def __call__(self, observed: Float[Array, " d"]) -> X:
         # In units of a tile's width divided by the number of tilings, so that a shift is a whole number.
         fine = [
-            jnp.floor(u * (n * self.tilings)).astype(jnp.int32)
+            _part(u, n * self.tilings)
             for u, n in zip(self.scaled(observed), _along(self, "tiles"), strict=True)
         ]
         ones = []
@@ -351,7 +364,7 @@ def _read_one(written: str) -> Features:
     text = written if written.endswith(")") else f"{written}()"
     what = "features with their numbers in parentheses, such as tile-coding(8, tiles=8)"
     plain = text.replace("-", "_", text.partition("(")[0].count("-"))
-    name, numbers, keywords = read_call(plain, what, takes_more=True)
+    name, numbers, keywords = read_call(plain, what, takes_more=True, typed=written)
     name = name.replace("_", "-")
     if name not in FEATURES:
         raise InputError(f"there are no features {shown(name)}; {nearest(name, FEATURES)}")
@@ -370,7 +383,7 @@ def matrix(written: Any, env: Any) -> Float[np.ndarray, "S n"]:
     """
     if not env.num_states:
         raise InputError(
-            f"the states of {type(env).__name__} cannot be counted, so there is no list of their features"
+            f"the states of {name_of(env)} cannot be counted, so there is no list of their features"
         )
     features: Any = read(written).fitted(env)
     return np.eye(env.num_states) if isinstance(features, OneHot) else features.matrix

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.core import tables
 from jaxrl_tab.core.checks import as_array, assign, is_list
-from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.declared import name_of, of_environment
 from jaxrl_tab.core.errors import InputError, is_whole, unfit
 from jaxrl_tab.core.linear import Active, X
 from jaxrl_tab.core.pytree import checked_dataclass, static
@@ -218,8 +218,10 @@ class Rows(Features):
         given = as_array(numbers)
         if given is None or given.ndim != 2 or given.dtype.kind not in "biuf" or not given.size:
             raise unfit("Rows", "numbers", "features of all states, numbers in rows of equal length", numbers)
-        if not np.isfinite(given).all():
-            raise unfit("Rows", "numbers", "finite features", numbers)
+        with np.errstate(over="ignore"):
+            held = given.astype(jax.dtypes.canonicalize_dtype(float)) if size is None else given
+        if not np.isfinite(held).all():
+            raise unfit("Rows", "numbers", f"features that are finite in {held.dtype}", numbers)
         self.numbers = np.array(given, float if size is None else np.int32)
         self.numbers.flags.writeable = False
         self.active = None if size is None else given.shape[1]
@@ -252,6 +254,9 @@ class Rows(Features):
         return super().unit if self.active or self._made_of is None else self._made_of.unit
 
     def fitted(self, env: Any) -> Features:
+        if not env.num_states:
+            problem = f"they are given state by state, and those of {name_of(env)} cannot be counted"
+            raise InputError(problem, who="Rows", field="numbers")
         if len(self.numbers) != env.num_states:
             problem = f"features of {len(self.numbers)} states were given, and the task has {env.num_states}"
             raise InputError(problem, who="Rows", field="numbers")

@@ -16,7 +16,7 @@ from jaxrl_tab.approx.semi_gradient import SemiGradientPrediction
 from jaxrl_tab.core import clock, linear, tables
 from jaxrl_tab.core.backups import Backup
 from jaxrl_tab.core.clock import Clock, Rate, end_step
-from jaxrl_tab.core.declared import LearnsFrom
+from jaxrl_tab.core.declared import LearnsFrom, name_of
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import field, pytree
 from jaxrl_tab.core.types import Environment, Transition
@@ -49,7 +49,9 @@ class OffPolicyLinear(SemiGradientPrediction, OffPolicyPrediction):
 
     def fitted_to(self, env: Environment) -> Self:
         if not env.num_states:
-            problem = f"it compares two policies state by state, and those of {type(env).__name__} cannot be counted"
+            problem = (
+                f"it compares two policies state by state, and the states of {name_of(env)} cannot be counted"
+            )
             raise InputError(problem, who=type(self).__name__)
         return super().fitted_to(env)
 

@@ -5,14 +5,16 @@ the others; with eligibility traces -delta z. An optimiser that remembers, such 
 step, which so costs as much as there are weights, however few features are 1.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.traces import marked
+from jaxrl_tab.approx.features import OneHot
 from jaxrl_tab.approx.semi_gradient import SemiGradientControl
 from jaxrl_tab.core import linear, optimizers
 from jaxrl_tab.core.checks import assign, concrete
@@ -20,7 +22,7 @@ from jaxrl_tab.core.clock import Clock, end_step
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.notebook import Shown
 from jaxrl_tab.core.pytree import pytree, static
-from jaxrl_tab.core.types import Transition
+from jaxrl_tab.core.types import Environment, Transition
 
 OPTIMIZER = (
     'An optimiser in place of alpha, as the call that makes it in optax, with its learning rate: "optax:adam(0.01)"; '
@@ -58,6 +60,14 @@ class Optimized(Shown):
         if own.per_tiling:
             problem = "alpha is divided by the number of tilings, and there is none with an optimizer"
             raise InputError(problem, who=who, field="per_tiling")
+
+    def fitted_to(self, env: Environment) -> Self:
+        fitted: Any = super().fitted_to(env)  # pyright: ignore[reportAttributeAccessIssue]
+        size = env.num_states if isinstance(fitted.features, OneHot) else fitted.features.size
+        shape = size, 1 if hasattr(self, "v0") else env.num_actions
+        learned = jax.ShapeDtypeStruct(shape, jax.dtypes.canonicalize_dtype(float))
+        optimizers.check_fits(self.optimizer, learned, type(self).__name__)
+        return fitted
 
 
 @pytree

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from jaxrl_tab.approx.features import read
 from jaxrl_tab.approx.observed import Rows
 from jaxrl_tab.core.checks import RATE, check_pytree, check_within
+from jaxrl_tab.core.declared import name_of
 from jaxrl_tab.core.errors import InputError, whole
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.policies import UNAVAILABLE
@@ -66,7 +67,7 @@ def lspi(
         raise InputError(f"lspi: experience must be an Experience, not {type(experience).__name__}")
     if not env.num_states:
         raise InputError(
-            f"lspi: the states of {type(env).__name__} cannot be counted, and a log has numbers of states"
+            f"lspi: the states of {name_of(env)} cannot be counted, and a log has numbers of states"
         )
     check_within("gamma", gamma, RATE)
     most = whole("lspi", "most", most)

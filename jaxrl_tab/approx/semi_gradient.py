@@ -23,6 +23,7 @@ from jaxrl_tab.approx.features import OneHot, matrix, read
 from jaxrl_tab.core import policies, tables
 from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import goes_by_visit
+from jaxrl_tab.core.declared import name_of, of_environment
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.linear import X
 from jaxrl_tab.core.notebook import Shown
@@ -58,7 +59,7 @@ def check_counts(method: ValueControl, env: Environment) -> None:
         any(map(goes_by_visit, rates)) or any(p.by_visit for p in method.all_policies)
     ):
         raise InputError(
-            f"what goes by visits needs states that can be counted, and those of {type(env).__name__} cannot: "
+            f"what goes by visits needs states that can be counted, and those of {name_of(env)} cannot: "
             "count steps or episodes",
             who=type(method).__name__,
         )
@@ -80,6 +81,13 @@ class Linear(Shown):
         if self.per_tiling and self.features.active is None:
             problem = f"features {self.features} are not 1 or 0, so alpha cannot be divided by how many are 1"
             raise InputError(problem, who=type(self).__name__, field="per_tiling")
+        trace = getattr(self, "trace", "")
+        if trace in ("replacing", "clearing") and self.features.active is None:
+            problem = (
+                f"a {trace} trace is for features that are 1 or 0, and {self.features} are numbers: take an "
+                "accumulating or a dutch one"
+            )
+            raise InputError(problem, who=type(self).__name__, field="trace")
         if not isinstance(self.w0, str) or self.w0:
             assign(self, w0=weights.as_text(type(self).__name__, self.w0))
             name, first = self._first_value
@@ -96,6 +104,9 @@ class Linear(Shown):
         own: Any = self
         features, who = own.features.fitted(env), type(self).__name__
         name, first = self._first_value
+        if np.ndim(getattr(self, name)) and not isinstance(features, OneHot):
+            problem = f"{name} is a table, and values are functions of the features {features}: give one number, or w0"
+            raise InputError(problem, who=who, field=name)
         if features.unit is None and first is not None and np.any(first != 0):
             problem = (
                 f"no weights of the features {features} give every state the value {first}: leave it at 0"
@@ -114,7 +125,7 @@ class Linear(Shown):
 
 
 @pytree
-class SemiGradientControl(Linear, TDControl):
+class LinearControl(Linear, ValueControl):
     """Control whose Q is linear in features of the state, with weights of their own for each action.
 
     q(s, a) = x(s) . w(., a)      (book, section 9.4)
@@ -155,6 +166,11 @@ class SemiGradientControl(Linear, TDControl):
             return row
         return jnp.where(tables.row(jnp.asarray(available, float), s) > 0, row, policies.UNAVAILABLE)
 
+
+@pytree
+class SemiGradientControl(LinearControl, TDControl):
+    """Control whose Q is linear in features of the state, and which learns by a step size."""
+
     def step_size(self, state: Learner, t: Transition) -> Float[Array, ""] | float:
         alpha = super().step_size(state, t)
         return alpha / self.features.active if self.per_tiling else alpha
@@ -167,15 +183,18 @@ class SemiGradientPrediction(Linear, Prediction):
     Where states cannot be counted, nobody can say what a policy does in each: there all actions are equally likely.
     """
 
-    measures: ClassVar[tuple[str, ...]] = ("v_error", "value_error", "projected_bellman_error")
+    measures: ClassVar[tuple[str, ...]] = (
+        "v_error",
+        "value_error",
+        "bellman_error",
+        "projected_bellman_error",
+    )
 
     def fitted_to(self, env: Environment) -> Self:
         if not env.num_states and (
             name := next((x for x in ("pi", "behaviour") if getattr(self, x, None)), "")
         ):
-            problem = (
-                f"{name} cannot be given for each state, for those of {type(env).__name__} cannot be counted"
-            )
+            problem = f"{name} cannot be given for each state, for those of {name_of(env)} cannot be counted"
             raise InputError(problem, who=type(self).__name__, field=name)
         fitted: Any = super().fitted_to(env)
         return cast(Self, Prediction.fitted_to(fitted, env))
@@ -202,7 +221,19 @@ class SemiGradientPrediction(Linear, Prediction):
         return planning.linear_values(env, pi, features, float(own.gamma), behaviour=b)
 
     def measurer(self, env: Environment):
-        """What `train(exact=True)` records: the errors that are `measures`, from the state."""
+        """What `train(exact=True)` records: the errors that are `measures`, from the state.
+
+        Where states cannot be counted it is the root of the mean squared error of V in those whose values are known.
+        """
+        if not env.num_states and (known := of_environment(env).known_values):
+            states, values = known()
+
+            @planning.in_turn
+            def error(state: ValueState) -> tuple[Float[Array, ""], ...]:
+                learned = jax.vmap(self.row, (None, 0))(state, states)[:, 0]
+                return (jnp.sqrt(((learned - values) ** 2).mean()),)
+
+            return lambda state: {"v_error": error(state)[0]}
         planning.check_finite(env)
         with planning.doubled():
             pi, b = self.policies(env)

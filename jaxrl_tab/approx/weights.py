@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -18,8 +19,12 @@ def as_text(who: str, given: Any) -> str:
         InputError: they are no finite numbers in rows of equal length.
     """
     array = _read(given) if isinstance(given, str) else as_array(given)
-    if array is None or array.dtype.kind not in "iuf" or array.ndim > 2 or not np.isfinite(array).all():
+    if array is None or array.dtype.kind not in "iuf" or array.ndim > 2 or not array.size:
         raise unfit(who, "w0", WANTED, given)
+    with np.errstate(over="ignore"):
+        held = array.astype(jax.dtypes.canonicalize_dtype(float))
+    if not np.isfinite(held).all():
+        raise unfit(who, "w0", f"weights that are finite in {held.dtype}", given)
     rows = array.reshape(len(array) if array.ndim == 2 else 1, -1)
     return ";".join(",".join(repr(float(x)).removesuffix(".0") for x in row) for row in rows)
 

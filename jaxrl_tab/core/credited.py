@@ -86,10 +86,7 @@ class Credited(NamedTuple):
         step: Float[Array, ""],
     ) -> "Credited":
         """z(., a) <- kept z(., a) + by x; and then Q <- Q + step z, for all pairs."""
-        # Marking moves the last bits of Q(s, a), so it comes when all is read that decides between actions. The mark
-        # is worked out from `step`, which was made of that, so that XLA reads first, too: else it would copy the
-        # tables.
-        mark = jnp.where(step == step, by, jnp.nan) / self.scale  # with a step that is NaN, all of Q is NaN
+        mark = self._mark(by, step)
 
         def marked(times_x: Callable[[Array], Array], base: Array, old: Array) -> tuple[Array, Array]:
             new = kept * old + times_x(mark)
@@ -97,6 +94,24 @@ class Credited(NamedTuple):
 
         base, marks = linear.change(marked, (self.base, self.marks), x, a)
         return Credited(base, marks, self.scale, self.credit + step * self.scale)
+
+    def replaced(self, x: X, by: Float[Array, " A"], step: Float[Array, ""]) -> "Credited":
+        """z(s, .) <- by, for all actions; and then Q <- Q + step z, for all pairs. Of features that are 1 or 0."""
+        mark = self._mark(by, step)
+
+        def marked(base: Array, old: Array) -> tuple[Array, Array]:
+            return base + (old - mark) * self.credit, mark
+
+        base, marks = linear.change_rows(marked, (self.base, self.marks), x)
+        return Credited(base, marks, self.scale, self.credit + step * self.scale)
+
+    def _mark(self, by: Any, step: Float[Array, ""]) -> Float[Array, "*A"]:
+        """What makes a trace `by`.
+
+        Marking moves the last bits of Q(s, a), so it comes when all is read that decides between actions. The mark is
+        worked out from `step`, which was made of that, so that XLA reads first, too: else it would copy the tables.
+        """
+        return jnp.where(step == step, by, jnp.nan) / self.scale  # with a step that is NaN, all of Q is NaN
 
     def added(self, x: X, a: Int[Array, ""], step: Float[Array, ""]) -> "Credited":
         """w(., a) <- w(., a) + step x, which for a table is Q(s, a) <- Q(s, a) + step, for this pair alone."""

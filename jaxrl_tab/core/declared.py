@@ -78,7 +78,8 @@ class OfMethod(NamedTuple):
         needs_horizon: whether it is for tasks alone that end after a given number of steps. What it learns are bounds,
             which may be greater than any return.
         in_the_long_run: whether it learns about the average reward of a step, in tasks that do not end.
-        measures: of a method of prediction, the fields of the log that its `measurer` gives.
+        measures: of a method of prediction, the fields of the log that its `measurer` gives; where states cannot be
+            counted it is the first of them alone.
         records: names of fields of its state that are recorded at the end of every row of the log.
         works_with: gives, from a state, arrays of the shapes of those with which `update` works beside it, for the
             forecast of memory; None where these are no more than some numbers of each state and action.
@@ -124,6 +125,7 @@ class OfEnvironment(NamedTuple):
             go on, or its states do not tell.
         low, high: the least and the largest that each number may be which is observed of a state; infinite where there
             is no bound. None where states are counted, and their number is all that is observed.
+        number_names: what each of these numbers is, for pictures; () where that is not said.
         observation: the numbers that are observed of a state, float [d]; None where they are the state itself, or its
             number.
         wind: how strong the wind is in each column of a grid, [columns]; None, or (), where there is none.
@@ -131,6 +133,9 @@ class OfEnvironment(NamedTuple):
             where it gives none.
         target_policy, behaviour_policy: the policy whose values its source asks for, and the one that acts, float
             [S, A]: those of a method of prediction that was given none. None where its source says nothing of them.
+        known_values: where states cannot be counted, and it is known all the same what they are worth, whatever the
+            policy: some of them, float [N, d], that are equally likely, and the value of each, float [N].
+        title: what it is called, where its class alone does not say it; else None.
     """
 
     instance: Callable[..., Any] | None = None
@@ -150,6 +155,9 @@ class OfEnvironment(NamedTuple):
     features: Any = None
     target_policy: Any = None
     behaviour_policy: Any = None
+    number_names: tuple[str, ...] = ()
+    known_values: Callable[[], tuple[Any, Any]] | None = None
+    title: str | None = None
 
     @property
     def differs(self) -> str:
@@ -187,6 +195,11 @@ def of_environment(env: Any) -> OfEnvironment:
     if isinstance(values["wind"], tuple):
         values["wind"] = values["wind"] or None
     return OfEnvironment(**values)
+
+
+def name_of(env: Any) -> str:
+    """What an environment is called in a message: its title, or its class."""
+    return getattr(env, "title", None) or type(env).__name__
 
 
 def _above(cls: type, name: str) -> list[type]:

@@ -83,10 +83,7 @@ def change(
     if isinstance(x, Active):
         # One after another, though all could be read before one is written, which is 8 % faster: then XLA rounds
         # the product of step size and error by itself, and `lanes`, which knows nothing of that, has other bits.
-        one = lambda ws, i: change(formula, ws, i, a, *lane)
-        if len(x.ones) <= UNROLLED:
-            return reduce(one, list(x.ones), ws)
-        return lax.fori_loop(0, len(x.ones), lambda k, ws: one(ws, x.ones[k]), ws)
+        return _one_by_one(lambda ws, i: change(formula, ws, i, a, *lane), ws, x)
     if x.ndim == 0:
         put = tables.write if lane else tables.put
         new = formula(lambda y: y, *(tables.entry(w, *lane, x, a) for w in ws))
@@ -95,12 +92,35 @@ def change(
     return tuple(_with_column(w, y, a, *lane) for w, y in zip(ws, new, strict=True))
 
 
+def change_rows(formula: Callable[..., tuple[Array, ...]], ws: tuple[Array, ...], x: X) -> tuple[Array, ...]:
+    """Several weights, changed together for all actions, at the features that are 1; there must be no others but 0.
+
+    Args:
+        formula: (*rows) -> rows, [A] each, for one feature.
+        ws: the weights, [n, A] each.
+        x: the features.
+    """
+    if isinstance(x, Active):
+        return _one_by_one(lambda ws, i: change_rows(formula, ws, i), ws, x)
+    new = formula(*(tables.row(w, x) for w in ws))
+    return tuple(tables.put_at(w, y, x) for w, y in zip(ws, new, strict=True))
+
+
 def all_of(x: X, size: int, dtype: Any) -> Float[Array, " n"]:
     """All n features, those that are 0 too, of a `size` n."""
     if not isinstance(x, Active) and x.ndim:
         return x
     ones = x.ones[:, None] if isinstance(x, Active) else x[None, None]
     return (ones == jnp.arange(size, dtype=jnp.int32)[None]).any(0).astype(dtype)
+
+
+def _one_by_one(
+    one: Callable[[Any, Array], tuple[Array, ...]], ws: tuple[Array, ...], x: Active
+) -> tuple[Array, ...]:
+    """The weights after `one` active feature after another."""
+    if len(x.ones) <= UNROLLED:
+        return reduce(one, list(x.ones), ws)
+    return lax.fori_loop(0, len(x.ones), lambda k, ws: one(ws, x.ones[k]), ws)
 
 
 def _added_up(read: Callable[[Array], Array], x: Active) -> Array:

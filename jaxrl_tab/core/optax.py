@@ -72,13 +72,15 @@ def _make(text: str) -> Callable[[Any], Any]:
     return schedule
 
 
-def read_call(text: str, what: str, takes_more: bool = False) -> tuple[str, list[Any], dict[str, Any]]:
+def read_call(
+    text: str, what: str, takes_more: bool = False, typed: str | None = None
+) -> tuple[str, list[Any], dict[str, Any]]:
     """The name, the arguments and the keyword arguments of a call; nothing in `text` is evaluated.
 
     They are numbers, or, where it `takes_more`, also texts and tuples of numbers.
 
     Raises:
-        InputError: `text` is not the name of `what`.
+        InputError: `text` is not the name of `what`. The message has what was `typed`, by default `text`.
     """
     with contextlib.suppress(AttributeError, ValueError, SyntaxError, RecursionError, MemoryError):
         call: Any = ast.parse(text, mode="eval").body
@@ -90,4 +92,4 @@ def read_call(text: str, what: str, takes_more: bool = False) -> tuple[str, list
         is_number = [isinstance(x, int | float) and abs(x) < math.inf for x in given]
         if all(is_number) and len(keywords) == len(call.keywords):
             return call.func.id, numbers, keywords
-    raise InputError(f"{shown(text)} is not the name of {what}")
+    raise InputError(f"{shown(text if typed is None else typed)} is not the name of {what}")

@@ -12,6 +12,7 @@ import re
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 
 from jaxrl_tab.core.errors import InputError, nearest, reason, shown
 from jaxrl_tab.core.optax import read_call
@@ -57,6 +58,26 @@ def whole(given: Any) -> str | Transformation:
     except Exception as error:
         raise InputError(f"the optimiser cannot be used: {reason(error)}") from None
     return own
+
+
+def check_fits(optimizer: str | Transformation, learned: Any, who: str) -> None:
+    """Raises InputError where an optimiser that was made in Python cannot change what is learned.
+
+    One that is written is an optimiser of optax, which can change anything.
+
+    Args:
+        optimizer: as `whole` gives it.
+        learned: a pytree of arrays, or of their shapes (`jax.ShapeDtypeStruct`).
+        who: the method.
+    """
+    if not isinstance(optimizer, Transformation):
+        return
+    try:
+        _check(optimizer.transformation, learned)
+    except Exception as error:
+        shapes = ", ".join(str(list(x.shape)) for x in jax.tree.leaves(learned))
+        problem = f"the optimiser cannot be used for weights {shapes}: {reason(error)}"
+        raise InputError(problem, who=who, field="optimizer") from None
 
 
 def spelled(text: str) -> str:
@@ -116,6 +137,9 @@ def _made(optimizer: str | Transformation) -> "optax.GradientTransformation":
     if name not in names:
         raise InputError(f"optax has no optimiser {shown(name)}; {nearest(name, names)}")
     rate = [] if is_whole else [1.0]
+    given = numbers[0] if is_whole and numbers else keywords.get("learning_rate", 1.0)
+    if given <= 0:
+        raise InputError(f"{shown(text)}: learning_rate must be greater than 0, not {given:g}")
     try:
         made = getattr(optax, name)(*rate, *numbers, **keywords)
         _check(made)
@@ -125,21 +149,27 @@ def _made(optimizer: str | Transformation) -> "optax.GradientTransformation":
     return made
 
 
-def _check(made: Any) -> None:
-    """Raises an error unless it can change a table by its gradient, and keeps a state of one kind."""
-    table = jax.ShapeDtypeStruct((2, 2), jax.dtypes.canonicalize_dtype(float))
+def _check(made: Any, learned: Any = None) -> None:
+    """Raises an error unless it can change what is learned by its gradient, and keeps a state of one kind.
+
+    By default that is a small table.
+    """
+    small = jax.ShapeDtypeStruct((2, 2), jax.dtypes.canonicalize_dtype(float))
+    learned = small if learned is None else learned
 
     def states(x: Any) -> tuple[Any, Any]:
         first = made.init(x)
         return first, made.update(x, first, x)
 
     with jax.numpy_dtype_promotion("standard"):
-        before, (updates, after) = jax.eval_shape(states, table)
+        before, (updates, after) = jax.eval_shape(states, learned)
     kinds = [jax.tree.map(lambda x: (x.shape, x.dtype), state) for state in (before, after)]
     if kinds[0] != kinds[1]:
         raise InputError("its state after an update is of another kind than the one that it begins with")
-    if jax.tree.map(lambda x: x.shape, updates) != table.shape:
+    if jax.tree.map(lambda x: x.shape, updates) != jax.tree.map(lambda x: x.shape, learned):
         raise InputError("its updates are of another shape than what it updates")
+    if not all(jnp.issubdtype(x.dtype, jnp.floating) for x in jax.tree.leaves(updates)):
+        raise InputError("its updates are no real numbers")
 
 
 def _parameters(function: Any) -> list[str]:

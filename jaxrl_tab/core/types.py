@@ -16,7 +16,7 @@ from typing_extensions import Protocol, runtime_checkable  # quick ones, as sinc
 
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.checks import concrete, first
-from jaxrl_tab.core.declared import of_environment, of_method
+from jaxrl_tab.core.declared import name_of, of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown
 
 T = TypeVar("T")
@@ -214,7 +214,7 @@ def fitted(method: T, env: Any) -> T:
     """
     if not env.num_states and of_method(method).features is None:
         raise InputError(
-            f"{type(method).__name__} keeps a table, and the states of {type(env).__name__} cannot be counted: take a "
+            f"{type(method).__name__} keeps a table, and the states of {name_of(env)} cannot be counted: take a "
             "method whose values are functions of features, such as those of rl.approx"
         )
     fit = getattr(method, "fitted_to", None)
@@ -252,7 +252,7 @@ def check_available(what: str, available: Any, num_states: int, num_actions: int
 def check_counted(who: str, env: Any) -> None:
     """Raises InputError where the states of an environment cannot be counted."""
     if not env.num_states:
-        problem = f"it is for states that can be counted, and those of {type(env).__name__} cannot"
+        problem = f"it is for states that can be counted, and those of {name_of(env)} cannot"
         raise InputError(problem, who=who)
 
 

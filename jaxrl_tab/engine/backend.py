@@ -16,6 +16,7 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import jax
 
+from jaxrl_tab.core.declared import name_of
 from jaxrl_tab.core.errors import InputError, nearest, shown
 
 Backend: TypeAlias = Literal["auto", "lanes", "xla"]
@@ -58,7 +59,7 @@ def fall_back(algorithm: Any, env: Any, reason: Exception) -> None:
     Raises:
         InputError: `lanes` was asked for.
     """
-    line = f"{type(algorithm).__name__} in {type(env).__name__} is not compiled by lanes: {reason}"
+    line = f"{type(algorithm).__name__} in {name_of(env)} is not compiled by lanes: {reason}"
     if asked() == "lanes":
         raise InputError(f"{line}; take the backend 'xla' or 'auto'") from None
     tell(f"{line}; XLA compiles it")

@@ -2,8 +2,11 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from jaxrl_tab.core import names
@@ -26,6 +29,25 @@ class Tables:
     def of(self, method: Any, learner: Any) -> dict[str, Array]:
         """What is recorded of a method, fitted to the task, and the state of its learner."""
         return {"table": table_of(method, self.num_states, learner)}
+
+
+@dataclasses.dataclass(frozen=True)
+class AtPoints(Tables):
+    """The same where states cannot be counted, at points in their range.
+
+    Attributes:
+        points: what is observed of a state there, N times d numbers.
+    """
+
+    points: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of_array(cls, points: np.ndarray) -> Self:
+        return cls(0, tuple(map(tuple, points.tolist())))
+
+    def of(self, method: Any, learner: Any) -> dict[str, Array]:
+        points = jnp.asarray(self.points, learner.q.dtype)
+        return {"table": jax.vmap(method.row, (None, 0))(learner, points)}
 
 
 Recorder: TypeAlias = Record | Tables

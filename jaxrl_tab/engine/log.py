@@ -22,7 +22,7 @@ state of its learner."""
 
 _NAMES = {"q", "diverged", "optimum", "environment", "method", DRAW, "seed", "row", "state", "action"}
 # Fields that earlier versions did not record: files of theirs lack them.
-LATER = frozenset({"policy_value", "value_error", "projected_bellman_error"})
+LATER = frozenset({"policy_value", "value_error", "bellman_error", "projected_bellman_error"})
 _OWN = "recorded."  # before the names of what is recorded, where they stand beside the fields
 
 
@@ -45,7 +45,10 @@ class Log(NamedTuple):
             over the same states, float [rows]. None unless recorded.
         value_error: of a method of prediction with features, the root of VE, the mean squared error of V weighted by
             how often the policy that acts is in each state, float [rows] (book, equation 9.1). None unless recorded.
-        projected_bellman_error: of the same, the root of PBE, float [rows] (equation 11.22). None unless recorded.
+        bellman_error: of the same, the root of BE, the mean squared error of the Bellman equation, weighted in the same
+            way, float [rows] (equation 11.19). None unless recorded.
+        projected_bellman_error: of the same, the root of PBE, which is what of it the features can express, float
+            [rows] (equation 11.22). None unless recorded.
         recorded: what `record` gave at the end of the row, [rows] of each. None unless asked for.
     """
 
@@ -59,6 +62,7 @@ class Log(NamedTuple):
     q_error: Float[Array, "*rows"] | None = None
     v_error: Float[Array, "*rows"] | None = None
     value_error: Float[Array, "*rows"] | None = None
+    bellman_error: Float[Array, "*rows"] | None = None
     projected_bellman_error: Float[Array, "*rows"] | None = None
     recorded: dict[str, Array] | None = None
 

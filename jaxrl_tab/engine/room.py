@@ -82,7 +82,7 @@ def plan(
         raise InputError(
             f"{_least_lanes(devices)} runs at a time on each device ({len(devices)}) need "
             f"{memory.words(least * len(devices))}, more than the {memory.words(device * len(devices))} that "
-            "they may take: give more memory, or take a larger log_every"
+            "they may take: give more memory, or take a larger log_every, or fewer states or features"
         )
     if on_disk:
         folder, free = memory.disk()
@@ -281,7 +281,7 @@ def _working(env: Environment, budget: Budget, carried: int) -> int:
     if budget.num_episodes:  # XLA keeps what lanes carried that have left the loop, and what all carry next
         carried *= 2
     carried += OF_A_STEP
-    if not budget.exact:
+    if not (budget.exact and env.num_states):
         return carried
     # In float64: the matrix [S, S] that is solved, the weights of all outcomes four times, and three tables.
     with planning.doubled():

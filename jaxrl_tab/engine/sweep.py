@@ -26,8 +26,9 @@ from jaxrl_tab.engine.backend import Backend
 from jaxrl_tab.engine.budget import Budget, Record
 from jaxrl_tab.engine.part import Computed, Part, compute
 from jaxrl_tab.engine.results import SweepResult, label, parameters
-from jaxrl_tab.engine.train import check_end
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.engine.traced import exact_fields
+from jaxrl_tab.engine.train import check_end, check_exact
+from jaxrl_tab.envs import name_of
 from jaxrl_tab.exact import planning
 from jaxrl_tab.methods import METHOD, METHODS
 from jaxrl_tab.show.progress import Progress, Report, reporting
@@ -102,7 +103,7 @@ def sweep(
         first_seed=first_seed,
     )
     state = Progress(
-        f"{registered_name(METHODS, part.algorithm)} in {registered_name(ENVS, type(env))}",
+        f"{registered_name(METHODS, part.algorithm)} in {name_of(env)}",
         0,
         part.runs,
     )
@@ -149,11 +150,11 @@ def prepare(
         )
     check_pytree("env", env)
     check_held(env)
+    cls = _algorithm_class(algorithm)
     if budget.exact:
-        planning.check_lasting(env)
+        check_exact(cls, env)
     if isinstance(env, FiniteEnvironment):
         planning.exact_model(env)  # refuses one that breaks the rules
-    cls = _algorithm_class(algorithm)
     check_end(cls, env)
     axes, configs = configurations(cls, {} if grid is None else grid, num_draws, seed)
     check_pytree(cls.__name__, configs[0])
@@ -182,7 +183,7 @@ def result(part: Part, computed: Computed) -> SweepResult:
     shape = (*(len(values) for values in axes.values()), part.num_seeds)
     q, log = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), (computed.q, computed.log))
     return SweepResult(
-        environment=registered_name(ENVS, type(part.env)),
+        environment=name_of(part.env),
         algorithm=registered_name(METHODS, part.algorithm),
         learns=method.learns,
         env=part.env,
@@ -242,10 +243,12 @@ def configurations(
             raise InputError(problem, field=parameter, wanted="a list", value=values)
         if is_list(values):
             if any(map(is_list, values)):
-                problem = (
-                    f"the grid of {parameter} must be a flat list, not {shown(values)}; "
-                    "probabilities [S, A] are one value where they are a policies.Table"
+                one = (
+                    "a matrix [S, n] is one value where it is approx.Rows(matrix)"
+                    if parameter == "features"
+                    else "probabilities [S, A] are one value where they are a policies.Table"
                 )
+                problem = f"the grid of {parameter} must be a flat list, not {shown(values)}; {one}"
                 raise InputError(problem, field=parameter)
             axes[parameter] = tuple(plain(parameter, value) for value in values)
         else:
@@ -282,7 +285,7 @@ def _exact_value(
 
 def _references(part: Part) -> dict[str, Float[np.ndarray, "*grid"]]:
     """What `value_error` is measured by, as `SweepResult.references` has it."""
-    if not part.budget.exact or "value_error" not in of_method(part.configs[0]).measures:
+    if not part.budget.exact or "value_error" not in exact_fields(part.configs[0], part.env):
         return {}
     errors, known = [], {}
     for config in cast(list[Any], part.configs):

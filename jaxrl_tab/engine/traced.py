@@ -64,7 +64,7 @@ def gives(algorithm: Any, env: Any, budget: Budget) -> tuple[tuple[Any, ...], An
     others = [x for x in jax.tree.leaves(learner) if x is not q]
     measured, waiting = {}, None
     if budget.exact:
-        measured |= dict.fromkeys(exact_fields(algorithm), jnp.zeros((), q.dtype))
+        measured |= dict.fromkeys(exact_fields(algorithm, env), jnp.zeros((), q.dtype))
     if (record := record_of(budget.record, algorithm)) is not None:
         measured["recorded"] = recorded(record, algorithm, learner)
     rows = max((rows_at_once(what, algorithm, learner) for what in _measured(algorithm, budget)), default=1)
@@ -203,7 +203,7 @@ def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[
     """
     if not _solves(algorithm):
         return algorithm.measurer(env)
-    fields = exact_fields(acting)
+    fields = exact_fields(acting, env)
     is_average = of_method(algorithm).in_the_long_run
     of_table = planning.long_run_measurer(env) if is_average else planning.measurer(env, algorithm.gamma)
     states = np.arange(env.num_states, dtype=np.int32)
@@ -220,10 +220,10 @@ def _exact_measurer(algorithm: Any, env: Environment, acting: Any) -> Callable[[
     return measure
 
 
-def exact_fields(algorithm: Any) -> tuple[str, ...]:
+def exact_fields(algorithm: Any, env: Environment) -> tuple[str, ...]:
     """The fields of the Log that exact values of a method are recorded in."""
     if not _solves(algorithm):
-        return of_method(algorithm).measures
+        return of_method(algorithm).measures[: None if env.num_states else 1]
     acts = ("policy_value",) if hasattr(algorithm, "probs") else ()
     errors = ("q_error",) if of_method(algorithm).learns is Learns.ACTIONS else ()
     return ("greedy_value", *errors, *acts)

@@ -13,7 +13,7 @@ from jaxtyping import PRNGKeyArray
 from jaxrl_tab.approx import dangers
 from jaxrl_tab.core import rng, schedules
 from jaxrl_tab.core.checks import check_held, check_pytree
-from jaxrl_tab.core.declared import of_environment, of_method
+from jaxrl_tab.core.declared import Learns, name_of, of_environment, of_method
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.types import (
@@ -58,7 +58,7 @@ def train(
             Sums are plain running sums in float32: exact for whole rewards up to 2**24, so do not make rows
             of millions of steps.
         exact: also record `greedy_value`, `policy_value` and `q_error`, or `v_error` (of prediction with
-            features also `value_error` and `projected_bellman_error`), at the end of every row,
+            features also `value_error`, `bellman_error` and `projected_bellman_error`), at the end of every row,
             right to 1e-6 of themselves (`planning.measurer`): they are computed in float64, from the numbers
             that `algorithm` and `env` were given. It enumerates the environment, and for control solves two
             linear systems in each row, of S^3 / 3 multiply-adds each: on one core 0.1 ms in all for 70 states, 0.9
@@ -83,7 +83,7 @@ def train(
     rng.check_key(key)
     algorithm, env = checked_pair(algorithm, env)
     if budget.exact:
-        planning.check_lasting(env)
+        check_exact(algorithm, env)
     by_compiler = within.train if _is_traced((key, algorithm, env)) else by_lanes.alone
     if learned := by_compiler(key, algorithm, env, budget):
         return learned
@@ -118,6 +118,13 @@ def checked_pair(
     return algorithm, env
 
 
+def check_exact(method: Any, env: Environment) -> None:
+    """Raises InputError where nothing exact is known beside a method, or its class."""
+    is_known = of_environment(env).known_values is not None and of_method(method).learns is Learns.STATES
+    if env.num_states or not is_known:
+        planning.check_lasting(env)
+
+
 def check_end(method: Any, env: Environment) -> None:
     """Raises InputError where a method, or its class, is for tasks that end otherwise.
 
@@ -133,6 +140,11 @@ def check_end(method: Any, env: Environment) -> None:
     if of_method(method).in_the_long_run and isinstance(env, FiniteEnvironment) and not _is_traced(env):
         with jax.ensure_compile_time_eval():
             planning.check_goes_on(env, name)
+    elif of_method(method).in_the_long_run and not of_environment(env).continuing and not env.num_states:
+        raise InputError(
+            f"{name_of(env)} may end, and {name} is for tasks that do not end; one that does not says so by "
+            "continuing = True"
+        )
 
 
 def _is_traced(tree: Any) -> bool:

@@ -21,7 +21,7 @@ from jaxrl_tab.engine import stepwise
 from jaxrl_tab.engine.budget import Tables
 from jaxrl_tab.engine.results import label, parameters
 from jaxrl_tab.engine.train import checked_pair, train
-from jaxrl_tab.envs import ENVS
+from jaxrl_tab.envs import name_of
 from jaxrl_tab.methods import METHODS
 from jaxrl_tab.show import learning
 from jaxrl_tab.show.steps import Told
@@ -80,7 +80,7 @@ class Watched:
         values = {name: label(x) for name, x in parameters(self.algorithm).items() if np.ndim(x) == 0}
         setting = {name: x for name, x in values.items() if x is not None and x is not False}
         method = label_of(registered_name(METHODS, type(self.algorithm)), setting)
-        return f"{method}, in {title_of(registered_name(ENVS, type(self.env)))}"
+        return f"{method}, in {title_of(name_of(self.env))}"
 
     @property
     def told(self) -> Told:

@@ -9,6 +9,7 @@ from typing import Any
 
 from jaxrl_tab.core import modules, names
 from jaxrl_tab.core.checks import build
+from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.errors import nearest, shown
 from jaxrl_tab.envs.access_control import AccessControl
 from jaxrl_tab.envs.baird import Baird
@@ -96,6 +97,11 @@ def make(name: str, **parameters: Any):
     """
     reference = names.find(ENVIRONMENT, name)
     return build(reference.cls, name, parameters)
+
+
+def name_of(env: Any) -> str:
+    """The name of an environment: its own title, or else that in ENVS, or of its class."""
+    return of_environment(env).title or names.registered_name(ENVS, type(env))
 
 
 def instead(name: Any) -> str:

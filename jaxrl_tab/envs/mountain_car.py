@@ -30,6 +30,7 @@ class MountainCar(Shown):
     num_actions = 3
     low = (-1.2, -0.07)
     high = (GOAL, 0.07)
+    number_names = ("position", "velocity")
     action_names = ("back", "none", "forward")
 
     def reset(self, key: Key[Array, ""]) -> Float[Array, " 2"]:

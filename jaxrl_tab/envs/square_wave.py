@@ -9,6 +9,7 @@ from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Outcome
 
 EXTENT = 2.0
+PLACES = 1000  # at which the function is compared with what was learned of it
 
 
 @pytree
@@ -26,6 +27,7 @@ class SquareWave(Shown):
     max_steps = 1
     low = (0.0,)
     high = (EXTENT,)
+    number_names = ("number",)
 
     def reset(self, key: Key[Array, ""]) -> Float[Array, " 1"]:
         u = (jax.random.bits(key, dtype=jnp.uint32) >> 8).astype(float) * 2**-24
@@ -33,6 +35,11 @@ class SquareWave(Shown):
 
     def step(self, key: Key[Array, ""], s: Float[Array, " 1"], a: Int[Array, ""]) -> Outcome:
         return Outcome(s, wave(s[0], self.width), jnp.asarray(True))
+
+    def known_values(self) -> tuple[Float[Array, "N 1"], Float[Array, " N"]]:
+        """Numbers that lie equally dense, and the targets there."""
+        x = (jnp.arange(PLACES) + 0.5) * (EXTENT / PLACES)
+        return x[:, None], wave(x, self.width)
 
 
 def wave(x: Float[Array, "..."], width: float = 1.0) -> Float[Array, "..."]:

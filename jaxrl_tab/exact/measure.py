@@ -182,10 +182,11 @@ def _value_measurer(model: Model, v_pi: Float[Array, " S"]) -> Callable[[Any], F
 def linear_value_measurer(
     env: Environment, policy_probs: Any, gamma: Any, features: Any = None, behaviour: Any = None
 ) -> Callable[[Any], tuple[Float[Array, ""], ...]]:
-    """A function from V [S] to (v_error, value_error, projected_bellman_error), where V is linear in features.
+    """A function from V [S] to (v_error, value_error, bellman_error, projected_bellman_error), of a linear V.
 
-    v_error is that of `value_measurer`. The others are the roots of VE and PBE as `projected.LinearValues` has them,
-    weighted by how often the policy that acts is in each state. As there NaN, PBE aside, where v_pi is not finite.
+    v_error is that of `value_measurer`. The others are the roots of VE, BE and PBE as `projected.LinearValues` has
+    them, weighted by how often the policy that acts is in each state. As there NaN, but for BE and PBE, where v_pi is
+    not finite.
 
     Args:
         env, policy_probs, gamma: as in `value_measurer`.
@@ -204,22 +205,32 @@ def linear_value_measurer(
         mu = _share_of_steps(model, b)
         onward, reward = _chain(model, pi), (pi[:, :, None] * model.prob * model.reward).sum((1, 2))
         root = jnp.sqrt(mu)
-        # Of delta = r + (gamma P - 1) v, weighted: the coordinates of what the features can express.
-        to_delta = root[:, None] * (gamma * onward - jnp.eye(len(mu)))
-        constant = root * reward
+        # delta = r + (gamma P - 1) v, weighted.
+        to_delta, constant = root[:, None] * (gamma * onward - jnp.eye(len(mu))), root * reward
+        values = basis = None
         if features is not None:
-            basis = _orthonormal(root[:, None] * jnp.asarray(features, root.dtype))
-            to_delta, constant = basis.T @ to_delta, basis.T @ constant
+            x = jnp.asarray(features, root.dtype)
+            # What the features can express, and the same weighted: of both a basis, with one program for the two.
+            values, basis = lax.map(_orthonormal, jnp.stack([x, root[:, None] * x]))
+            # V by its coordinates, so that a row of the log takes n numbers for each state instead of S.
+            to_delta = to_delta @ values
 
     @in_turn
     def of_weights(v: Float[Array, " S"]) -> tuple[Float[Array, ""], ...]:
         with doubled():
             exact_v = v.astype(v_pi.dtype)
             apart = jnp.where(mu > 0, exact_v - v_pi, 0)
-            squares = (mu * apart**2).sum(), ((constant + to_delta @ exact_v) ** 2).sum()
+            delta = constant + to_delta @ _coordinates(values, exact_v)
+            projected = _coordinates(basis, delta)
+            squares = (mu * apart**2).sum(), (delta**2).sum(), (projected**2).sum()
             return tuple(jnp.sqrt(x).astype(v.dtype) for x in squares)
 
     return lambda v: (v_error(v), *of_weights(v))
+
+
+def _coordinates(basis: Float[Array, "S k"] | None, x: Float[Array, " S"]) -> Float[Array, " k"]:
+    """Those of x in an orthonormal basis; x itself where each state is a feature of its own."""
+    return x if basis is None else basis.T @ x
 
 
 def _chain(model: Model, policy: Float[Array, "S A"]) -> Float[Array, "S S"]:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxrl_tab.core import memory, policies
 from jaxrl_tab.core.checks import check_pytree, first, foreign, is_distribution
-from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.declared import name_of, of_environment
 from jaxrl_tab.core.errors import InputError, shown
 from jaxrl_tab.core.types import Available, Environment, FiniteEnvironment, available_actions, stand_ins
 
@@ -368,7 +368,3 @@ def from_state_to_state(model: Model, weight: Float[np.ndarray, "S A K"]) -> Any
     matrix = sparse.csc_array(entries, shape=(n, n))
     matrix.eliminate_zeros()  # so that its pattern is what is possible
     return matrix
-
-
-def name_of(env: Any) -> str:
-    return type(env).__name__

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxrl_tab.engine.axes import DRAW
+from jaxrl_tab.engine.budget import AtPoints
 from jaxrl_tab.engine.counted import Counted, TablesAndVisits
 from jaxrl_tab.engine.part import Part, compute
 from jaxrl_tab.experiment.spec import Experiment, as_toml
@@ -29,21 +30,24 @@ class RunAgain:
     parts: Mapping[str, Part]
     memory: int | None = None
 
-    def __call__(self, name: str, setting: int, places: np.ndarray, every: int) -> OverTime:
-        part = self.parts[name]
+    def __call__(
+        self, name: str, setting: int, places: np.ndarray, every: int, points: np.ndarray | None = None
+    ) -> OverTime:
+        part, counts = self.parts[name], points is None
+        config = part.configs[setting]
         budget = dataclasses.replace(
             part.budget,
             log_every=part.budget.row * every,
             exact=False,
             exact_every=None,
-            record=TablesAndVisits(part.env.num_states),
+            record=TablesAndVisits(part.env.num_states) if points is None else AtPoints.of_array(points),
         )
-        one: Any = [Counted(part.configs[setting])]
+        one: Any = [Counted(config) if counts else config]
         recorded = compute(
             dataclasses.replace(part, axes={}, configs=one, budget=budget), places, memory=self.memory
         ).log.recorded
         assert recorded is not None
-        return OverTime(np.asarray(recorded["table"]), np.asarray(recorded["visits"]))
+        return OverTime(np.asarray(recorded["table"]), np.asarray(recorded["visits"]) if counts else None)
 
 
 def toml_of_settings(experiment: Experiment) -> dict[str, str]:

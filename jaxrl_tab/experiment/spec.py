@@ -87,7 +87,7 @@ class Experiment:
         steps, episodes: how long each run is; one of the two.
         log_every: how many steps, or episodes, are summed up in a row of the log.
         seed: the root seed, of runs and of draws.
-        exact: whether exact values are recorded at every row; prediction records its error wherever states are counted.
+        exact: whether exact values are recorded at every row; prediction records its error wherever that is known.
         exact_every: exact values of control in one of so many rows only, and in the last; it makes `exact` true.
         record: a function that records more at every row, as in `train`, or its name, "mine.py:function" or
             "package.module:function"; its arrays are variables of the results.
@@ -134,8 +134,11 @@ class Experiment:
             with at("environment"):
                 tasks.check(self.environment, self._environments, self.method, self.steps)
             prediction = all(of_method(cls).learns is Learns.STATES for cls in classes)
-            counted = all(getattr(cls, "num_states", None) != 0 for cls in self._environments)
-            self._set("exact", self.exact or self.exact_every is not None or (prediction and counted))
+            known = all(
+                getattr(cls, "num_states", None) != 0 or hasattr(cls, "known_values")
+                for cls in self._environments
+            )
+            self._set("exact", self.exact or self.exact_every is not None or (prediction and known))
             with at("record"):
                 self._set(
                     "record", None if self.record is None else recorder(self.record, source, references)

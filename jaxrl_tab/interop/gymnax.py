@@ -35,9 +35,11 @@ class EnumeratedGymnax(FiniteMDP):
     Attributes:
         observations: what gymnax shows in each state, a pytree of arrays [S, ...]: to act there by what was
             learned here.
+        title: the name in gymnax.
     """
 
     observations: Any = None
+    title: str | None = static(default=None)
 
 
 @pytree
@@ -63,6 +65,10 @@ class SampledGymnax:
     params: Any
     env: Any = static()
     max_steps: int = static()
+
+    @property
+    def title(self) -> str:
+        return self.env.name
 
     @property
     def num_states(self) -> int:
@@ -155,7 +161,7 @@ def from_gymnax(env: Any, params: Any = None, **parameters: Any) -> Imported:
         renamed[number[s]] = [[(p, int(number[s_next]), r) for p, s_next, r in listed] for listed in actions]
     start = rows(np.bincount(list(start), list(start.values()), len(number)))
     mdp = FiniteMDP.from_outcomes(renamed, is_terminal, start, task.max_steps)
-    return EnumeratedGymnax(**vars(mdp), observations=observations)
+    return EnumeratedGymnax(**vars(mdp), observations=observations, title=task.name)
 
 
 def _rows(x: np.ndarray, number: np.ndarray, num_states: int) -> np.ndarray:

@@ -56,6 +56,14 @@ class ContinuousGymnax:
     num_states = 0  # they cannot be counted
 
     @property
+    def title(self) -> str:
+        return self.env.name
+
+    @property
+    def number_names(self) -> tuple[str, ...]:
+        return self.fields if len(self.fields) == len(self.low) else ()
+
+    @property
     def num_actions(self) -> int:
         return self.env.num_actions
 

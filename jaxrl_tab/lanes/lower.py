@@ -29,13 +29,15 @@ def lower(closed: Any, varying: Sequence[bool], given: Sequence[Any], results: i
     Raises:
         Unsupported: where the jaxpr holds something that is not compiled.
     """
+    wanted = closed.jaxpr.outvars[:results]
+    if any(impl_of(v.aval) is not None for v in wanted):
+        raise Unsupported("random keys are no results that are compiled")
     copied: frozenset[int] = frozenset()
     while True:
         code = Lowering(copied)
         try:
             arguments = zip(closed.jaxpr.invars, varying, given, strict=True)
             args = [_argument(code, v.aval, None if differs else x) for v, differs, x in arguments]
-            wanted = closed.jaxpr.outvars[:results]
             for v, x in zip(wanted, code.closed(closed, *args)[:results], strict=True):
                 _give(code, v.aval, x)
             use_reciprocals(code.region)

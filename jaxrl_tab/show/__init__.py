@@ -7,6 +7,7 @@ Its modules, from the ground up:
     states    the names of states
     steps     an episode as a table, a row for each step
     tasks     what people see of a task: the tables of its states, and what is exact
+    places    where states cannot be counted: places at which people look at what was learned
     layout    where everything in a picture lies
     style     how pictures look: colours, markers, sizes, axes, legends
     moves     where greedy actions lead: paths, and how long they are
@@ -14,6 +15,7 @@ Its modules, from the ground up:
     grids     pictures of grids: values, greedy paths, and what changes from grid to grid
     maps      a score over two hyperparameters
     panels    pictures of tasks that are no grids: panels of values and actions
+    surfaces  pictures of what was learned where states cannot be counted
     rates     what a step size or an exploration rate comes to
     rate_curves pictures of that
     iterated  pictures of generalized policy iteration

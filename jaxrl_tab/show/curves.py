@@ -14,7 +14,7 @@ from matplotlib.transforms import ScaledTranslation, Transform
 from jaxrl_tab import stats
 from jaxrl_tab.core.errors import InputError, check_choice, nearest
 from jaxrl_tab.show import words
-from jaxrl_tab.show.explorer.measures import STATISTICS, Flat, measures_of, statistics
+from jaxrl_tab.show.explorer.measures import REFERENCES, STATISTICS, Flat, measures_of, statistics
 from jaxrl_tab.show.explorer.scores import interval_of, score_named
 from jaxrl_tab.show.style import (
     DASHES,
@@ -170,11 +170,7 @@ def _curves_of(
 
 def _reference_lines(ax: Axes, settings: Sequence[Settings], styles: Sequence[dict[str, Any]]) -> None:
     """What the features of each setting allow at best, and where TD ends: each in the colour of its curve."""
-    lines = {
-        "least_value_error": ("the least possible", (0, (5, 3))),
-        "td_value_error": ("fixed point of TD", ":"),
-    }
-    for name, (label, dash) in lines.items():
+    for (name, label), dash in zip(REFERENCES.items(), ((0, (5, 3)), ":"), strict=True):
         heights = [float(own.ds[name]) for own in settings if name in own.ds]
         same = len({f"{y:.6g}" for y in heights}) == 1
         for i, (y, style) in enumerate(zip(heights[: 1 if same else None], styles, strict=False)):

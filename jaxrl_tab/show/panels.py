@@ -176,10 +176,14 @@ def state_values(
     """
     model = planning.exact_model(env)
     states = np.flatnonzero(planning.reachable(model) & ~planning.terminal_states(model))
+    many = {"marker": "none"} if len(states) > MOST_TICKS else {}  # which would run together
     for (label, own), style in zip(at_setting(datasets, setting, labels), line_styles(), strict=False):
+        style |= many
         interval_curve(ax, states, own.once(_values_learned, tuple(states.tolist())), label, **style)
     if (exact := uniform_values(datasets, env)) is not None:
-        ax.plot(states, exact[states], color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=1)
+        ax.plot(
+            states, exact[states], color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=3 if many else 1
+        )
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     tidy(ax, "state", "V")
     legend(ax)

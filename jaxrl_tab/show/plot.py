@@ -55,6 +55,7 @@ from jaxrl_tab.show.panels import (
     state_values,
     values_limits,
 )
+from jaxrl_tab.show.places import dimensions
 from jaxrl_tab.show.rate_curves import schedules
 from jaxrl_tab.show.style import (
     ALARM,
@@ -80,6 +81,7 @@ from jaxrl_tab.show.style import (
     literal,
     tidy,
 )
+from jaxrl_tab.show.surfaces import function, surfaces
 from jaxrl_tab.show.tasks import tables_of, uniform_values
 from jaxrl_tab.show.words import in_words, label_of, seeds_in_words, shortened, title_of, unusual, written
 from jaxrl_tab.stats.along import Datasets
@@ -182,7 +184,8 @@ def save_all(
     were swept), `greedy_path.png` (on grids: every method, and the exact optimum), `values.png` (where people
     see the states in tables: the learned values and best actions, and the exact ones), `score_map.png` (of methods
     that swept two hyperparameters: heat maps over the first two, the step size along the axis), and `overview.png`.
-    Of methods of prediction no `episodes.png` and no path, but always `values.png`.
+    Of methods of prediction no `episodes.png` and no path, but always `values.png`. Where states cannot be counted
+    `values.png` is a curve, or a map, of what was learned of states that are one number, or two.
 
     Args:
         datasets: a sweep for each method, at least one.
@@ -237,6 +240,9 @@ def pictures(
         figures["greedy_path"] = _all_paths(methods, env, width)
     elif env is not None and tables_of(env) and _with_values(methods):
         figures["values"] = value_tables(methods, env, width=width)
+    elif env is not None and dimensions(env, methods) == 2:
+        figures["values"] = figure = surfaces(methods, env, width=width)
+        _say_what_ran(figure, methods, env)
     if maps := {name: pair for name, ds in methods.items() if (pair := swept_pair(ds))}:
         figures["score_map"] = figure = _all_maps(methods, maps, width)
         _say_what_ran(figure, methods, env)
@@ -273,6 +279,8 @@ def _curves(methods: Methods, env: Environment | None) -> dict[str, Callable[[Ax
         curves[key] = lambda ax, name=name, line=line: sensitivity(ax, methods, name, soft=line)
     if stats.is_prediction(*methods.values()) and env is not None and env.num_states and not tables_of(env):
         curves["values"] = lambda ax: state_values(ax, methods, env)
+    if env is not None and dimensions(env, methods) == 1:
+        curves["values"] = lambda ax: function(ax, methods, env)
     return curves
 
 

@@ -136,6 +136,7 @@ TITLES = {  # where `_written` says it otherwise than people do
     "gtd2": "GTD2",
     "tdc": "TDC",
     "lstd": "LSTD",
+    "lspi": "LSPI",
     "tsitsiklis-van-roy": "Tsitsiklis and Van Roy",
     "ucbvi": "UCBVI",
     "td": "TD(0)",

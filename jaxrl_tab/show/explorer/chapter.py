@@ -15,12 +15,21 @@ import xarray as xr
 from jaxrl_tab import stats
 from jaxrl_tab.core.declared import Learns
 from jaxrl_tab.core.errors import InputError, RunError
+from jaxrl_tab.core.types import Environment
 from jaxrl_tab.show import words
-from jaxrl_tab.show.explorer.measures import STATISTICS, Flat, Measure, measures_of, statistics
+from jaxrl_tab.show.explorer.measures import (
+    REFERENCES,
+    STATISTICS,
+    Flat,
+    Measure,
+    measures_of,
+    statistics,
+)
 from jaxrl_tab.show.explorer.over_time import RANKS, Again, Block, OverTime, averaged, block, ranks
 from jaxrl_tab.show.explorer.packing import as_text, packed_floats
-from jaxrl_tab.show.explorer.scene import Scene, scene
+from jaxrl_tab.show.explorer.scene import Scene, scene, scene_of_places
 from jaxrl_tab.show.explorer.scores import Score, intervals, levels_of, scores_of
+from jaxrl_tab.show.places import Places, absent, learned_at, places_of
 from jaxrl_tab.show.tasks import policy_of
 from jaxrl_tab.stats.columns import Method, Methods
 
@@ -68,27 +77,32 @@ def explorer(
     """
     env, toml = methods.env, toml or {}
     assert env is not None
-    sweeps = {name: _Sweep(own, chapters * len(methods)) for name, own in methods.settings.items()}
+    places = None if env.num_states else places_of(env, methods)
+    sweeps = {
+        name: _Sweep(own, chapters * len(methods), env, places) for name, own in methods.settings.items()
+    }
     measures = _common([measures_of(sweep.flat.ds) for sweep in sweeps.values()])
     curves = {name: sweep.curves(measures) for name, sweep in sweeps.items()}
     middles = np.concatenate([x[:, 0, 0].ravel() for x in curves.values()])
     levels = levels_of(middles, measures[0].kind == "cost")
     scores = _common([scores_of(sweep.flat.ds, measures, levels) for sweep in sweeps.values()])
     first = next(iter(sweeps.values()))
-    stage = scene(env, methods, first.shown(first.final(first.best)).mean(0).max(-1))
+    if env.num_states:
+        stage = scene(env, methods, first.shown(first.final(first.best)).mean(0).max(-1))
+    else:
+        stage = None if places is None else scene_of_places(places, env)
     blocks, shown = {}, []
     for i, (name, sweep) in enumerate(sweeps.items()):
         blocks[f"curves-{i}"] = as_text(packed_floats(curves[name]))
         numbers = intervals(sweep.flat, scores, sweep.own)
         blocks[f"scores-{i}"] = as_text(packed_floats(numbers))
         tables = {}
-        counted = sweep.tables(f"{label}/{name}", stage, again) if env.num_states else ()
-        for setting, packed in counted:
+        for setting, packed in () if stage is None else sweep.tables(f"{label}/{name}", stage, again):
             blocks[f"tables-{i}-{setting}"] = packed.text
             tables[setting] = packed.data
         code = {"group": group + name, "toml": toml.get(f"{label}/{name}")}
         shown.append(sweep.data(name) | code | {"tables": tables, "missing": sweep.missing})
-    if stage.exact is not None:
+    if stage and stage.exact is not None:
         blocks["exact"] = as_text(packed_floats(stage.exact))
     optima = {float(x) for ds in methods.values() for x in np.ravel(stats.optimum(ds).values)}
     data = {
@@ -98,9 +112,11 @@ def explorer(
         "methods": shown,
         "first": list(sweeps).index(stats.ranked(methods.settings)[0]),
         "statistics": len(STATISTICS),
+        "references": [{"measure": "value_error", "title": title} for title in REFERENCES.values()],
         "measures": [_described(measure) for measure in measures],
         "scores": [_described(score) for score in scores],
-        "scene": stage.data | {"exact": stage.exact is not None},
+        "scene": stage.data | {"exact": stage.exact is not None} if stage else None,
+        "absent": "" if stage else absent(env, methods),
     }
     return Explorer(data, blocks)
 
@@ -114,15 +130,16 @@ class _Sweep:
         best: the number of its best setting.
         kept: the numbers of the settings of which curves are kept, int ascending.
         missing: why there are no tables over time; empty where there are.
+        env, places: the environment, and what stands for its states where these cannot be counted.
     """
 
-    def __init__(self, own: Method, sharers: int) -> None:
-        self.own, self.flat = own, Flat(own.ds)
+    def __init__(self, own: Method, sharers: int, env: Environment, places: Places | None) -> None:
+        self.own, self.flat, self.env, self.places = own, Flat(own.ds), env, places
         lost, mean = own.lost.values.ravel(), own.merit.mean("seed").fillna(-np.inf).values.ravel()
         by_rank = np.lexsort((np.arange(len(mean)), -mean, lost))  # as `stats.best` has it
         self.best = int(by_rank[0])
-        places = np.stack(np.unravel_index(np.arange(self.flat.count), own.lost.shape or (1,)), -1)
-        near = (places != places[self.best]).sum(-1) <= 1
+        coordinates = np.stack(np.unravel_index(np.arange(self.flat.count), own.lost.shape or (1,)), -1)
+        near = (coordinates != coordinates[self.best]).sum(-1) <= 1
         order = [self.best, *(i for i in by_rank if near[i]), *by_rank]
         self._order = [int(i) for i in dict.fromkeys(order)]
         self.sharers = sharers
@@ -144,8 +161,14 @@ class _Sweep:
         return ranks(np.argsort(np.nan_to_num(merit, nan=-np.inf), kind="stable").tolist())
 
     def final(self, setting: int) -> np.ndarray:
-        """The tables at the end, [seeds, S, A]."""
-        return self.flat.flat(self.own.ds.q)[setting]
+        """The tables at the end, [seeds, S, A]; where states cannot be counted, of the places that stand for them."""
+        if self.places is None:
+            return self.flat.flat(self.own.ds.q)[setting]
+        ds = self.own.ds
+        axes = stats.hyperparameters(ds)
+        place = np.unravel_index(setting, [ds.sizes[axis] for axis in axes])
+        of_setting = ds.isel(dict(zip(axes, map(int, place), strict=True)))
+        return learned_at(self.places.points, self.env, of_setting)
 
     def shown(self, tables: np.ndarray) -> np.ndarray:
         """What people see of tables [..., S, A]: of preferences the policy."""
@@ -183,12 +206,14 @@ class _Sweep:
         ds, flat = self.own.ds, self.flat
         singles = self.singles(self.best)
         steps = int(flat.flat(ds.steps)[self.best].sum(dtype=np.int64)) // flat.seeds
-        numbers = 2 * len(flat.x) * int(np.prod(ds.q.shape[-2:]))
+        shape = ds.q.shape[-2:] if self.places is None else (len(self.places.points), ds.sizes["action"])
+        numbers = 2 * len(flat.x) * int(np.prod(shape))
         if steps * len(singles) > MOST_STEPS or numbers * len(singles) > MOST_NUMBERS:
             raise RunError("the runs are too long, or their tables too large, to be recorded for this page")
         more = min(flat.seeds, MORE_STEPS // steps, MORE_NUMBERS // numbers)
         places = np.unique([*range(more), *singles])
-        over = again(name, self.best, places, flat.every)
+        points = None if self.places is None else self.places.points
+        over = again(name, self.best, places, flat.every, points)
         end, final = over.tables[:, -1], self.final(self.best)[places]
         # Values that are functions of features are sums, which XLA rounds otherwise in another batch.
         rounding = (
@@ -212,9 +237,17 @@ class _Sweep:
             "policy": self.is_policy,
             "best": self.best,
             "kept": self.kept,
+            "references": [self._references(name) for name in REFERENCES],
             "ranks": list(self._ranks(self.best)),
             "runs": [seeds[self.singles(i)].tolist() for i in self.kept],
         }
+
+    def _references(self, name: str) -> list[float | None]:
+        """What the features of each setting that is kept allow; None where there is no such number."""
+        if name not in self.own.ds:
+            return [None] * len(self.kept)
+        of_settings = self.own.ds[name].values.ravel()[self.kept]
+        return [float(x) if np.isfinite(x) else None for x in of_settings]
 
 
 def _axis(ds: xr.Dataset, name: str) -> dict[str, Any]:

@@ -26,6 +26,10 @@ SUMS = ("steps", "episodes", "returns", "lengths", "rewards")
 # once (Bonferroni); the median with its interval at each point; and of how many seeds.
 STATISTICS = ("mean", "low", "high", "all_low", "all_high", "median", "median_low", "median_high", "n")
 
+# What is exact about the values that the features of a setting allow: the number in a dataset -> what it is called
+# beside the curves of `value_error`.
+REFERENCES = {"least_value_error": "the least possible", "td_value_error": "fixed point of TD"}
+
 Kind = Literal["return", "cost", "count", "share"]
 Sums = dict[str, np.ndarray]
 
@@ -78,6 +82,7 @@ def measures_of(ds: xr.Dataset) -> list[Measure]:
         "q_error": ("largest |Q − q*|", "cost"),
         "v_error": ("RMS error of V", "cost"),
         "value_error": ("value error √VE", "cost"),
+        "bellman_error": ("Bellman error √BE", "cost"),
         "projected_bellman_error": ("projected Bellman error √PBE", "cost"),
     }
     own = [str(n) for n, x in ds.items() if x.dims == ds.episodes.dims and n not in (*SUMS, *recorded)]

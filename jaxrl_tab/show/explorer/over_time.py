@@ -26,9 +26,9 @@ class OverTime(NamedTuple):
 
 
 # Runs a setting again and records its tables: from the name of its sweep, the number of the setting, the places of
-# its seeds, int [runs], and after how many rows of the log each table is wanted. It raises InputError or RunError
-# where that cannot be done.
-Again = Callable[[str, int, np.ndarray, int], OverTime]
+# its seeds, int [runs], after how many rows of the log each table is wanted, and, where states cannot be counted, what
+# is observed of those that stand for them, float [N, d]. It raises InputError or RunError where that cannot be done.
+Again = Callable[[str, int, np.ndarray, int, np.ndarray | None], OverTime]
 
 
 class Block(NamedTuple):

@@ -10,9 +10,14 @@ from jaxrl_tab.core.types import Environment, FiniteEnvironment
 from jaxrl_tab.envs.base import ARROWS, COMPASS, Grid, Panel
 from jaxrl_tab.exact import planning
 from jaxrl_tab.show.moves import Moves
+from jaxrl_tab.show.places import Places
 from jaxrl_tab.show.tasks import exact_tables, tables_of
 from jaxrl_tab.stats.along import Datasets
 
+PLACES = (
+    "A state is two numbers here, of which there is no end: these are places of a grid over them. Their colour is "
+    "max q(s, a); where all rewards are costs that is minus the cost to go. Nothing stands where all actions are alike."
+)
 MOST_CELLS, MOST_LISTED = 2000, 200  # states in pictures, and in a list
 
 
@@ -69,6 +74,24 @@ def scene(env: Environment, datasets: Datasets, learned: np.ndarray) -> Scene:
     if exact is not None:
         exact = np.where(exact == UNAVAILABLE, np.nan, exact)[states]
     return Scene(states, exact, data)
+
+
+def scene_of_places(places: Places, env: Environment) -> Scene:
+    """The same where states cannot be counted: places stand for them, of which nothing else is known."""
+    states = places.panel.states.ravel()
+    data = {
+        "states": states.tolist(),
+        "of": len(states),
+        "panels": [_panel(places.panel, dict(enumerate(states.tolist())))],
+        "actions": list(of_environment(env).action_names),
+        "arrows": [None] * env.num_actions,
+        "start": [places.start],
+        "terminal": [],
+        "unreachable": [],
+        "grid": None,
+        "places": PLACES,
+    }
+    return Scene(states, None, data)
 
 
 def _listed(num_states: int, start: np.ndarray, learned: np.ndarray, exact: np.ndarray | None) -> np.ndarray:

@@ -73,6 +73,7 @@ def scores_of(ds: xr.Dataset, measures: Sequence[Measure], levels: Sequence[floa
         "q_error": ("cost", "mean"),
         "v_error": ("cost", "mean"),
         "value_error": ("cost", "mean"),
+        "bellman_error": ("cost", "mean"),
         "projected_bellman_error": ("cost", "mean"),
     }
     titles = {measure.key: measure.title for measure in measures}

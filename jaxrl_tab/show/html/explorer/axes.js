@@ -123,6 +123,7 @@ function bandPath(xs, low, high) {
 }
 
 const DASHES = ["", "8 4", "2 4", "10 4 2 4"];
+const [DASHED, DOTTED] = ["5 4", "2 3"]; // of lines that are exact
 const COLOURS = 7; // much as in the pictures, but all with contrast enough: `page.css` has them
 const colourOf = (i) => `var(--c${i % COLOURS})`;
 const dashOf = (i) => DASHES[i % DASHES.length];

@@ -79,6 +79,23 @@ function curvesCard(c) {
     });
   }
 
+  // What is exact, as lines: title, value, colour and dash. Of values that are functions of features it is what these
+  // allow, one line for all curves where it is the same for all, else one for each in its colour.
+  function exactly(shown) {
+    const optimum = { title: "exact optimum", value: data.optimum, colour: "var(--soft)", dash: DASHED };
+    if (state.measure === "return") return data.optimum === null ? [] : [optimum];
+    return data.references.flatMap(({ measure, title }, k) => {
+      if (measure !== state.measure) return [];
+      const dash = k ? DOTTED : DASHED;
+      const each = shown
+        .map((s) => ({ s, value: s.m.reference(s.setting, k) }))
+        .filter(({ value }) => typeof value === "number");
+      return new Set(each.map(({ value }) => value.toPrecision(6))).size === 1
+        ? [{ title, value: each[0].value, colour: "var(--soft)", dash }]
+        : each.map(({ s, value }) => ({ title: `${title}, ${s.name}`, value, colour: s.colour, dash }));
+    });
+  }
+
   // Which statistic is shown, and between which its band lies.
   function statistics(line) {
     const middle = state.view === "median" || chosen().middle === "median" ? "median" : "mean";
@@ -121,10 +138,10 @@ function curvesCard(c) {
       ...(state.runs && s.main ? s.m.ranks.map((_, k) => STATISTICS.runs + k) : []),
     ];
     const values = shown.flatMap((s) => statisticsOf(s).flatMap((k) => [...s.m.curve(s.setting, m, k)]));
-    const optimum = chosen().key === "return" && data.optimum !== null ? data.optimum : NaN;
+    const exact = exactly(shown);
     const y = scaleOf(
       chosen().kind === "share" ? "linear" : state.scale,
-      chosen().kind === "share" ? [0, 1] : [...values, optimum],
+      chosen().kind === "share" ? [0, 1] : [...values, ...exact.map((line) => line.value)],
       chosen().kind === "count" ? 0 : undefined,
     );
     const times = shown.length ? shown[0].m.data.x : c.times;
@@ -144,9 +161,11 @@ function curvesCard(c) {
         .map((s) => `${s.name}: ${short(s.m.curve(s.setting, m, statistics(s).at).at(-1))} in the end.`)
         .join(" "),
     });
-    if (Number.isFinite(optimum))
-      el("line", { class: "exact", x1: f.x0, x2: f.x1, y1: f.y(optimum), y2: f.y(optimum) }, f.plot);
-    drawn = { scales: { y }, optimum };
+    for (const { value, colour, dash } of exact) {
+      const style = { stroke: colour, strokeDasharray: dash };
+      el("line", { class: "exact", x1: f.x0, x2: f.x1, y1: f.y(value), y2: f.y(value), style }, f.plot);
+    }
+    drawn = { scales: { y }, exact };
     const marks = [];
     for (const s of shown) {
       const at = statistics(s);
@@ -175,12 +194,12 @@ function curvesCard(c) {
     cursor = { f, marks, line: el("line", { class: "cursor", y1: f.y1, y2: f.y0 }, f.svg) };
     scrub(el("rect", { class: "hit", x: f.x0, y: f.y1, width: f.x1 - f.x0, height: f.y0 - f.y1 }, f.svg), f, times);
     drawLegend(all);
-    if (Number.isFinite(optimum)) {
+    for (const { title, value, colour, dash } of exact) {
       const row = el("tr", { role: "row" }, legend);
       const key = el("span", { class: "key" }, el("th", { scope: "row", role: "rowheader" }, row));
-      swatch(key, "var(--soft)", "5 4");
-      el("span", {}, key, "exact optimum");
-      el("td", { class: "number", role: "cell" }, row, short(optimum));
+      swatch(key, colour, dash);
+      el("span", {}, key, title);
+      el("td", { class: "number", role: "cell", "data-exact": title }, row, short(value));
       el("td", { role: "cell" }, row);
     }
     const some = c.methods.some((one) => one.data.kept.length < one.count);

@@ -24,6 +24,8 @@ function methodOf(data, curves, scores, sizes) {
       const i = ((slots.get(setting) * sizes.measures + measure) * rows + statistic) * points;
       return curves.subarray(i, i + points);
     },
+    // What its features allow: one of the references of the chapter.
+    reference: (setting, k) => (slots.has(setting) ? data.references[k][slots.get(setting)] : null),
     // The middle, the bounds of its interval, and the number of seeds.
     score: (setting, k) => scores.subarray((setting * sizes.scores + k) * 4, (setting * sizes.scores + k) * 4 + 4),
     pointAt: (time) =>
@@ -54,14 +56,14 @@ async function chapter(root, number) {
       methodOf(m, await floats(`${id}-curves-${i}`), await floats(`${id}-scores-${i}`), sizes),
     ),
   );
-  const exact = data.scene.exact ? await floats(`${id}-exact`) : null;
+  const exact = data.scene?.exact ? await floats(`${id}-exact`) : null;
   const width = exact ? exact.length / data.scene.states.length : 0;
   const defaults = {
     method: data.first,
     beside: -1,
     view: "mean",
     moment: methods[data.first].data.x.length - 1,
-    cell: data.scene.start[0] ?? 0,
+    cell: data.scene?.start[0] ?? 0,
     colour: "value",
     measure: data.measures[0].key,
     lines: "methods",
@@ -122,8 +124,9 @@ async function chapter(root, number) {
   asToml.addEventListener("click", () =>
     dialog("This setting as an experiment", toml(methods[state.method], c.settingOf(state.method))),
   );
-  // Where states cannot be counted there is no table of them.
-  const parts = { scene: data.scene.of ? sceneCard(c) : null, curves: curvesCard(c), settings: settingsCard(c) };
+  // Of states that cannot be counted there is not always something to be seen.
+  if (data.absent) el("p", { class: "note" }, root, data.absent);
+  const parts = { scene: data.scene ? sceneCard(c) : null, curves: curvesCard(c), settings: settingsCard(c) };
   const player = playerOf(c);
   sortMethods(root.closest("section"));
   const list = listing(c, root.closest("section"));
@@ -217,7 +220,7 @@ async function chapter(root, number) {
       method: [0, methods.length],
       beside: [-1, methods.length],
       moment: [0, c.times.length],
-      cell: [0, data.scene.states.length],
+      cell: [0, data.scene?.states.length ?? 0],
     };
     for (const [key, value] of new URLSearchParams(location.hash.slice(1))) {
       if (!key.startsWith(`${number}.`)) continue;

@@ -30,8 +30,12 @@ function scaleCode(axis, { kind, high }) {
   return kind === "minus" ? [`ax.set_${axis}scale("symlog", linthresh=${-high})  # ratios of costs`] : [];
 }
 
-const optimumCode = (optimum) =>
-  Number.isFinite(optimum) ? [`ax.axhline(${optimum}, ls="--", color="grey", label="exact optimum")`] : [];
+// Lines that are exact: title, value and dash.
+const exactCode = (lines) =>
+  lines.map(
+    ({ title, value, dash }) =>
+      `ax.axhline(${value}, ls="${dash === DOTTED ? ":" : "--"}", color="grey", label=${quoted(title)})`,
+  );
 
 const endCode = (xName, yName, file) => [
   `ax.set(xlabel=${quoted(xName)}, ylabel=${quoted(yName)})`,
@@ -39,7 +43,7 @@ const endCode = (xName, yName, file) => [
   `figure.savefig(${quoted(file)})`,
 ];
 
-function curvesCode(c, lines, { scales, optimum }) {
+function curvesCode(c, lines, { scales, exact }) {
   const { state } = c;
   const measure = c.data.measures.find((m) => m.key === state.measure);
   const median = state.view === "median" || measure.middle === "median";
@@ -78,7 +82,7 @@ function curvesCode(c, lines, { scales, optimum }) {
   return [
     ...START,
     ...parts,
-    ...optimumCode(optimum),
+    ...exactCode(exact),
     ...(state.logTime ? scaleCode("x", { kind: "log" }) : []),
     ...scaleCode("y", scales.y),
     ...endCode(c.data.unit, measure.title, "curves.png"),
@@ -124,7 +128,7 @@ function settingsCode(c, { lines, scales, optimum }) {
   return [
     ...START,
     ...parts,
-    ...optimumCode(optimum),
+    ...exactCode(Number.isFinite(optimum) ? [{ title: "exact optimum", value: optimum }] : []),
     ...scaleCode("x", scales.x),
     ...scaleCode("y", scales.y),
     ...endCode(axis, score.title, "settings.png"),

@@ -35,6 +35,8 @@ function sceneCard(c) {
     move();
   }
 
+  if (c.scene.places) el("p", { class: "note" }, section, c.scene.places);
+
   function move() {
     stages.forEach((stage) => stage.move());
     const { missing, best, tables } = c.methods[state.method].data;
@@ -83,6 +85,8 @@ function worth(q) {
   return v;
 }
 
+const LEAST_NAMED = 18; // pixels of a place in which its best actions stand
+
 function panelStage(c, box, m, tables) {
   const { scene, state } = c;
   const words = titleOf(c, box, m);
@@ -94,7 +98,7 @@ function panelStage(c, box, m, tables) {
     );
   const grid = scene.grid;
   const size = grid ? 64 : 46;
-  const left = grid ? 4 : 44;
+  const longestName = (names) => Math.max(...names.map((name) => name.length));
   const n = scene.states.length;
   const terminal = new Set(scene.terminal);
   const unreachable = new Set(scene.unreachable);
@@ -107,7 +111,11 @@ function panelStage(c, box, m, tables) {
     const rows = panel.states.length;
     const columns = panel.columns.length;
     const top = panel.title ? 26 : 4;
-    const below = grid ? (grid.wind.length ? 26 : 4) : 40;
+    // The narrower the picture, the larger its type beside its cells.
+    const scaleOn = (wide) => Math.min(largest, (box.clientWidth || 500) / wide);
+    const tick = Math.max(12, 10 / scaleOn(48 + columns * size));
+    const left = grid ? 4 : Math.max(44, 10 + 0.62 * tick * longestName(panel.rows));
+    const below = grid ? (grid.wind.length ? 26 : 4) : 16 + 2 * tick;
     const svg = el(
       "svg",
       {
@@ -121,10 +129,12 @@ function panelStage(c, box, m, tables) {
     );
     const wide = left + columns * size + 4;
     svg.style.maxWidth = `${wide * largest}px`;
-    const scale = Math.min(largest, (box.clientWidth || 500) / wide);
+    const scale = scaleOn(wide);
     const type = typeIn(size * scale);
+    const named = !scene.places || size * scale > LEAST_NAMED;
+    if (scene.places) type.room = 0; // the places of a surface have no numbers in them
     svg.style.setProperty("--number", `${type.size / scale}px`);
-    svg.style.setProperty("--tick", `${Math.max(12, 10 / scale)}px`);
+    svg.style.setProperty("--tick", `${tick}px`);
     const badge = Math.max(9, 6.5 / scale);
     svg.style.setProperty("--badge", `${badge * 1.35}px`);
     el("title", { id: `panel-${charts}-title` }, svg, panel.title || "The states");
@@ -157,6 +167,7 @@ function panelStage(c, box, m, tables) {
           k,
           panel,
           type,
+          named,
           arrow: el("path", { class: "arrow" }, above),
           text: el("text", { class: "v", x: x + size / 2, y: y + size / 2 + (grid ? 24 : 17) }, above),
           letter: el("text", { class: "letter", x: x + size / 2, y: y + size / 2 + 1 }, above),
@@ -183,20 +194,23 @@ function panelStage(c, box, m, tables) {
         ),
       );
     else {
+      // Names that would run into one another are left out.
+      const every = Math.ceil((0.65 * tick * longestName(panel.columns)) / size);
       panel.rows.forEach((name, i) =>
         el("text", { class: "tick", x: left - 6, y: top + (i + 0.5) * size + 4, "text-anchor": "end" }, svg, name),
       );
       panel.columns.forEach((name, k) =>
+        k % every ||
         el(
           "text",
-          { class: "tick", x: left + (k + 0.5) * size, y: top + rows * size + 15, "text-anchor": "middle" },
+          { class: "tick", x: left + (k + 0.5) * size, y: top + rows * size + 3 + tick, "text-anchor": "middle" },
           svg,
           name,
         ),
       );
       el(
         "text",
-        { class: "name", x: left + (columns * size) / 2, y: top + rows * size + 34, "text-anchor": "middle" },
+        { class: "name", x: left + (columns * size) / 2, y: top + rows * size + 10 + 2 * tick, "text-anchor": "middle" },
         svg,
         [panel.along, panel.down && `rows: ${panel.down}`].filter(Boolean).join("; "),
       );
@@ -235,7 +249,9 @@ function panelStage(c, box, m, tables) {
       const shown = over
         ? ""
         : untouched && state.colour !== "visits"
-          ? "·"
+          ? scene.places
+            ? ""
+            : "·"
           : state.colour === "visits"
             ? visitsText(tables.visits(view, moment, s))
             : state.colour === "error" && !policy
@@ -253,7 +269,8 @@ function panelStage(c, box, m, tables) {
               best.length > 1,
             ),
       );
-      cell.letter.textContent = arrows || over || q.length < 2 || untouched ? "" : best.map((a) => letters[a]).join("");
+      cell.letter.textContent =
+        arrows || over || q.length < 2 || untouched || !cell.named ? "" : best.map((a) => letters[a]).join("");
       cell.arrow.style.opacity = 0.3 + 0.7 * sure;
       cell.letter.classList.toggle("sure", sure >= SURE);
       const acts = q.length > 1 && !untouched ? `, ${best.map((a) => scene.actions[a]).join(" or ")}` : "";

@@ -213,7 +213,7 @@ function settingsCard(c) {
     }
     if (!Number.isFinite(optimum)) return;
     const key = el("span", { class: "key" }, legendBox);
-    swatch(key, "var(--soft)", "5 4");
+    swatch(key, "var(--soft)", DASHED);
     el("span", {}, key, `exact optimum ${short(optimum)}`);
   }
 

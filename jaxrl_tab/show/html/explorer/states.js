@@ -33,6 +33,7 @@ function rangeOf(c, tables, m) {
     if (c.exact) see(worth(c.exactOf(s)));
     else for (let r = 0; r < tables.moments; r++) see(worth(tables.q(view, r, s)));
   }
+  if (!c.exact && 20 * high < -low) high = 0; // no sign of its own: a cost that was learned overshoots 0 a little
   const span = Math.max(high, -low) || 1;
   if (state.colour === "error")
     return {

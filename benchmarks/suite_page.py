@@ -1,6 +1,8 @@
-"""Pictures of the public results: every method in every task, and the share of runs above each score."""
+"""What docs/suite.md shows of the public results: two tables, as Markdown has them, and two pictures."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,19 +12,68 @@ from benchmarks.suite import Files
 from jaxrl_tab import stats
 from jaxrl_tab.experiment import scores
 from jaxrl_tab.show import style
-from jaxrl_tab.show.words import title_of
+from jaxrl_tab.show.words import number, title_of
 
+BESIDE = "q-learning"  # the method that others are said to beat
 ROWS, COLUMNS = 5, 4  # of small pictures, one for each method
 THRESHOLDS = np.linspace(0, 1, 101)
 
 
-def draw(files: Files, order: list[str], folder: Path) -> None:
-    """Both pictures, with the methods in this order, as suite-scores.png and suite-profiles.png in a folder."""
-    table = pd.read_csv(files.table)
+def draw(files: Files, folder: Path) -> str:
+    """Draws suite-scores.png and suite-profiles.png into a folder; gives the tables, a line for each row."""
+    table, about = pd.read_csv(files.table), json.loads(files.about.read_text(encoding="utf-8"))
+    over_all = about["over_environments"]["methods"]
+    order = sorted(over_all, key=lambda method: over_all[method]["mean_rank"][0])
     by_task = table.pivot(index="method", columns="environment", values="normalised").loc[order]
     every = by_task[list(dict.fromkeys(table.environment))]
     _scores(every).savefig(folder / "suite-scores.png", dpi=style.DPI)
     _profiles(files, table, order).savefig(folder / "suite-profiles.png", dpi=style.DPI)
+    rows = [*_over_all(over_all, order), "", *_by_task(table, about["tasks"])]
+    return "\n".join(rows)
+
+
+def _over_all(over_all: dict[str, Any], order: list[str]) -> list[str]:
+    """A row for each method, with its intervals."""
+    rows = [
+        f"| method | interquartile mean | mean rank | beats {title_of(BESIDE)} |",
+        "|---|---|---|---|",
+    ]
+    for method in order:
+        own = over_all[method]
+        beats = _interval(own["improvement"][BESIDE], 3) if method != BESIDE else "–"
+        rows.append(
+            f"| {title_of(method)} | {_interval(own['iqm'], 3)} | {_interval(own['mean_rank'], 2)} | {beats} |"
+        )
+    return rows
+
+
+def _interval(numbers: list[float], decimals: int) -> str:
+    mean, low, high = (number(x, decimals) for x in numbers)
+    return f"{mean} ({low} to {high})"
+
+
+def _by_task(table: pd.DataFrame, tasks: dict[str, Any]) -> list[str]:
+    """A row for each task, with the method that is best there, and how many more have the same score."""
+    rows = [
+        "| task | states × actions | steps | γ | any action | optimum | best method and its setting | score |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, task in tasks.items():
+        own = table[table.environment == name]
+        best = own.loc[own.normalised.idxmax()]
+        alike = int((own.normalised == best.normalised).sum()) - 1
+        which = f" and {alike} more" if alike else f", {best.setting}"
+        cells = [
+            title_of(name),
+            f"{task['states']} × {task['actions']}",
+            number(task["steps"], 0),
+            f"{task['gamma']:g}",
+            *(number(task[key], 3) for key in ("random", "optimum")),
+            title_of(best.method) + which,
+            number(best.normalised, 3),
+        ]
+        rows.append(f"| {' | '.join(cells)} |")
+    return rows
 
 
 def _scores(every: pd.DataFrame) -> Figure:
