@@ -13,6 +13,7 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, plot, report, stats
+from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.engine import backend
 from jaxrl_tab.engine import part as parts
 from jaxrl_tab.engine.axes import Integers, LogUniform, Uniform
@@ -28,17 +29,9 @@ METHODS = {**rl.ALGORITHMS, **rl.PREDICTION}
 NETWORKS = ("deep-q-network", "deep-sarsa")  # which take longer
 # Of a task that ends, and may be learned in it.
 FIT = [
-    x
-    for x in METHODS
-    if x
-    not in (
-        "r-learning",
-        "differential-q-learning",
-        "differential-sarsa",
-        "ucb-q-learning",
-        "ucbvi",
-        *NETWORKS,
-    )
+    name
+    for name, cls in METHODS.items()
+    if name not in NETWORKS and not (of_method(cls).in_the_long_run or of_method(cls).needs_horizon)
 ]
 SARSA = {"name": "sarsa", "alpha": {"log_uniform": [0.05, 1]}, "epsilon": [0.05, 0.1]}
 
