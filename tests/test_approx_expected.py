@@ -54,12 +54,13 @@ def test_gradient_td_and_emphatic_td_do_not(baird):
         w = update.curve(START, 3000)[-1, :8]
         assert np.sqrt(baird.projected_bellman_error(w)) < 0.01
         assert 1.9 < np.sqrt(baird.value_error(w)) < 2
-    assert not expected.emphatic(baird, 0.03).diverges
-    for curve in (
-        expected.emphatic(baird, 0.03).curve(START, 1000),
-        expected.emphatic_curve(baird, 0.03, START, 1000),
-    ):
-        np.testing.assert_allclose(BAIRD.features @ curve[-1], 0, atol=1e-8)
+    for lam in (0.0, 0.5):
+        assert not expected.emphatic(baird, 0.03, lam).diverges
+        for curve in (
+            expected.emphatic(baird, 0.03, lam).curve(START, 1000),
+            expected.emphatic_curve(baird, 0.03, START, 1000, lam),
+        ):
+            np.testing.assert_allclose(BAIRD.features @ curve[-1], 0, atol=1e-8)
 
 
 def test_gradient_td_goes_down_the_projected_bellman_error(garnet):
@@ -84,6 +85,20 @@ def test_where_td_does_not_diverge_it_ends_in_its_fixed_point(garnet):
         assert not update.diverges
         w = np.linalg.solve(np.eye(len(update.matrix)) - update.matrix, update.constant)[:3]
         np.testing.assert_allclose(w, garnet.td_fixed_point(), rtol=1e-8)
+
+
+@pytest.mark.parametrize("lam", [0.0, 0.7, 1.0])
+def test_emphatic_td_in_the_long_run(garnet, lam):
+    """Its curve comes to its own step, and with lambda = 1 to the values that are best where b comes.
+
+    Broken once: traces that go on by P, without lambda; the emphasis of lambda = 0 for each -> each fails.
+    """
+    update, w = expected.emphatic(garnet, 0.05, lam), np.array([0.3, -1.0, 2.0])
+    curve = expected.emphatic_curve(garnet, 0.05, w, 400, lam)
+    np.testing.assert_allclose(curve[-1], update.curve(curve[-2], 1)[1], rtol=1e-9)
+    if lam == 1:
+        end = np.linalg.solve(np.eye(3) - update.matrix, update.constant)
+        np.testing.assert_allclose(end, garnet.best_weights(), rtol=1e-8)
 
 
 def test_the_expected_update_is_the_mean_of_the_sampled_ones(baird):

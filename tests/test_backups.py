@@ -184,7 +184,8 @@ SHAPES |= {
     "deep-sarsa": SHAPES["sarsa"],
 }
 SHAPES["gradient-monte-carlo"] = SHAPES["monte-carlo-prediction"]
-SHAPES |= dict.fromkeys(("lstd", "semi-gradient-off-policy-td", "gtd2", "tdc", "emphatic-td"), TD0)
+SHAPES |= dict.fromkeys(("lstd", "semi-gradient-off-policy-td", "gtd2", "tdc"), TD0)
+SHAPES["emphatic-td"] = SHAPES["td-lambda"]
 IN_WORDS = {  # what no circle shows
     "double-q-learning": "one table chooses the action, the other gives its value",
     "q-learning-target": "A' is drawn from the target policy",

@@ -62,6 +62,14 @@ def test_texts_in_own_classes_are_the_declaration():
         rl.learn(jax.random.key(0), Mean(), log, 2, 1)
 
 
+def test_what_is_said_of_an_update_is_not_said_of_another_one():
+    """A subclass may say something else of the one that it inherits. Broken once: each inherits all -> fails."""
+    said, another = {"learns_from": "episodes", "acts_after_update": True}, {"update": lambda *_: None}
+    Says = type("Says", (Mean,), said)
+    assert of_method(Says) == OfMethod(learns_from=LearnsFrom.EPISODES, acts_after_update=True)
+    assert of_method(type("Updates", (Says,), another)) == OfMethod()
+
+
 @pytest.mark.parametrize(
     ("attribute", "text", "message"),
     [
@@ -108,8 +116,7 @@ def test_an_environment_without_a_base_class_declares_nothing_and_runs():
         False,
         *[None] * 7,
         (),
-        None,
-        None,
+        *[None] * 3,
     )
     ds = rl.sweep(Door(), Mean, num_seeds=2, num_steps=20).to_xarray()
     assert ds.attrs["learns"] == "actions"

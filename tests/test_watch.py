@@ -20,7 +20,7 @@ import jaxrl_tab as rl
 from jaxrl_tab.cli import main, tables
 from jaxrl_tab.cli import watch as command
 from jaxrl_tab.core.declared import Learns, of_method
-from jaxrl_tab.core.steps import Change, Steps
+from jaxrl_tab.core.steps import Change, Seen, Steps
 from jaxrl_tab.engine import stepwise
 from jaxrl_tab.engine import watch as module
 from jaxrl_tab.methods import METHODS
@@ -462,3 +462,52 @@ def test_blackjack_is_played_on_the_table_of_its_hand():
         ["usable ace: player ↓, dealer shows →"],
         ["no usable ace: player ↓, dealer shows →"],
     ]
+
+
+# --- where states cannot be counted ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Three steps of a car, as nobody drove it."""
+    s = np.array([[-0.5, 0.0], [-0.52, -0.02], [-0.5, 0.01], [0.5, 0.06]])
+    truth = np.array([False, False, True])
+    seen = Seen(s[:3], np.array([0, 2, 1]), np.full(3, -1.0), s[1:], truth, truth)
+    change = Change(np.array([3, 8]), np.array([2, 2]), np.array([0.5, 1.0]), np.array([0.25, 1.125]))
+    steps = Steps(seen, np.array([0.5, -1, np.nan]), (change, change, Change(*[np.array([])] * 4)))
+    method = rl.approx.SemiGradientSarsa(features="tile-coding(1, 2)")
+    return module.Watched(rl.MountainCar(), method, 0, 0, 1, 1, np.zeros((9, 3)), steps, None)
+
+
+def test_states_that_are_numbers_are_told_as_such(drive):
+    """Broken once: the names of states from their numbers -> TypeError."""
+    rows = [*drive.told.rows()]
+    told = ("2", "−0.52, −0.02", "forward", "−1", "−0.5, 0.01", "−1", "2 weights, ≤ 0.25")
+    assert rows[1] == told
+    assert rows[2][-1] == "nothing"
+    assert drive.told.end == "It ends in a terminal state after 3 steps; its return is −3."
+    # From -0.52 to 0.5, and from -0.02 to 0.06, in eight heights.
+    assert [*command._courses(drive)] == ["position ▁▁▁█ −0.52 to 0.5", "velocity ▃▁▄█ −0.02 to 0.06"]
+
+
+def test_the_car_is_drawn_on_its_hill():
+    """sin(3 x) is least at -pi / 6, the 24th of 60 columns, and 0.44 at the left end."""
+    lines = rl.MountainCar().picture(np.array([-np.pi / 6, 0.0]))
+    assert len(lines) == 9
+    assert lines[8].index("●") == 23
+    assert lines[0].endswith("⚑")
+    assert lines[2].startswith("·")
+    assert rl.MountainCar().picture(np.array([-1.2, 0.0]))[2].startswith("●")
+    assert sum(line.count("●") for line in lines) == 1
+
+
+@pytest.mark.slow
+def test_the_car_is_driven_as_in_a_sweep():
+    """To the last bit; of a network there is nothing to be told."""
+    car, grid = rl.MountainCar(max_steps=200), {"features": "tile-coding(2, 3)", "alpha": 0.2}
+    seen = rl.watch(car, rl.approx.SemiGradientSarsa(**grid), num_episodes=3, seed=1)
+    swept = rl.sweep(car, "semi-gradient-sarsa", grid, num_seeds=2, num_episodes=3, progress=False)
+    np.testing.assert_array_equal(seen.q, swept.q[1])
+    assert len(seen.steps) == swept.log.lengths[1, -1]
+    with pytest.raises(rl.InputError, match="and DeepSarsa has a network"):
+        rl.watch(car, rl.approx.DeepSarsa(), num_episodes=1)

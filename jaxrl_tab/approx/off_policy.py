@@ -11,11 +11,13 @@ from jaxtyping import Array, Float
 
 from jaxrl_tab.algorithms.control import Learner
 from jaxrl_tab.algorithms.prediction import OffPolicyPrediction, ValueState
+from jaxrl_tab.algorithms.traces import TraceControl
 from jaxrl_tab.approx.control import SemiGradientSarsa
 from jaxrl_tab.approx.semi_gradient import SemiGradientPrediction
 from jaxrl_tab.core import clock, linear, tables
-from jaxrl_tab.core.backups import Backup
+from jaxrl_tab.core.backups import Backup, lambda_return
 from jaxrl_tab.core.clock import Clock, Rate, end_step
+from jaxrl_tab.core.credited import Credited
 from jaxrl_tab.core.declared import LearnsFrom, name_of
 from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.pytree import field, pytree
@@ -162,51 +164,67 @@ class TDC(GTD2):
 
 
 class EmphaticState(NamedTuple):
-    """A learner that knows how much the next step is emphasised.
+    """A learner with traces that knows how much the next step is emphasised.
 
     Attributes:
-        q: the weights w, float [n, 1].
+        values: w, and the traces as z / (rho M), to which a step adds x(S), whatever its ratio; each float [n, 1].
         clock: what the schedule of alpha counts.
-        followed: rho gamma M of the step before, 0 at the start of an episode, float [].
+        followed: rho gamma F of the step before, 0 at the start of an episode, float [].
     """
 
-    q: Float[Array, "n 1"]
+    values: Credited
     clock: Clock
     followed: Float[Array, ""]
 
+    @property
+    def q(self) -> Float[Any, "... n 1"]:
+        """The weights w, float [n, 1]; of a batch [..., n, 1]."""
+        return self.values.q
+
 
 @pytree
-class _Emphatic(_OfStates):
+class _Emphatic(_OfStates, TraceControl):  # pyright: ignore[reportIncompatibleMethodOverride] (of `learn`)
+    trace: ClassVar = "accumulating"  # pyright: ignore[reportIncompatibleVariableOverride]
+
     def init(self, num_states: int, num_actions: int) -> EmphaticState:
-        w, clock = super().init(num_states, num_actions)
-        return EmphaticState(w, clock, jnp.zeros((), w.dtype))
+        values, clock = super().init(num_states, num_actions)
+        return EmphaticState(values, clock, jnp.zeros_like(values.credit))
+
+    def emphasis(self, followed: Float[Array, ""]) -> Float[Array, ""]:
+        """M of a step, from rho gamma F of the one before."""
+        return self.lam + (1 - self.lam) * (1 + followed)
 
     def weighed(self, state: EmphaticState, t: Transition, rho: Float[Array, ""]) -> EmphaticState:
-        emphasis = 1 + state.followed
+        emphasis = self.emphasis(state.followed)
         step = self.step_size(state, t) * emphasis * rho * self.error(state, t)
-        q = linear.add(state.q, self.x(t.s), t.a, step)
-        followed = jnp.where(t.last, 0, rho * t.discount * emphasis)
-        return EmphaticState(q, end_step(state.clock, t.last), followed)
+        values = state.values.learned(self.x(t.s), t.a, 1.0, 1.0, step)
+        followed = jnp.where(t.last, 0, rho * t.discount * (1 + state.followed))
+        fades = t.discount * self.lam * rho * emphasis / self.emphasis(followed)
+        return EmphaticState(
+            values.faded(jnp.where(t.last, 0, fades)), end_step(state.clock, t.last), followed
+        )
 
 
 @pytree
 class EmphaticTD(OffPolicyLinear):
-    """One-step emphatic TD: states count as often as pi would come to them, had it begun in any that b comes to.
+    """Emphatic TD(lambda): states count as often as pi would come to them, had it begun in any that b comes to.
 
-    M <- gamma rho M + 1      (rho of the step before; M = 1 at the start of an episode)
-    w <- w + alpha M rho [R + gamma v(S') - v(S)] x(S)      (book, section 11.8; Sutton, Mahmood and White 2016)
+    F <- gamma rho F + 1      (rho of the step before; F = 1 at the start of an episode)
+    M = lambda + (1 - lambda) F
+    z <- rho (gamma lambda z + M x(S))
+    w <- w + alpha [R + gamma v(S') - v(S)] z      (book, section 12.11; Sutton, Mahmood and White 2016)
 
-    In expectation it does not diverge where alpha is small enough. But M is a product of ratios, whose variance may be
-    so large that no run comes near: in `Baird` none does.
+    With lambda = 0 it is one-step emphatic TD, w <- w + alpha M rho delta x(S), of section 11.8. In expectation it does
+    not diverge where alpha is small enough. But F is a product of ratios, whose variance may be so large that no run
+    comes near: in `Baird` none does.
     """
 
+    lam: float = field(default=0.0, at_least=0, at_most=1, help="lambda.")
+
     method: ClassVar[type] = _Emphatic
-    acts_after_update: ClassVar[bool] = True
     learns_from: ClassVar[LearnsFrom] = LearnsFrom.EPISODES_OF_B
     backup: ClassVar[Backup] = Backup(
-        "state, action, state",
-        "Another policy b acts: the error is multiplied by the ratio π(A | S) / b(A | S) and by the emphasis of S.",
+        lambda_return("state", "action, state"),
+        "Another policy b acts. Traces carry each error back to earlier states, times the ratios π(A | S) / b(A | S) "
+        "and the emphasis of each; with λ = 0 there is the first column alone.",
     )
-
-    def update(self, key, state: ValueState, t: Transition):
-        return super().update(key, state, t)

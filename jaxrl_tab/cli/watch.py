@@ -12,6 +12,7 @@ from rich.console import Group as Together
 from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from jaxrl_tab.cli.common import (
     OF_ONE_METHOD,
@@ -32,9 +33,11 @@ from jaxrl_tab.engine.watch import EPISODES, Watched, watch
 from jaxrl_tab.show import learning
 from jaxrl_tab.show.steps import Told
 from jaxrl_tab.show.tasks import policy_of
+from jaxrl_tab.show.words import significant
 
 SECONDS, SLOWEST = 20.0, 0.5  # that an episode is played for, about; and one step of it, at most
 LAST_STEPS = 8  # of which a person sees the numbers while an episode is played
+BARS, COURSE = "▁▂▃▄▅▆▇█", 60  # heights in a line of text, and how long one is, at most
 FEW_STATES = 25  # of which the values are listed after an episode
 
 
@@ -51,6 +54,7 @@ class Watch:
       jaxrl-tab watch windy-gridworld sarsa --alpha 0.5
       jaxrl-tab watch windy-gridworld sarsa --alpha 0.5 --at 1
       jaxrl-tab watch blackjack monte-carlo --episodes 20000 --html learning.html
+      jaxrl-tab watch mountain-car semi-gradient-sarsa --features "tile-coding(8, 8)" --epsilon 0 --episodes 100
       jaxrl-tab watch random-walk td --alpha 0.1 --episodes 100 --gif learning.gif
       jaxrl-tab watch cliff-walking mine.py:MyMethod --my-parameter 2
 
@@ -129,6 +133,9 @@ def _show(watched: Watched) -> None:
         out.print(table)
     out.print(told.end, markup=False)
     env = watched.env
+    if not env.num_states:
+        for line in _courses(watched):
+            out.print(line, markup=False, soft_wrap=True)
     if isinstance(env, FiniteEnvironment) and (of_environment(env).panels() or env.num_states <= FEW_STATES):
         q, of_v = np.asarray(watched.q, float), "value"
         if told.learns is Learns.PREFERENCES:
@@ -150,7 +157,29 @@ def _frames(watched: Watched, told: Told) -> Iterator[Together]:
             table.add_row(*map(escape, told.row(step)))
         if q is not None:
             q[change.s, change.a] = change.after
-        yield Together(table, *position(watched.env, q, int(watched.steps.experience.s_next[i])))
+        yield Together(table, *_place(watched.env, q, watched.steps.experience.s_next[i]))
+
+
+def _place(env: Any, q: np.ndarray | None, s: Any) -> list[Any]:
+    """Where the agent is: a drawing, where there is one."""
+    if env.num_states:
+        return list(position(env, q, int(s)))
+    picture = of_environment(env).picture
+    return [] if picture is None else [Text("\n".join(picture(s)))]
+
+
+def _courses(watched: Watched) -> Iterator[str]:
+    """How the numbers that a state is went up and down in the episode: a line for each of them."""
+    seen = watched.steps.experience
+    numbers = np.concatenate([seen.s[:1], seen.s_next])
+    if len(numbers) > COURSE:
+        numbers = numbers[np.linspace(0, len(numbers) - 1, COURSE).round().astype(int)]
+    names = of_environment(watched.env).observed_names
+    for name, x in zip(names, numbers.T, strict=True):
+        low, high = float(x.min()), float(x.max())
+        heights = ((x - low) / (high - low or 1) * (len(BARS) - 1)).round().astype(int)
+        ends = f"{significant(low, 3)} to {significant(high, 3)}"
+        yield f"{name:>{max(map(len, names))}} {''.join(BARS[i] for i in heights)} {ends}"
 
 
 def _table(told: Told) -> Table:

@@ -67,11 +67,11 @@ class OfMethod(NamedTuple):
             "transitions", any of them in any order; "transitions of b", where the method is told the policy b
             that acted, as a table in its field `behaviour`; "episodes", or "episodes of b", in order; or only
             from "itself".
-            The class that defines `update` declares it.
+            The class that defines `update` declares it, or a subclass without an `update` of its own.
         acts_after_update: whether `update` draws A' as its last act, as `policy(key, new state, S')`, and
             learns nothing from it. The driver then draws A' itself, together with the first actions of
             episodes, which makes a step a quarter faster and changes no decision. The class that defines
-            `update` declares it.
+            `update` declares it, or a subclass without an `update` of its own.
         multiplies_returns: whether returns are multiplied by ratios of importance sampling. What is learned may
             then be greater than any return, and is no sign that the method diverges.
         exploring_starts: whether episodes start in any state with any action.
@@ -133,6 +133,7 @@ class OfEnvironment(NamedTuple):
             where it gives none.
         target_policy, behaviour_policy: the policy whose values its source asks for, and the one that acts, float
             [S, A]: those of a method of prediction that was given none. None where its source says nothing of them.
+        picture: a drawing of a state that is numbers, from these, in lines of text; None where there is none.
         known_values: where states cannot be counted, and it is known all the same what they are worth, whatever the
             policy: some of them, float [N, d], that are equally likely, and the value of each, float [N].
         title: what it is called, where its class alone does not say it; else None.
@@ -156,8 +157,14 @@ class OfEnvironment(NamedTuple):
     target_policy: Any = None
     behaviour_policy: Any = None
     number_names: tuple[str, ...] = ()
+    picture: Callable[[Any], tuple[str, ...]] | None = None
     known_values: Callable[[], tuple[Any, Any]] | None = None
     title: str | None = None
+
+    @property
+    def observed_names(self) -> tuple[str, ...]:
+        """What each of the numbers is that a state is."""
+        return self.number_names or tuple(f"number {i + 1}" for i in range(len(self.low or ())))
 
     @property
     def differs(self) -> str:
@@ -176,11 +183,9 @@ def of_method(method: Any) -> OfMethod:
     """
     cls, values = method if isinstance(method, type) else type(method), _declared(OfMethod, method)
     # A subclass with an `update` of its own inherits nothing that was said of another one.
-    by_update = vars(next(c for c in cls.__mro__ if "update" in vars(c)))
-    for name in ("learns_from", "acts_after_update"):
-        values[name] = by_update.get(name, OfMethod._field_defaults[name])
-    if any("update" in vars(c) for c in _above(cls, "backup")):
-        values["backup"] = None
+    for name in ("learns_from", "acts_after_update", "backup"):
+        if any("update" in vars(c) for c in _above(cls, name)):
+            values[name] = OfMethod._field_defaults[name]
     values["backup"] = backups.checked(cls.__name__, values["backup"])
     for name, kind in (("learns", Learns), ("learns_from", LearnsFrom)):
         check_choice(cls.__name__, name, values[name], [*kind])

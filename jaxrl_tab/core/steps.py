@@ -4,7 +4,7 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxrl_tab.core.experience import Experience
 
@@ -29,6 +29,22 @@ class Change(NamedTuple):
         return cls(s, a, before[s, a], after[s, a])
 
 
+class Seen(NamedTuple):
+    """The transitions of an episode whose states are numbers: as `Experience`, which is of states that are counted.
+
+    Attributes:
+        s, s_next: S and S', float [N, d].
+        a, r, terminal, last: as there, [N].
+    """
+
+    s: Float[np.ndarray, "N d"]
+    a: Int[np.ndarray, " N"]
+    r: Float[np.ndarray, " N"]
+    s_next: Float[np.ndarray, "N d"]
+    terminal: Bool[np.ndarray, " N"]
+    last: Bool[np.ndarray, " N"]
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Steps:
     """An episode of N steps.
@@ -37,10 +53,10 @@ class Steps:
         experience: its transitions, in their order.
         delta: the error from which the method learned in each step, float [N]. NaN where it did not learn from
             one error, as where it waits for the end of the episode.
-        changes: what each step changed in the table of values; N of them.
+        changes: what each step changed in the table of values; of weights, where states cannot be counted; N of them.
     """
 
-    experience: Experience
+    experience: Experience | Seen
     delta: Float[np.ndarray, " N"]
     changes: tuple[Change, ...]
 

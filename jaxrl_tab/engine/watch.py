@@ -15,8 +15,8 @@ from jaxrl_tab.core.errors import InputError, whole
 from jaxrl_tab.core.experience import Experience
 from jaxrl_tab.core.names import registered_name
 from jaxrl_tab.core.notebook import table
-from jaxrl_tab.core.steps import Change, Steps
-from jaxrl_tab.core.types import Algorithm, Environment, check_counted, fitted, init_learner, table_of
+from jaxrl_tab.core.steps import Change, Seen, Steps
+from jaxrl_tab.core.types import Algorithm, Environment, fitted, init_learner, table_of
 from jaxrl_tab.engine import stepwise
 from jaxrl_tab.engine.budget import Tables
 from jaxrl_tab.engine.results import label, parameters
@@ -54,7 +54,7 @@ class Watched:
         seed, root_seed: whose random numbers these are: those of this seed in a sweep of this root.
         num_episodes: how many episodes the run has.
         at: which of them this is, from 1.
-        before: the table of values before the episode, as `q`.
+        before: the table of values before the episode, as `q`; where states cannot be counted, the weights [n, A].
         steps: what happened, and what was learned, step by step.
         learner: the state of the learner after the episode.
     """
@@ -180,7 +180,11 @@ def watch(
             who="watch",
             field="at",
         )
-    check_counted("watch", env)
+    if not env.num_states and hasattr(algorithm, "network"):
+        raise InputError(
+            f"watch shows the weights of features where states cannot be counted, and {type(algorithm).__name__} has "
+            "a network"
+        )
     if jax.eval_shape(lambda: _first_learner(algorithm, env).q).ndim != 2:
         raise InputError(
             f"watch shows one table of values [S, A], and {type(algorithm).__name__} has several"
@@ -219,5 +223,6 @@ def _episode(key: PRNGKeyArray, algorithm: Any, env: Any, at: int) -> tuple[np.n
         deltas.append(delta)
         changes.append(Change.between(q, after))
         q, last = after, bool(t.last)
-    experience = Experience(*map(np.array, zip(*transitions, strict=True)))
+    seen = map(np.array, zip(*transitions, strict=True))
+    experience = Experience(*seen) if env.num_states else Seen(*seen)
     return before, Steps(experience, np.array(deltas), tuple(changes)), run.learner

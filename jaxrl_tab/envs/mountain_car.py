@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrl_tab.core.notebook import Shown
@@ -10,6 +11,7 @@ from jaxrl_tab.core.types import Outcome
 from jaxrl_tab.envs.base import MAX_STEPS, TIME_LIMIT
 
 GOAL = 0.5
+WIDTH, HEIGHT = 60, 9  # of a drawing, in characters
 
 
 @pytree
@@ -44,3 +46,14 @@ class MountainCar(Shown):
         position = jnp.clip(position + velocity, -1.2, GOAL)
         velocity = jnp.where(position <= -1.2, 0, velocity)
         return Outcome(jnp.stack([position, velocity]), -jnp.ones_like(position), position >= GOAL)
+
+    def picture(self, s: Float[np.ndarray, " 2"]) -> tuple[str, ...]:
+        """The hill, sin(3 position), with the car on it, and the flag at the goal."""
+        row = lambda x: round((1 - np.sin(3 * x)) / 2 * (HEIGHT - 1))
+        lines = [[" "] * WIDTH for _ in range(HEIGHT)]
+        for k, x in enumerate(np.linspace(self.low[0], GOAL, WIDTH)):
+            lines[row(x)][k] = "·"
+        lines[row(GOAL)][-1] = "⚑"
+        column = round((float(s[0]) - self.low[0]) / (GOAL - self.low[0]) * (WIDTH - 1))
+        lines[row(float(s[0]))][column] = "●"
+        return tuple("".join(line).rstrip() for line in lines)

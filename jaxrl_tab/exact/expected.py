@@ -78,30 +78,41 @@ def dynamic_programming(of: LinearValues, alpha: float) -> ExpectedUpdate:
     return _weighed(of, alpha, np.full(len(of.mu), 1 / len(of.mu)))
 
 
-def emphatic(of: LinearValues, alpha: float) -> ExpectedUpdate:
-    """One-step emphatic TD in the long run: a state counts by its emphasis, (I - P^T)^-1 mu      (book, section 11.8).
+def emphatic(of: LinearValues, alpha: float, lam: float = 0.0) -> ExpectedUpdate:
+    """Emphatic TD(lambda) in the long run (book, sections 11.8 and 12.11; Sutton, Mahmood and White 2016).
+
+    With f = (I - P^T)^-1 mu a state counts by its emphasis m = lambda mu + (1 - lambda) f, and its trace goes on by
+    lambda P: so A = X^T diag(m) (I - lambda P)^-1 (I - P) X, and b as much of r.
 
     Raises:
-        InputError: the emphasis grows without bound, as at gamma = 1 where pi never ends.
+        InputError: the emphasis grows without bound, as at gamma = 1 where pi never ends; or so do the traces.
     """
-    system = np.eye(len(of.mu)) - _onward(of).T
-    if np.linalg.matrix_rank(system) < len(system):
-        raise InputError("the emphasis grows without bound: take gamma below 1")
-    return _weighed(of, alpha, np.linalg.solve(system, of.mu))
+    onward, one = _onward(of), np.eye(len(of.mu))
+    for share, what in ((1.0, "emphasis grows"), (lam, "traces grow")):
+        if np.linalg.matrix_rank(one - share * onward) < len(one):
+            raise InputError(f"the {what} without bound: take gamma below 1")
+    emphasis = lam * of.mu + (1 - lam) * np.linalg.solve(one - onward.T, of.mu)
+    weighed = np.linalg.solve(one - lam * onward.T, emphasis[:, None] * of.features).T
+    a, b = weighed @ (of.features - onward @ of.features), weighed @ of.reward
+    return ExpectedUpdate(np.eye(len(a)) - alpha * a, alpha * b)
 
 
 def emphatic_curve(
-    of: LinearValues, alpha: float, start: ArrayLike, updates: int
+    of: LinearValues, alpha: float, start: ArrayLike, updates: int, lam: float = 0.0
 ) -> Float[np.ndarray, "_ n"]:
-    """The weights after 0, 1, ... expected updates of emphatic TD, whose emphasis grows from the first on.
+    """The weights after 0, 1, ... expected updates of emphatic TD(lambda), whose emphasis grows from the first on.
 
-    F <- mu + P^T F, beginning with 0; then w <- w + alpha X^T diag(F) (r + P X w - X w)      (figure 11.6)
+    F <- mu + P^T F and Z <- lambda P^T Z + diag(lambda mu + (1 - lambda) F) X, beginning with 0; then
+    w <- w + alpha Z^T (r + P X w - X w)      (figure 11.6, of lambda = 0)
     """
-    w, emphasis, onward = [numbers("start", start)], np.zeros(len(of.mu)), _onward(of)
+    w, followed, onward = [numbers("start", start)], np.zeros(len(of.mu)), _onward(of)
+    traces = np.zeros_like(of.features)
     for _ in range(updates):
-        emphasis = of.mu + onward.T @ emphasis
+        followed = of.mu + onward.T @ followed
+        emphasis = lam * of.mu + (1 - lam) * followed
+        traces = lam * onward.T @ traces + emphasis[:, None] * of.features
         error = of.reward + onward @ (of.features @ w[-1]) - of.features @ w[-1]
-        w.append(w[-1] + alpha * of.features.T @ (emphasis * error))
+        w.append(w[-1] + alpha * traces.T @ error)
     return np.stack(w)
 
 

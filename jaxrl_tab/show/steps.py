@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -45,10 +46,10 @@ class Told:
         of_error = (("–" if np.isnan(error) else _short(error)),) if self._has_error else ()
         return (
             str(i + 1),
-            self._state(int(seen.s[i])),
+            self._at(seen.s[i]),
             self._action(int(seen.a[i])),
             _short(float(seen.r[i])),
-            self._state(int(seen.s_next[i])),
+            self._at(seen.s_next[i]),
             *of_error,
             self._changed(i),
         )
@@ -79,6 +80,10 @@ class Told:
     def _state(self) -> Callable[[int], str]:
         return state_names(self.env)
 
+    def _at(self, s: Any) -> str:
+        """The name of a state; where it is numbers, these."""
+        return ", ".join(significant(x, 3) for x in s.tolist()) if np.ndim(s) else self._state(int(s))
+
     def _action(self, a: int) -> str:
         return of_environment(self.env).action_names[a]
 
@@ -87,6 +92,9 @@ class Told:
         change, seen = self.steps.changes[i], self.steps.experience
         if not len(change.s):
             return "nothing"
+        if not self.env.num_states:
+            most = abs(change.after - change.before).max()
+            return f"{counted(len(change.s), 'weights')}, ≤ {significant(float(most), 2)}"
         most = np.argsort(-abs(change.after - change.before), kind="stable")[:ENTRIES]
         entries = []
         for s, a, *values in zip(*(x[most] for x in change), strict=True):

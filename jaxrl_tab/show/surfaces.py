@@ -11,7 +11,7 @@ from jaxrl_tab import stats
 from jaxrl_tab.core.declared import of_environment
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.show.curves import Labels, at_setting, interval_curve
-from jaxrl_tab.show.places import ends_of, grid, learned_at, middles, names_of
+from jaxrl_tab.show.places import ends_of, grid, learned_at, middles
 from jaxrl_tab.show.style import (
     INK,
     NARROW,
@@ -44,7 +44,9 @@ def function(
     if (known := of_environment(env).known_values) is not None:
         states, values = map(np.asarray, known())
         ax.plot(states[:, 0], values, color=INK, ls=(0, (5, 3)), lw=1.3, label="exact", zorder=3)
-    tidy(ax, names_of(env)[0], "V" if stats.is_prediction(*datasets.values()) else "max Q")
+    tidy(
+        ax, of_environment(env).observed_names[0], "V" if stats.is_prediction(*datasets.values()) else "max Q"
+    )
     legend(ax)
 
 
@@ -74,7 +76,7 @@ def surfaces(
     for ax, (title, worth) in zip(axes.ravel(), maps.items(), strict=False):
         image = ax.imshow(sign * worth, extent=extent, aspect="auto", vmin=limits[0], vmax=limits[1])
         axes_title(ax, title)
-        tidy(ax, *names_of(env))
+        tidy(ax, *of_environment(env).observed_names)
         ax.grid(visible=False)
     for spare in axes.ravel()[len(maps) :]:
         spare.remove()
