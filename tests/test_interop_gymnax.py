@@ -213,7 +213,7 @@ def noisy_sea():
 def test_random_rewards_can_only_be_sampled(noisy_sea):
     assert isinstance(noisy_sea, SampledGymnax)
     assert (noisy_sea.num_states, noisy_sea.num_actions, noisy_sea.max_steps) == (14, 2, 4)
-    with pytest.raises(rl.InputError, match="SampledGymnax can only be sampled; exact values need"):
+    with pytest.raises(rl.InputError, match="DeepSea-bsuite can only be sampled; exact values need"):
         planning.value_iteration(noisy_sea)
 
 

@@ -18,6 +18,7 @@ from jaxrl_tab.core.pytree import pytree, static
 from jaxrl_tab.core.types import Transition
 
 Returns = Callable[..., Callable[..., Float[Array, ""]]]
+Correction = Callable[..., tuple[Array, Any]]
 Follow = Callable[[Array, Array, Array, Array, Any], Array]
 
 
@@ -31,6 +32,7 @@ class NStepState(NamedTuple):
             `remembers`. It is a ring: the next step overwrites the oldest one.
         slot: where the next step goes in the memory, int32 [].
         filled: how many steps of this episode are in the memory, int32 [].
+        optimizer: the state of the optimiser of weights, where there is one (`approx.optimized`), else None.
     """
 
     q: Float[Array, "S A"]
@@ -38,6 +40,7 @@ class NStepState(NamedTuple):
     memory: Any
     slot: Int[Array, ""]
     filled: Int[Array, ""]
+    optimizer: Any = None
 
 
 @pytree
@@ -86,24 +89,37 @@ class NStepControl(TDControl):
         filled = jnp.minimum(state.filled + 1, self.n)
         oldest = _wrap(slot + self.n - filled, self.n)
         due = jnp.where(t.last, filled, (filled == self.n).astype(jnp.int32))
-        learn = partial(_learn, self.n, returns)
-        q = tables.lane_by_lane(learn, state.q, memory, oldest, due, *inputs)
+        learn = partial(_learn, self.n, returns, self.correction)
+        learned = state.q, state.optimizer
+        q, optimizer = tables.lane_by_lane(learn, learned, memory, oldest, due, *inputs)
         clock = end_step(state.clock, t.last)
-        return NStepState(q, clock, memory, slot, filled=jnp.where(t.last, 0, filled))
+        return NStepState(q, clock, memory, slot, jnp.where(t.last, 0, filled), optimizer)
+
+    @property
+    def correction(self) -> Correction:
+        """What the error of a step that is remembered does to Q."""
+        return _by_alpha
 
 
-def _learn(n: int, returns: Returns, lane, q, memory: Any, oldest, due, *inputs):
+def _by_alpha(lane, learned, step, error):
+    q, optimizer = learned
+    return linear.add(q, step.s, step.a, step.alpha * error, lane), optimizer
+
+
+def _learn(
+    n: int, returns: Returns, correction: Correction, lane, learned, memory: Any, oldest, due, *inputs
+):
     """The updates that are due, the oldest step's first; for `lane_by_lane`."""
     first = tables.entry(oldest, lane)
     read = lambda i: jax.tree.map(lambda x: tables.entry(x, lane, _wrap(first + i, n)), memory)
     target = returns(lane, read, *inputs)
 
-    def one(i, q):
-        step = read(i)
+    def one(i, learned):
+        step, q = read(i), learned[0]
         old = linear.entry(q, step.s, step.a, lane)
-        return linear.add(q, step.s, step.a, step.alpha * (target(q, i, step) - old), lane)
+        return correction(lane, learned, step, target(q, i, step) - old)
 
-    return lax.fori_loop(jnp.int32(0), tables.entry(due, lane), one, q)
+    return lax.fori_loop(jnp.int32(0), tables.entry(due, lane), one, learned)
 
 
 def _wrap(slot: Int[Array, ""], n: int) -> Int[Array, ""]:

@@ -4,11 +4,10 @@ from typing import ClassVar, Literal
 
 from jaxrl_tab.algorithms.differential_sarsa import DifferentialSarsa
 from jaxrl_tab.algorithms.expected_sarsa import ExpectedSarsa
-from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.q_learning import QLearning
 from jaxrl_tab.algorithms.sarsa import Sarsa
 from jaxrl_tab.algorithms.true_online_sarsa_lambda import TrueOnlineSarsaLambda
-from jaxrl_tab.approx.optimized import OptimizedControl, OptimizedTraceControl
+from jaxrl_tab.approx.optimized import OptimizedControl, OptimizedNStepControl, OptimizedTraceControl
 from jaxrl_tab.approx.semi_gradient import SemiGradientControl
 from jaxrl_tab.core.pytree import pytree, static
 
@@ -47,7 +46,7 @@ class SemiGradientQLearning(OptimizedControl, QLearning):
 
 
 @pytree
-class SemiGradientNStepSarsa(SemiGradientControl, NStepSarsa):
+class SemiGradientNStepSarsa(OptimizedNStepControl):
     """n-step Sarsa whose Q is linear in features of the state.
 
     G_{t:t+n} = R_{t+1} + ... + gamma^{n-1} R_{t+n} + gamma^n q(S_{t+n}, A_{t+n})      (book, equation 10.4)
@@ -86,6 +85,8 @@ class SemiGradientTrueOnlineSarsaLambda(SemiGradientControl, TrueOnlineSarsaLamb
     z <- gamma lambda z,  then z(., A) <- z(., A) + [1 - alpha z(., A) . x(S)] x(S)
     w <- w + alpha (delta + q(S, A) - q_old) z,  then w(., A) <- w(., A) - alpha (q(S, A) - q_old) x(S)
     q_old <- q(S', A')      (book, box of section 12.7; van Seijen et al. 2016)
+
+    It follows no gradient, for alpha is a part of its traces: so there is no `optimizer`.
     """
 
 

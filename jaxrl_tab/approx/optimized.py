@@ -5,18 +5,22 @@ the others; with eligibility traces -delta z. An optimiser that remembers, such 
 step, which so costs as much as there are weights, however few features are 1.
 """
 
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Float
 
+from jaxrl_tab.algorithms.n_step import Correction
+from jaxrl_tab.algorithms.n_step_sarsa import NStepSarsa
 from jaxrl_tab.algorithms.sarsa_lambda import SarsaLambda
 from jaxrl_tab.algorithms.traces import marked
 from jaxrl_tab.approx.features import OneHot
 from jaxrl_tab.approx.semi_gradient import SemiGradientControl
-from jaxrl_tab.core import linear, optimizers
+from jaxrl_tab.core import linear, optimizers, tables
 from jaxrl_tab.core.checks import assign, concrete
 from jaxrl_tab.core.clock import Clock, end_step
 from jaxrl_tab.core.errors import InputError
@@ -27,6 +31,11 @@ from jaxrl_tab.core.types import Environment, Transition
 OPTIMIZER = (
     'An optimiser in place of alpha, as the call that makes it in optax, with its learning rate: "optax:adam(0.01)"; '
     "in Python also any transformation of gradients."
+)
+
+NO_GRADIENT = (
+    "an optimizer changes weights along a gradient, and true online learning has none, for alpha is a part of its "
+    "traces: give alpha"
 )
 
 
@@ -89,6 +98,30 @@ class OptimizedControl(Optimized, SemiGradientControl):
         return OptimizedState(state.q + change, end_step(state.clock, t.last), optimizer)
 
 
+def _corrected(made: Any, lane: Any, learned: Any, step: Any, error: Any) -> Any:
+    """What an optimiser makes of the error of a step; as `NStepControl.correction`, for the weights of one lane."""
+    w, state = jax.tree.map(lambda x: tables.entry(x, lane), learned)
+    ascent = linear.add(jnp.zeros_like(w), step.s, step.a, error)
+    change, state = optimizers.change(made, ascent, state, w)
+    put = partial(lax.dynamic_update_index_in_dim, index=lane, axis=0, allow_negative_indices=False)
+    return jax.tree.map(put, learned, (w + change, state))
+
+
+@pytree
+class OptimizedNStepControl(Optimized, SemiGradientControl, NStepSarsa):
+    """n-step Sarsa whose weights an optimiser may change, once for each step that learns."""
+
+    def init(self, num_states: int, num_actions: int) -> Any:
+        state = super().init(num_states, num_actions)
+        if not self.optimizer:
+            return state
+        return state._replace(optimizer=optimizers.start(self.optimizer, state.q))
+
+    @property
+    def correction(self) -> Correction:
+        return partial(_corrected, self.optimizer) if self.optimizer else super().correction
+
+
 @pytree
 class OptimizedTraceControl(Optimized, SemiGradientControl, SarsaLambda):
     """Sarsa(lambda) whose weights an optimiser may change."""
@@ -96,7 +129,9 @@ class OptimizedTraceControl(Optimized, SemiGradientControl, SarsaLambda):
     def __post_init__(self):
         super().__post_init__()
         if self.optimizer and (self.trace == "dutch" or self.offline):
-            problem = "an optimizer goes with accumulating and replacing traces, and not off-line"
+            problem = (
+                NO_GRADIENT if self.trace == "dutch" else "an optimizer does not go with learning off-line"
+            )
             raise InputError(problem, who=type(self).__name__, field="optimizer")
 
     def init(self, num_states: int, num_actions: int) -> Any:

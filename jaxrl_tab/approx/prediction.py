@@ -25,7 +25,7 @@ class SemiGradientTD(Optimized, SemiGradientPrediction, TD):
 
 
 @pytree
-class SemiGradientNStepTD(SemiGradientPrediction, NStepTD):
+class SemiGradientNStepTD(Optimized, SemiGradientPrediction, NStepTD):
     """n-step TD whose V is linear in features of the state.
 
     w <- w + alpha [R_{t+1} + ... + gamma^n v(S_{t+n}) - v(S_t)] x(S_t)      (book, equation 9.15)
@@ -53,6 +53,8 @@ class SemiGradientTrueOnlineTDLambda(SemiGradientPrediction, TrueOnlineTDLambda)
 
     z <- gamma lambda z + [1 - alpha gamma lambda z . x(S)] x(S)      (book, equation 12.11)
     w <- w + alpha (delta + v(S) - v_old) z - alpha (v(S) - v_old) x(S)      (book, box of section 12.5)
+
+    It follows no gradient, for alpha is a part of its traces: so there is no `optimizer`.
     """
 
     method: ClassVar[type] = SemiGradientTrueOnlineSarsaLambda

@@ -90,7 +90,9 @@ def explorer(
     if env.num_states:
         stage = scene(env, methods, first.shown(first.final(first.best)).mean(0).max(-1))
     else:
-        stage = None if places is None else scene_of_places(places, env)
+        stage = (
+            None if places is None else scene_of_places(places, env, stats.is_prediction(*methods.values()))
+        )
     blocks, shown = {}, []
     for i, (name, sweep) in enumerate(sweeps.items()):
         blocks[f"curves-{i}"] = as_text(packed_floats(curves[name]))

@@ -14,9 +14,11 @@ from jaxrl_tab.show.places import Places
 from jaxrl_tab.show.tasks import exact_tables, tables_of
 from jaxrl_tab.stats.along import Datasets
 
-PLACES = (
-    "A state is two numbers here, of which there is no end: these are places of a grid over them. Their colour is "
-    "max q(s, a); where all rewards are costs that is minus the cost to go. Nothing stands where all actions are alike."
+PLACES = "A state is two numbers here, of which there is no end: these are places of a grid over them. Their colour is "
+OF_VALUES = "V."
+OF_ACTIONS = (
+    "max q(s, a); where all rewards are costs, that is minus the cost to go. Nothing stands where all actions are "
+    "alike."
 )
 MOST_CELLS, MOST_LISTED = 2000, 200  # states in pictures, and in a list
 
@@ -76,7 +78,7 @@ def scene(env: Environment, datasets: Datasets, learned: np.ndarray) -> Scene:
     return Scene(states, exact, data)
 
 
-def scene_of_places(places: Places, env: Environment) -> Scene:
+def scene_of_places(places: Places, env: Environment, prediction: bool) -> Scene:
     """The same where states cannot be counted: places stand for them, of which nothing else is known."""
     states = places.panel.states.ravel()
     data = {
@@ -89,7 +91,7 @@ def scene_of_places(places: Places, env: Environment) -> Scene:
         "terminal": [],
         "unreachable": [],
         "grid": None,
-        "places": PLACES,
+        "places": PLACES + (OF_VALUES if prediction else OF_ACTIONS),
     }
     return Scene(states, None, data)
 

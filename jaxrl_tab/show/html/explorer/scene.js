@@ -291,11 +291,13 @@ function panelStage(c, box, m, tables) {
     }
     bar.style.background = range.bar;
     const several = view === "mean" || view === "median";
+    const lettered = !grid && tables.actions > 1 && cells.some((one) => one.named);
     meaning.textContent =
       range.words +
       (ways.length ? ` ${sentence(waysInWords(ways, grid.stochastic))}.` : "") +
-      (grid ? "" : letters.words) +
-      (several ? (grid ? " The fainter an arrow, the fewer seeds agree." : " Bold: 9 of 10 seeds agree.") : "");
+      (lettered ? letters.words : "") +
+      (several && grid ? " The fainter an arrow, the fewer seeds agree." : "") +
+      (several && lettered ? " Bold: 9 of 10 seeds agree." : "");
     cell();
   }
 
