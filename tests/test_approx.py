@@ -183,7 +183,7 @@ TWINS = [
 
 
 @pytest.mark.parametrize(("table", "linear", "more"), TWINS)
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(4)
 def test_one_hot_features_are_the_table(table, linear, more):
     """To the last bit, with exact values beside them: where every feature is a state, nothing else is computed."""
     env = rl.RandomWalk(states=5) if issubclass(table, rl.prediction.Prediction) else rl.WindyGridworld()
