@@ -204,7 +204,7 @@ def linear_value_measurer(
         v_error = _value_measurer(model, v_pi)
 
         @in_turn
-        def weighed(pi: Any, b: Any, gamma: Any) -> tuple[Array | None, ...]:
+        def weighed(pi: Array, b: Array, gamma: Array) -> Any:
             mu = _share_of_steps(model, b)
             onward, reward = _chain(model, pi), (pi[:, :, None] * model.prob * model.reward).sum((1, 2))
             root = jnp.sqrt(mu)
