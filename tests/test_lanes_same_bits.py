@@ -166,6 +166,9 @@ CASES = {
         "semi-gradient-sarsa-lambda",
         SMALLER | {"features": "tile-coding(4, 4)", "trace": "clearing"},
     ),
+    "errors of features": Case(
+        "random-walk", "semi-gradient-td", ALPHAS | {"features": "aggregation(3)"}, episodes=8, exact=True
+    ),
     "lspi": Case(rl.FiniteMDP(TO_NEXT, REWARDS), "lspi", {"gamma": 0.9, "epsilon": 1.0}),
     "long-walk": Case("long-walk", "td", ALPHAS, episodes=4),
     "square-wave": Case(
