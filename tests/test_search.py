@@ -87,7 +87,7 @@ def test_so_it_is_of_every_method(method, unit):
     assert_goes_on(method, unit, (40, 80, 160) if unit == "num_steps" else (2, 4, 8))
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 def test_so_it_is_of_a_network():
     """By steps alone: its first episodes are long, and XLA takes its time for them."""
     assert_goes_on("deep-q-network", "num_steps", (40, 80))
