@@ -1,7 +1,7 @@
 """Has every call within jaxrl_tab checked against its annotations, by jaxtyping and beartype.
 
-Of a function that is called hundreds of times, as those of the lane compiler are, one call of `one_of` is checked:
-more of them with `pytest --slow`.
+Of a function that is called hundreds of times, one call of `one_of` is checked: more of them with `pytest --slow`.
+Those of the lane compiler are called millions of times; only `pytest --slow` looks at them then.
 
 Many tests give bad values on purpose. An annotation that excludes a value is right where the function refuses it
 by itself, with an InputError or a RunError: then that error is raised, as it is without this. Everything else
@@ -38,6 +38,7 @@ class WrongArgument(BeartypeCallHintParamViolation):
 
 OFTEN = 500  # calls of a function, each of which is checked; after them one of so many:
 one_of = 64
+lets_go = True  # whether no call of a function of the lane compiler is looked at from then on
 DIMENSIONS = jaxtyping.jaxtyped("context")  # in which the name of a dimension stands for one size
 
 
@@ -68,6 +69,8 @@ def checked(definition: Any) -> Any:
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal strict, calls
         calls += 1
+        if calls == OFTEN and lets_go and definition.__module__.startswith("jaxrl_tab.lanes."):
+            _let_go(call, definition)
         if calls > OFTEN and calls % one_of:
             return definition(*args, **kwargs)
         strict = strict or _strict_of(definition)  # made in the first call: then all that it names exists
@@ -88,6 +91,17 @@ def checked(definition: Any) -> Any:
             _refuse(violation, lambda: next(definition(*args, **kwargs)))
 
     return generate if inspect.isgeneratorfunction(definition) else call
+
+
+def _let_go(call: Any, definition: Any) -> None:
+    """Puts the function in the place of the one that checks its calls, wherever that stands under a name."""
+    *parents, _ = definition.__qualname__.split(".")
+    if "<locals>" in parents:
+        return
+    of_package = [module for name, module in sys.modules.items() if name.startswith("jaxrl_tab.lanes.")]
+    for place in [*of_package, functools.reduce(getattr, parents, sys.modules[definition.__module__])]:
+        for name in [name for name, value in vars(place).items() if value is call]:
+            setattr(place, name, definition)
 
 
 _strict: dict[tuple[str, CodeType], Callable] = {}

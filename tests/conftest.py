@@ -19,9 +19,11 @@ import jax
 jax.config.update("jax_num_cpu_devices", 2)  # whatever the machine has: results must not depend on it
 
 import annotations  # of the tests
+import hasty
 import pytest
 
 annotations.check()
+hasty.compile_hastily()
 
 from exploring import explored  # noqa: F401  A fixture of several files.
 from keeping import optimised, programs_folder, said  # noqa: F401  Fixtures of several files.
@@ -40,35 +42,44 @@ gc.set_threshold(20_000, 20, 20)
 
 # The files that take longest, which are begun first, so that no worker is left with one of them in the end.
 LONG = (
-    "lanes_same_bits",
-    "survive",
     "ray",
-    "lanes_covered",
-    "memory",
-    "lanes_rules",
-    "prediction",
-    "stats_coverage",
-    "cli",
+    "survive",
+    "lanes_same_bits",
     "examples",
+    "cli",
     "traces",
-    "watch",
-    "lanes_backend",
-    "explain",
-    "available",
-    "own",
+    "search",
+    "memory",
     "figures",
-    "experiment",
-    "interop_gymnax",
-    "record",
-    "offline",
-    "exact",
+    "watch",
+    "extend",
+    "lanes_backend",
+    "own",
+    "approx",
+    "lanes_covered",
+    "lanes_rules",
+    "stats_coverage",
+    "second_start",
+    "distributed",
+    "slurm",
+    "own_files",
     "contract",
     "provenance",
-    "extend",
-    "course",
-    "site",
-    "optimism",
+    "interop_gymnax",
     "comparing",
+    "explain",
+    "offline",
+    "available",
+    "exact",
+    "policy_value",
+    "record_experiment",
+    "prediction",
+    "going_on",
+    "exact_every",
+    "batch",
+    "derivatives",
+    "models",
+    "within",
 )
 
 
@@ -81,7 +92,7 @@ def drawn_here(monkeypatch):
 LEFT_OUT = "it takes long"
 
 
-FURTHER = 4  # one in so many of the further cases of a test is run before anything lands
+FURTHER = 8  # one in so many of the further cases of a test is run before anything lands
 
 
 def pytest_addoption(parser):
@@ -91,7 +102,7 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     if config.option.slow:
-        annotations.one_of = 8
+        annotations.one_of, annotations.lets_go = 8, False
 
 
 def pytest_collection_modifyitems(items, config):
@@ -103,15 +114,17 @@ def pytest_collection_modifyitems(items, config):
 
 
 def left_out(items, landing):
-    """By default those that are slow, and further cases; and of a test that is marked with `one_in(n)` all cases but
+    """What is not run: always what is for each week alone.
 
-    the first, the one n after it, and so on. Before anything lands only the latter, and of further cases all but the
+    By default also what is slow, and further cases; and of a test that is marked with `one_in(n)` all cases but the
+    first, the one n after it, and so on. Before anything lands only the latter, and of further cases all but the
     first, the one `FURTHER` after it, and so on.
     """
     seen = Counter()
     for item in items:
         is_further, one_in = item.get_closest_marker("further"), item.get_closest_marker("one_in")
-        if not landing and (is_further or item.get_closest_marker("slow")):
+        is_slow = not landing and (is_further or item.get_closest_marker("slow"))
+        if is_slow or item.get_closest_marker("weekly"):
             yield item
         elif is_further or one_in:
             test = item.path, item.originalname, bool(is_further)

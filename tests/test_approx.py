@@ -72,6 +72,15 @@ def test_features_by_hand(text, x):
     assert str(read(str(features))) == str(features)
 
 
+@pytest.mark.parametrize(
+    ("few", "many"), [("fourier(2)", "fourier(20)"), ("radial-basis(2)", "radial-basis(20)")]
+)
+def test_many_features_are_no_longer_program(few, many):
+    """Of 400 features that were worked out one by one a program took a minute to compile."""
+    traced = [jax.make_jaxpr(read(text).fitted(CAR))(jnp.zeros(2)).jaxpr.eqns for text in (few, many)]
+    assert len(traced[0]) == len(traced[1])
+
+
 def test_features_of_counted_states_are_worked_out_beforehand():
     """In float64; and a matrix of them is taken as it is."""
     walk = rl.RandomWalk(states=5)
@@ -174,7 +183,7 @@ TWINS = [
 
 
 @pytest.mark.parametrize(("table", "linear", "more"), TWINS)
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(4)
 def test_one_hot_features_are_the_table(table, linear, more):
     """To the last bit, with exact values beside them: where every feature is a state, nothing else is computed."""
     env = rl.RandomWalk(states=5) if issubclass(table, rl.prediction.Prediction) else rl.WindyGridworld()

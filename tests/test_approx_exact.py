@@ -147,9 +147,11 @@ def test_weights_of_another_number_are_refused():
 
 @pytest.fixture(scope="module")
 def walks():
+    """By XLA, as on a GPU. Broken once: what is prepared for the errors not `in_turn` -> a TypeError."""
     walk = rl.RandomWalk(states=9)
     grid = {"features": ["aggregation(3)", "polynomial(2)"], "alpha": [0.05]}
     budget = {"num_seeds": 3, "num_episodes": 40, "log_every": 20, "exact": True, "progress": False}
+    budget["backend"] = "xla"
     return rl.sweep(walk, approx.SemiGradientTD, grid, **budget)
 
 

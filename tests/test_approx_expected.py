@@ -151,6 +151,14 @@ def test_the_expected_update_is_the_mean_of_the_sampled_ones(baird):
 def test_refusals(baird, garnet):
     with pytest.raises(rl.InputError, match=r"start must be 8 weights, not \[3\]"):
         expected.semi_gradient(baird, 0.1).curve([1.0, 2, 3], 2)
+    with pytest.raises(rl.InputError, match=r"start must be 8 weights, not \[3\]"):
+        expected.emphatic_curve(baird, 0.1, [1.0, 2, 3], 2)
+    with pytest.raises(rl.InputError, match="curve: updates must be a whole number of at least 0, not -1"):
+        expected.tdc(baird, 0.1, 0.1).curve(np.ones(8), -1)
+    with pytest.raises(rl.InputError, match="beta must be greater than 0, not nan"):
+        expected.gtd2(baird, 0.1, float("nan"))
+    with pytest.raises(rl.InputError, match=r"those of planning.linear_values\(...\), not of Baird"):
+        expected.dynamic_programming(BAIRD, 0.1)  # pyright: ignore[reportArgumentType]
     env = rl.make("two-loops")
     pi = np.full((env.num_states, 2), 0.5)
     with pytest.raises(rl.InputError, match="leave of_actions out"):

@@ -45,7 +45,7 @@ def env_for(name, env):
     return GOES_ON if in_the_long_run(name) else HAS_HORIZON if needs_horizon else env
 
 
-@pytest.mark.one_in(7)
+@pytest.mark.one_in(13)
 @pytest.mark.parametrize(("method", "env_name"), pairs())
 def test_results_depend_on_seed_and_hyperparameters_alone(method, env_name):
     """Bitwise: runs among others, and in another order. (On one device and on two: see test_batch.)

@@ -94,6 +94,7 @@ def test_both_compute_to_the_last_bit_and_an_error_ends_both(start, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("dies", [0, 1])
 def test_a_death_ends_both_and_leaves_what_was_given(start, tmp_path, dies):
     both = start("die", doomed=2 + dies)  # the tasks of the second round

@@ -463,7 +463,7 @@ def test_the_template_is_a_file_that_runs(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out == plan(Experiment.load("mine.toml").parts()).text() + "\n"
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 def test_the_template_gives_results(tmp_path, monkeypatch):
     """As it is, but with shorter runs, and fewer; and without its pictures, which others draw."""
     monkeypatch.setattr(plot, "save_all", quick.picture)

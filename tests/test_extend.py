@@ -244,7 +244,7 @@ def test_interrupted_at_any_moment_it_goes_on(folder, computed, monkeypatch, mom
     assert len(runner.history(folder)) == 2 and not list(folder.rglob(f"*{disk.UNFINISHED}*"))
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 def test_killed_again_and_again_while_it_grows(begun, tmp_path):
     """With SIGKILL, at moments of all kinds; then it is asked for once more."""
     subprocess.run([sys.executable, __file__, str(begun), str(tmp_path)], check=True)

@@ -196,6 +196,7 @@ def test_what_takes_much_room_is_not_kept():
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     "given",
     [

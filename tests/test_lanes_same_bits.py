@@ -175,6 +175,9 @@ CASES = {
         "semi-gradient-sarsa-lambda",
         SMALLER | {"features": "tile-coding(4, 4)", "trace": "clearing"},
     ),
+    "errors of features": Case(
+        "random-walk", "semi-gradient-td", ALPHAS | {"features": "aggregation(3)"}, episodes=8, exact=True
+    ),
     "lspi": Case(rl.FiniteMDP(TO_NEXT, REWARDS), "lspi", {"gamma": 0.9, "epsilon": 1.0}),
     "long-walk": Case("long-walk", "td", ALPHAS, episodes=4),
     "square-wave": Case(
@@ -330,7 +333,7 @@ def test_the_bits_depend_on_neither_the_vectors_nor_the_block(env, method, by):
     assert_same_bits([np.roll(x, -5, axis=0) for x in shifted], results[0][1])
 
 
-@pytest.mark.parametrize("case", slow_but_first(["sarsa", "monte-carlo", "exact"], 2))
+@pytest.mark.parametrize("case", slow_but_first(["sarsa", "exact", "monte-carlo"]))
 def test_a_run_is_what_it_is_among_any_number_of_others(case):
     """1 and 3 are programs of their own, and what XLA does of a row is done for a block at least."""
     result = swept(CASES[case], "lanes", 300)

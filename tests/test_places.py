@@ -39,6 +39,8 @@ def test_values_at_places_are_those_of_the_weights():
     scaled = np.stack([(position + 0.35) / 0.85, velocity / 0.07], -1).reshape(-1, 2)
     q = places.learned_at(found.points, CAR, ds.isel(alpha=0))
     np.testing.assert_allclose(q, np.broadcast_to(scaled @ w, q.shape), atol=1e-5)
+    padded = made_up(CAR, "observation", np.pad(w, ((0, 3), (0, 0)), constant_values=np.nan))
+    np.testing.assert_array_equal(places.learned_at(found.points, CAR, padded.isel(alpha=0)), q)
     tiles = made_up(CAR, "tile-coding(1, 2)", np.arange(9.0)[:, None])
     of_tiles = places.learned_at(np.array([[-1, -0.01], [0, -0.01], [-1, 0.01]]), CAR, tiles.isel(alpha=0))
     assert of_tiles.shape == (5, 3, 1)
@@ -81,7 +83,8 @@ def test_where_there_is_no_map_a_sentence_says_so():
     w = np.zeros((4, 3))
     for env, ds, why in (
         (Four(), made_up(Four(), "observation", w), "a state is 4 numbers here, and a map is of two"),
-        (CAR, made_up(CAR, "observation", w, network="mlp(4)"), "the last layer of a network alone"),
+        (CAR, made_up(CAR, "observation", w, network="mlp(4)"), "as where there is a network"),
+        (CAR, made_up(CAR, "mine", w), "features that have a name"),
         (SquareWave(), made_up(SquareWave(), "observation", w[:1, :1]), "the curve in values.png"),
     ):
         data = chapter.explorer("task", Methods.of({"sarsa": ds}, env)).data

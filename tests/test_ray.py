@@ -110,7 +110,7 @@ def test_an_error_is_raised_and_not_tried_again(connection, tmp_path):
     assert shards.times(1, tmp_path) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 def test_what_is_under_way_is_given_up(connection, tmp_path):
     given = connection.run(functools.partial(shards.waits, folder=tmp_path, wait=[1]), [0, 1])
     assert next(given)[0] == 0
@@ -120,7 +120,7 @@ def test_what_is_under_way_is_given_up(connection, tmp_path):
     assert ray.is_initialized()  # the connection is not the executor's
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 def test_own_files_go_all_the_way_on_the_command_line(connection, cluster, tmp_path, monkeypatch):
     """A method, an environment and a recorder of one file, which imports another: typed, killed, resumed, reported.
 

@@ -13,6 +13,7 @@ import xarray as xr
 
 import jaxrl_tab as rl
 from jaxrl_tab import cli, plot, report, stats
+from jaxrl_tab.core.declared import of_method
 from jaxrl_tab.engine import backend
 from jaxrl_tab.engine import part as parts
 from jaxrl_tab.engine.axes import Integers, LogUniform, Uniform
@@ -28,17 +29,9 @@ METHODS = {**rl.ALGORITHMS, **rl.PREDICTION}
 NETWORKS = ("deep-q-network", "deep-sarsa")  # which take longer
 # Of a task that ends, and may be learned in it.
 FIT = [
-    x
-    for x in METHODS
-    if x
-    not in (
-        "r-learning",
-        "differential-q-learning",
-        "differential-sarsa",
-        "ucb-q-learning",
-        "ucbvi",
-        *NETWORKS,
-    )
+    name
+    for name, cls in METHODS.items()
+    if name not in NETWORKS and not (of_method(cls).in_the_long_run or of_method(cls).needs_horizon)
 ]
 SARSA = {"name": "sarsa", "alpha": {"log_uniform": [0.05, 1]}, "epsilon": [0.05, 0.1]}
 
@@ -87,20 +80,21 @@ def test_a_run_that_goes_on_is_the_run_that_is_made_at_once():
 
 
 @pytest.mark.slow
-@pytest.mark.one_in(20)
+@pytest.mark.one_in(41)  # odd: by steps and by episodes in turn
 @pytest.mark.parametrize("unit", ["num_steps", "num_episodes"])
 @pytest.mark.parametrize("method", FIT)
 def test_so_it_is_of_every_method(method, unit):
     assert_goes_on(method, unit, (40, 80, 160) if unit == "num_steps" else (2, 4, 8))
 
 
-@pytest.mark.slow
+@pytest.mark.weekly
 def test_so_it_is_of_a_network():
     """By steps alone: its first episodes are long, and XLA takes its time for them."""
     assert_goes_on("deep-q-network", "num_steps", (40, 80))
 
 
 @pytest.mark.slow
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("unit", ["num_steps", "num_episodes"])
 def test_so_it_is_where_xla_compiles(unit):
     assert_goes_on("sarsa-lambda", unit, (40, 80) if unit == "num_steps" else (2, 4), by="xla")

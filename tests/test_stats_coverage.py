@@ -69,7 +69,7 @@ TABLE = {  # of other methods, as in the docstring of the module: of 10 and 100 
 
 
 @pytest.mark.slow
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize(("method", "name"), TABLE)
 def test_the_table_of_other_methods(method, name):
     for n, expected in zip((10, 100), TABLE[method, name], strict=True):
@@ -139,7 +139,7 @@ def test_probability_of_improvement(name, n):
 
 
 @pytest.mark.slow
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(7)
 @pytest.mark.parametrize("together", [0, 0.8])
 @pytest.mark.parametrize("n", SEEDS)
 @pytest.mark.parametrize("name", ["normal", "exponential"])

@@ -103,9 +103,12 @@ def method_commands(name: str) -> list[str]:
     if declared.features is not None and declared.in_the_long_run:
         told = '--features one-hot "aggregation(11)" --alpha 0.02 --steps 200000 --log-every 2000 --seeds 20'
         return [f"jaxrl-tab sweep access-control {name} {told} --out runs/{name}"]
-    if name.startswith("deep-"):  # which need more time than tiles, and a step size of another kind
-        told = '--features "radial-basis(6, 0.2)" --network "mlp(32)" --optimizer "optax:adam(0.002)" --gamma 0.99'
-        return [f"jaxrl-tab sweep mountain-car {name} {told} --steps 10000 --seeds 4 --out runs/{name}"]
+    if name.startswith("deep-"):  # which have an optimiser in place of a step size
+        told = (
+            '--network "mlp(32)" --optimizer "optax:adam(0.005)" --batch 16 --buffer 2000 --target-every 100'
+        )
+        budget = "--gamma 0.99 --steps 8000 --log-every 200 --seeds 32"
+        return [f"jaxrl-tab sweep gymnax:CartPole-v1 {name} {told} {budget} --out runs/{name}"]
     if name == "lspi":  # which has no step size, and a cost that grows with the square of the weights
         told = "--gamma 0.99 --q0 0 1 --episodes 300 --seeds 20"
         return [f"jaxrl-tab sweep frozen-lake {name} {told} --out runs/{name}"]

@@ -10,6 +10,7 @@ import itertools
 import math
 import re
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import jax.numpy as jnp
@@ -209,10 +210,8 @@ class Polynomial(OfOrders):
 
     def __call__(self, observed: Float[Array, " d"]) -> X:
         u = self.scaled(observed)
-        one = jnp.ones_like(u[0])
-        return jnp.stack(
-            [math.prod((u[i] ** k for i, k in enumerate(ks) if k), start=one) for ks in self.orders]
-        )
+        powers = [jnp.stack([jnp.ones_like(x), *(x**k for k in range(1, self.order + 1))]) for x in u]
+        return reduce(lambda before, these: (before[:, None] * these[None]).ravel(), powers)
 
 
 @checked_dataclass
@@ -222,9 +221,9 @@ class Fourier(OfOrders):
     name = "fourier"
 
     def __call__(self, observed: Float[Array, " d"]) -> X:
-        u = self.scaled(observed)
-        return jnp.stack(
-            [jnp.cos(np.pi * sum((c * u[i] for i, c in enumerate(cs)), 0 * u[0])) for cs in self.orders]
+        u, along = self.scaled(observed), np.array(self.orders).T
+        return jnp.cos(
+            np.pi * sum((c.astype(u[0].dtype) * x for c, x in zip(along, u, strict=True)), 0 * u[0])
         )
 
 
@@ -250,10 +249,8 @@ class RadialBasis(Ranged):
     def __call__(self, observed: Float[Array, " d"]) -> X:
         u = self.scaled(observed)
         points = itertools.product(*(np.linspace(0, 1, n) for n in _along(self, "centres")))
-        distances = [
-            sum((u[i] - float(c)) * (u[i] - float(c)) for i, c in enumerate(point)) for point in points
-        ]
-        return jnp.exp(jnp.stack(distances) * (-0.5 / self.width**2))
+        away = [x - c.astype(x.dtype) for x, c in zip(u, np.array(list(points)).T, strict=True)]
+        return jnp.exp(sum(d * d for d in away) * (-0.5 / self.width**2))
 
 
 @checked_dataclass

@@ -68,10 +68,12 @@ def threads(devices: Sequence[Any] | None = None) -> int:
 def target() -> Target:
     """This processor. Where XLA does not round a product and a sum at once, `lanes` does not do it either.
 
-    That is so where XLA is told not to use such instructions, or not to optimise.
+    That is so where XLA is told not to use such instructions, or not to optimise; then LLVM does not, either.
     """
-    apart = provenance.is_left_out("fma") or jax.config.read(provenance.UNOPTIMISED)
-    return host().without("fma") if apart else host()
+    unoptimised = jax.config.read(provenance.UNOPTIMISED)
+    apart = unoptimised or provenance.is_left_out("fma")
+    found = host().without("fma") if apart else host()
+    return found._replace(effort=0) if unoptimised else found
 
 
 class ByLanes:

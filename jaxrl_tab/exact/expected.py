@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from jaxrl_tab.core.errors import InputError
+from jaxrl_tab.core.checks import RATE, check_within
+from jaxrl_tab.core.errors import InputError, shown, whole
 from jaxrl_tab.exact.given import numbers
 from jaxrl_tab.exact.projected import LinearValues
 
@@ -55,9 +56,8 @@ class ExpectedUpdate(NamedTuple):
 
     def curve(self, start: ArrayLike, updates: int) -> Float[np.ndarray, "_ k"]:
         """The weights after 0, 1, ... updates. Second weights, where `start` has none, begin as 0."""
-        given, size = numbers("start", start), len(self.constant)
-        if given.shape not in ((size,), (size // 2,)):
-            raise InputError(f"start must be {size} weights, not {list(given.shape)}")
+        size, updates = len(self.constant), whole("curve", "updates", updates, 0)
+        given = _start(start, size, size // 2)
         z = [np.append(given, np.zeros(size - len(given)))]
         for _ in range(updates):
             z.append(self.matrix @ z[-1] + self.constant)
@@ -66,6 +66,7 @@ class ExpectedUpdate(NamedTuple):
 
 def semi_gradient(of: LinearValues, alpha: float) -> ExpectedUpdate:
     """Semi-gradient TD(0), on-policy, or off-policy with ratios: w <- w + alpha (b - A w)      (equation 11.2)."""
+    _check(of, alpha=alpha)
     return _weighed(of, alpha, of.mu)
 
 
@@ -74,7 +75,7 @@ def dynamic_programming(of: LinearValues, alpha: float) -> ExpectedUpdate:
 
     w <- w + alpha / |S| sum_s (E_pi[R + gamma v(S') | s] - v(s)) x(s)
     """
-    _of_states(of)
+    _check(of, alpha=alpha)
     return _weighed(of, alpha, np.full(len(of.mu), 1 / len(of.mu)))
 
 
@@ -87,7 +88,9 @@ def emphatic(of: LinearValues, alpha: float, lam: float = 0.0) -> ExpectedUpdate
     Raises:
         InputError: the emphasis grows without bound, as at gamma = 1 where pi never ends; or so do the traces.
     """
-    onward, one = _onward(of), np.eye(len(of.mu))
+    _check(of, alpha=alpha)
+    check_within("lam", lam, RATE)
+    onward, one = of.onward.toarray(), np.eye(len(of.mu))
     for share, what in ((1.0, "emphasis grows"), (lam, "traces grow")):
         if np.linalg.matrix_rank(one - share * onward) < len(one):
             raise InputError(f"the {what} without bound: take gamma below 1")
@@ -105,7 +108,10 @@ def emphatic_curve(
     F <- mu + P^T F and Z <- lambda P^T Z + diag(lambda mu + (1 - lambda) F) X, beginning with 0; then
     w <- w + alpha Z^T (r + P X w - X w)      (figure 11.6, of lambda = 0)
     """
-    w, followed, onward = [numbers("start", start)], np.zeros(len(of.mu)), _onward(of)
+    _check(of, alpha=alpha)
+    check_within("lam", lam, RATE)
+    updates = whole("emphatic_curve", "updates", updates, 0)
+    w, followed, onward = [_start(start, of.features.shape[1])], np.zeros(len(of.mu)), of.onward.toarray()
     traces = np.zeros_like(of.features)
     for _ in range(updates):
         followed = of.mu + onward.T @ followed
@@ -118,6 +124,7 @@ def emphatic_curve(
 
 def gtd2(of: LinearValues, alpha: float, beta: float) -> ExpectedUpdate:
     """GTD2: w <- w + alpha A^T v and v <- v + beta (b - A w - C v), at the same time      (book, section 11.7)."""
+    _check(of, alpha=alpha, beta=beta)
     a, b, c = _moments(of, of.mu)
     return _second(np.zeros_like(a), alpha * a.T, np.zeros_like(b), a, b, c, beta)
 
@@ -127,6 +134,7 @@ def tdc(of: LinearValues, alpha: float, beta: float) -> ExpectedUpdate:
 
     (Book, section 11.7.)
     """
+    _check(of, alpha=alpha, beta=beta)
     a, b, c = _moments(of, of.mu)
     return _second(-alpha * a, -alpha * (c - a).T, alpha * b, a, b, c, beta)
 
@@ -146,17 +154,25 @@ def _moments(of: LinearValues, weights: Float[np.ndarray, " S"]) -> tuple[np.nda
     """A, b and C, where states count by these weights."""
     weighed = of.features.T * weights
     return (
-        weighed @ (of.features - _onward(of) @ of.features),
+        weighed @ (of.features - of.onward @ of.features),
         weighed @ of.reward,
         weighed @ of.features,
     )
 
 
-def _onward(of: LinearValues) -> Float[np.ndarray, "S S"]:
-    _of_states(of)
-    return of.onward.toarray()
-
-
-def _of_states(of: LinearValues) -> None:
+def _check(of: LinearValues, **rates: float) -> None:
+    """Raises InputError unless there is something of which to work out the update, and step sizes are positive."""
+    if not isinstance(of, LinearValues):
+        raise InputError(f"expected updates are those of planning.linear_values(...), not of {shown(of)}")
     if of.policy is not None:
         raise InputError("expected updates are those of values of states: leave of_actions out")
+    for name, rate in rates.items():
+        check_within(name, rate, {"greater_than": 0})
+
+
+def _start(start: ArrayLike, *sizes: int) -> Float[np.ndarray, " _"]:
+    """Weights that are given, of one of these numbers."""
+    given = numbers("start", start)
+    if given.shape not in [(size,) for size in sizes]:
+        raise InputError(f"start must be {sizes[0]} weights, not {list(given.shape)}")
+    return given

@@ -202,18 +202,23 @@ def linear_value_measurer(
         pi, b = (x / x.sum(1, keepdims=True) for x in (pi, b))
         v_pi = policy_values(model, pi, gamma).v
         v_error = _value_measurer(model, v_pi)
-        mu = _share_of_steps(model, b)
-        onward, reward = _chain(model, pi), (pi[:, :, None] * model.prob * model.reward).sum((1, 2))
-        root = jnp.sqrt(mu)
-        # delta = r + (gamma P - 1) v, weighted.
-        to_delta, constant = root[:, None] * (gamma * onward - jnp.eye(len(mu))), root * reward
-        values = basis = None
-        if features is not None:
+
+        @in_turn
+        def weighed(pi: Array, b: Array, gamma: Array) -> Any:
+            mu = _share_of_steps(model, b)
+            onward, reward = _chain(model, pi), (pi[:, :, None] * model.prob * model.reward).sum((1, 2))
+            root = jnp.sqrt(mu)
+            # delta = r + (gamma P - 1) v, weighted.
+            to_delta, constant = root[:, None] * (gamma * onward - jnp.eye(len(mu))), root * reward
+            if features is None:
+                return mu, to_delta, constant, None, None
             x = jnp.asarray(features, root.dtype)
             # What the features can express, and the same weighted: of both a basis, with one program for the two.
             values, basis = lax.map(_orthonormal, jnp.stack([x, root[:, None] * x]))
             # V by its coordinates, so that a row of the log takes n numbers for each state instead of S.
-            to_delta = to_delta @ values
+            return mu, to_delta @ values, constant, values, basis
+
+        mu, to_delta, constant, values, basis = weighed(pi, b, gamma)
 
     @in_turn
     def of_weights(v: Float[Array, " S"]) -> tuple[Float[Array, ""], ...]:
@@ -275,7 +280,8 @@ def _orthonormal(x: Float[Array, "S n"]) -> Float[Array, "S k"]:
     def take(k: Any, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         found, left = carry
         sizes = (left**2).sum(0)
-        i = jnp.argmax(sizes)
+        # Of truths, and with 32 bits: JAX lowers it where float64 is not known, and fails at an `argmax` of that.
+        i = lax.argmax(sizes == sizes.max(), 0, jnp.int32)
         longest = left[:, i]
         longest = longest - found @ (found.T @ longest)
         size = (longest**2).sum()

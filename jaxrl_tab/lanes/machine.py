@@ -7,9 +7,6 @@ from typing import Any
 
 from jaxrl_tab.lanes.target import Target
 
-OPTIMIZATION = (
-    2  # of the choice and the order of instructions; what is before it has no other passes to go through
-)
 CALLED = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_void_p)
 _KERNEL = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, *[ctypes.c_void_p] * 4, CALLED)
 
@@ -43,7 +40,7 @@ def _machine(target: Target) -> Any:
     return (
         _llvm_for(target.triple)
         .Target.from_triple(target.triple)
-        .create_target_machine(cpu=target.cpu, features=target.features, opt=OPTIMIZATION, jit=True)
+        .create_target_machine(cpu=target.cpu, features=target.features, opt=target.effort, jit=True)
     )
 
 

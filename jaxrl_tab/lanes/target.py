@@ -13,11 +13,14 @@ class Target(NamedTuple):
         triple: its kind and the operating system, as LLVM writes them.
         cpu: its model.
         features: what it can do and what not: "+avx2,-avx512f,...".
+        effort: of LLVM, from 0 to 3, in choosing and ordering instructions; before that no passes are gone through.
+            It changes no bit of what the code gives.
     """
 
     triple: str
     cpu: str
     features: str
+    effort: int = 2
 
     def has(self, *features: str) -> bool:
         return set(self.features.split(",")) >= {f"+{name}" for name in features}

@@ -13,6 +13,7 @@ from jaxrl_tab import stats
 from jaxrl_tab.approx.features import read
 from jaxrl_tab.core import rng
 from jaxrl_tab.core.declared import of_environment
+from jaxrl_tab.core.errors import InputError
 from jaxrl_tab.core.linear import Active
 from jaxrl_tab.core.types import Environment
 from jaxrl_tab.envs.base import Panel
@@ -50,7 +51,9 @@ def ends_of(env: Environment) -> list[tuple[float, float]]:
 
 def dimensions(env: Environment, datasets: Datasets) -> int:
     """Of how many numbers what was learned is a function, where states cannot be counted; 0 where that is not known."""
-    ends = [] if env.num_states or _has_network(datasets) else ends_of(env)
+    if env.num_states or not all(_is_known(env, ds) for ds in datasets.values()):
+        return 0
+    ends = ends_of(env)
     return len(ends) if all(math.isfinite(x) for pair in ends for x in pair) else 0
 
 
@@ -58,8 +61,10 @@ def absent(env: Environment, datasets: Datasets) -> str:
     """Why the report does not show what was learned of states that cannot be counted; empty where it does."""
     if dimensions(env, datasets) == 2:
         return ""
-    if _has_network(datasets):
-        why = "results hold the last layer of a network alone"
+    if not all(_is_known(env, ds) for ds in datasets.values()):
+        why = (
+            "what results hold are not the weights of features that have a name, as where there is a network"
+        )
     elif (d := dimensions(env, datasets)) == 1:
         return "A state is one number here: what was learned of each is the curve in values.png."
     else:
@@ -67,8 +72,21 @@ def absent(env: Environment, datasets: Datasets) -> str:
     return f"What was learned of single states is not shown: {why}."
 
 
-def _has_network(datasets: Datasets) -> bool:
-    return any("network" in {*stats.fixed(ds), *ds.coords} for ds in datasets.values())
+def _texts(ds: xr.Dataset) -> list[str]:
+    """The features of all settings of a method, as text."""
+    swept = ds["features"].values.ravel().tolist() if "features" in ds.coords else None
+    return swept or [stats.fixed(ds)["features"]]
+
+
+def _is_known(env: Environment, ds: xr.Dataset) -> bool:
+    """Whether results hold weights, of features that their names say; those of a network are not all there."""
+    if "network" in {*stats.fixed(ds), *ds.coords}:
+        return False
+    try:
+        sizes = [read(text).fitted(env).size for text in _texts(ds)]
+    except (InputError, KeyError):  # they are somebody's own
+        return False
+    return max(sizes) == ds.sizes.get("feature")
 
 
 def middles(low: float, high: float, n: int) -> Float[np.ndarray, " n"]:
@@ -100,9 +118,10 @@ def learned_at(points: Float[np.ndarray, "N d"], env: Environment, ds: xr.Datase
         env: the environment.
         ds: one setting of a method with features, whose `q` are the weights, [seed, feature, action].
     """
-    text = ds["features"].item() if "features" in ds.coords else stats.fixed(ds)["features"]
-    x: Any = jax.vmap(read(text).fitted(env))(jnp.asarray(points, jnp.float32))
-    w = ds.q.transpose("seed", "feature", "action").values
+    (text,) = _texts(ds)
+    features = read(text).fitted(env)
+    x: Any = jax.vmap(features)(jnp.asarray(points, jnp.float32))
+    w = ds.q.transpose("seed", "feature", "action").values[:, : features.size]  # others may have more of them
     if isinstance(x, Active):
         return w[:, np.asarray(x.ones)].sum(2)
     return w[:, np.asarray(x)] if x.ndim == 1 else np.asarray(x, w.dtype) @ w
