@@ -28,7 +28,7 @@ from jaxrl_tab.lanes.rules.indexing import clamped
 from jaxrl_tab.lanes.rules.numbers import word_of
 
 TURN = 3  # numbers that a turn of a loop counts as, besides its own
-WRITTEN_OUT = 256  # numbers at most of a loop that is written turn after turn
+WRITTEN_OUT = 128  # numbers at most of a loop that is written turn after turn
 FEW = 24  # equations of a branch that is worked out where it is not taken, too
 
 
