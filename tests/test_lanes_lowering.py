@@ -34,9 +34,11 @@ def test_large_known_arrays_of_whole_numbers_are_worked_out_without_a_program_of
     np.testing.assert_array_equal(numbers, np.sign(rows) * 3 + rows // 7)
 
 
-@pytest.mark.parametrize(("turns", "stores"), [(0, 1), (2, 4 + 2)])
+@pytest.mark.parametrize(("turns", "stores"), [(0, 1), (100, 4 + 2)])
 def test_only_within_a_loop_an_array_is_gone_through_in_several_steps_at_a_time(turns, stores):
     """Of 40 numbers: four in a turn within a loop, and one where they are put into its memory, and given back.
+
+    Of few turns there would be no loop: they are written one after another.
 
     Broken once: four in a turn everywhere -> both fail; one in a turn everywhere -> the second fails.
     """
