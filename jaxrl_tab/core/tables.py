@@ -189,6 +189,7 @@ def _read_plainly(table: Shaped[Array, "..."], *index: Int[Array, ""]) -> Shaped
 
 
 def _read_rule(axis_size, batched, table, *index):
+    table = jnp.asarray(table)  # what is constant in a method comes as a literal, which is no array
     return _read_list(
         *_as_list(axis_size, batched[0], table, _broadcast(axis_size, batched[1:], index))
     ), True
@@ -245,7 +246,7 @@ def _read_list_plainly(entries: Shaped[Array, "N ..."], at: UInt32[Array, "..."]
 
 def _read_list_rule(axis_size, batched, entries, at):
     at = at if batched[1] else jnp.broadcast_to(at, (axis_size, *at.shape))
-    return _read_list(*_merge(axis_size, batched[0], entries, at)), True
+    return _read_list(*_merge(axis_size, batched[0], jnp.asarray(entries), at)), True
 
 
 _read_list = with_lanes(_read_list_plainly, _read_list_rule)
